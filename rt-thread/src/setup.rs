@@ -778,7 +778,7 @@ fn touch_stack(pages: usize) {
 fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
     const NAME: &str = "cpu_dma_latency";
     let path = system.root.join("dev/cpu_dma_latency");
-    let remedy = format!("let the group rtec write {} (see udev/)", path.display());
+    let remedy = format!("let the group rtec-dev write {} (see udev/)", path.display());
     let open = OpenOptions::new().read(true).write(true).open(&path);
     let mut file = match open {
         Ok(file) => file,

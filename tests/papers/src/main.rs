@@ -15,6 +15,7 @@ use std::process::ExitCode;
 
 /// Compares the sources with what the simulation gives now
 #[derive(Debug, clap::Parser)]
+#[command(version)]
 struct Args {
     /// The source: 4832 (or nistir4832), 4854, cmti or wo97 [default: all four]
     #[arg(value_parser = paper)]

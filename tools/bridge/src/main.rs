@@ -41,6 +41,7 @@ use std::time::Duration;
 /// The corrector's state for an MQTT broker; nothing can be commanded through it
 #[derive(Debug, Parser)]
 #[command(
+    name = "rtec-mqtt",
     version,
     after_help = "Example: rtec-mqtt --broker 127.0.0.1:1883 --topic plant/mill3\nExit codes: 2 bad usage; it runs until it is ended"
 )]

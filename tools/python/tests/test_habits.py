@@ -47,6 +47,17 @@ def test_pickles_keep_hash_and_everything_else(tmp_path):
     assert pickle.loads(pickle.dumps(read)).sha256 == read.sha256
 
 
+def test_results_are_pickled_with_all_that_they_answer(mill):
+    run, base = mill / "records/linear-displacement-y.run.toml", mill / "machine.toml"
+    fitted = rtec.fit_effects(run, ["offset.y"], base=base)
+    for result in (rtec.evaluate(run), fitted, rtec.reconcile(run, base), rtec.read_machine(base).export("y", 0, 400), rtec.plan({"x": 500})):
+        again = pickle.loads(pickle.dumps(result))
+        assert type(again) is type(result) and again.document == result.document and repr(again) == repr(result)
+        if hasattr(result, "regression"):
+            for name, array in vars(result.regression).items():
+                np.testing.assert_array_equal(getattr(again.regression, name), array, name)
+
+
 def test_errors_have_one_base_and_a_standard_class(tmp_path):
     for kind, standard in ((rtec.InputError, ValueError), (rtec.MissingFileError, FileNotFoundError), (rtec.Bug, RuntimeError)):
         assert issubclass(kind, rtec.RtecError) and issubclass(kind, standard)
@@ -67,6 +78,7 @@ def test_errors_have_one_base_and_a_standard_class(tmp_path):
             call()
         error = raised.value
         assert isinstance(error, rtec.InputError) and error.filename == error.file == str(missing), error
+        assert str(error) == error.args[0] and error.strerror == "No such file or directory"
         assert pickle.loads(pickle.dumps(error)).args == error.args
     with pytest.raises(FileNotFoundError):
         rtec.replay(tmp_path / "none.csv", tmp_path / "none.csv")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 
 #: An option of the command line, unless it is part of a whole command.
@@ -45,6 +46,9 @@ class InputError(RtecError, ValueError):
 class MissingFileError(InputError, FileNotFoundError):
     """A file that is not there."""
 
+    # OSError's own would leave out the message of the libraries.
+    __str__ = RtecError.__str__
+
 
 class Bug(RtecError, RuntimeError):
     """A mistake of the program, not of its input: please report it."""
@@ -56,7 +60,7 @@ def input_error(text: str, file: str, line: int, column: int, found: str, expect
     error.file, error.line, error.column = file, line, column
     error.found, error.expected = for_python(found), for_python(expected)
     if isinstance(error, MissingFileError):
-        error.errno, error.filename = errno.ENOENT, file
+        error.errno, error.strerror, error.filename = errno.ENOENT, os.strerror(errno.ENOENT), file
     return error
 
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rtec import _documents as doc
 from rtec._machine import Machine
 from rtec._record import Record
 from rtec._regression import Regression, regression
 from rtec._results import Drawn, Result, short
-
-if TYPE_CHECKING:
-    from rtec import _rtec
 
 
 def _intervals(effect: doc.Effect) -> str:
@@ -23,18 +20,23 @@ def _intervals(effect: doc.Effect) -> str:
     return ", ".join(f"{name} = {value} ({low} to {high})" for name, value, low, high in each)
 
 
+def _arrays(records: list[Record], base: Machine | None, machine: Machine, of_verdict: bool) -> Regression:
+    inner = None if base is None else base._inner
+    return regression([run._inner for run in records], inner, machine._inner, of_verdict)
+
+
 @dataclass(frozen=True, repr=False)
 class Fit(Drawn[doc.FitDocument]):
     """A fit: the model, and how it was found (the document)."""
 
     machine: Machine = field(kw_only=True)
-    _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
-    _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
+    _records: list[Record] = field(default_factory=list, repr=False, compare=False)
+    _base: Machine | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def regression(self) -> Regression:
         """Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit."""
-        return regression(self._records, self._base, self.machine._inner, False)
+        return _arrays(self._records, self._base, self.machine, False)
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,13 +49,13 @@ class Verdict(Drawn[doc.VerdictDocument]):
     html: str = field(default="", repr=False)
     #: The law's file of a curve, if one was requested and something was unexplained.
     laws: str | None = field(default=None, repr=False)
-    _records: list[_rtec.Record] = field(default_factory=list, repr=False, compare=False)
-    _base: _rtec.Machine | None = field(default=None, repr=False, compare=False)
+    _records: list[Record] = field(default_factory=list, repr=False, compare=False)
+    _base: Machine | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def regression(self) -> Regression:
         """Residuals, derivatives, covariance and confidence band as arrays, each with its shape and unit."""
-        return regression(self._records, self._base, self.model._inner, True)
+        return _arrays(self._records, self._base, self.model, True)
 
     def _facts(self) -> list[tuple[str, str]]:
         facts: list[tuple[str, str]] = [("verdict", self.verdict)]

@@ -80,6 +80,12 @@ def _asked(
     }
 
 
+def _fitted(made: Any, base: _rtec.Machine | None) -> Fit:
+    (document, machine, pictures, used), said = made
+    known = None if base is None else Machine(base)
+    return Fit(document, pictures, say(said), machine=Machine(machine), _records=[Record(run) for run in used], _base=known)
+
+
 @documented
 def select_sensors(
     train: Runs,
@@ -100,8 +106,7 @@ def select_sensors(
     Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, "1970-01-01", 365, True)
-    (document, machine, pictures, used), said = _rtec.fit(inners(train), [], asked, True)
-    return Fit(document, pictures, say(said), machine=Machine(machine), _records=used, _base=asked["base"])
+    return _fitted(_rtec.fit(inners(train), [], asked, True), asked["base"])
 
 
 @documented
@@ -129,8 +134,7 @@ def fit(
     Fit
     """
     asked = _asked(sensors, environment, folds, lag, square, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures, used), said = _rtec.fit(inners(train), inners(holdout), asked, False)
-    return Fit(document, pictures, say(said), machine=Machine(machine), _records=used, _base=asked["base"])
+    return _fitted(_rtec.fit(inners(train), inners(holdout), asked, False), asked["base"])
 
 
 @documented
@@ -155,8 +159,7 @@ def fit_effects(
     Fit
     """
     asked = _asked((), None, 10, True, True, base, date, valid_days, despite_suspicions)
-    (document, machine, pictures, used), said = _rtec.fit_named(inners(train), names("effects", effects), asked)
-    return Fit(document, pictures, say(said), machine=Machine(machine), _records=used, _base=asked["base"])
+    return _fitted(_rtec.fit_named(inners(train), names("effects", effects), asked), asked["base"])
 
 
 def fit_chain(
@@ -216,12 +219,12 @@ def reconcile(
     -------
     Verdict
     """
-    base = a_machine(machine)._inner
+    base = a_machine(machine)
     (document, model, html, pictures, laws, used), said = _rtec.reconcile(
-        inners(train), base, inners(holdout), level, unexplained, date
+        inners(train), base._inner, inners(holdout), level, unexplained, date
     )
     verdict = Verdict(
-        document, pictures, say(said), html, laws, model=Machine(model), _records=used, _base=base
+        document, pictures, say(said), html, laws, model=Machine(model), _records=[Record(run) for run in used], _base=base
     )
     if out is not None:
         folder = Path(out)

@@ -9,7 +9,7 @@ use crate::full_screen::{Key, Screen, keys};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use ratatui::Terminal;
+use ratatui_core::terminal::Terminal;
 use rtec_control::client::Client;
 use rtec_control::protocol::Observed;
 use std::io::IsTerminal;

@@ -1,10 +1,9 @@
 //! The screen of `rtecctl top`: status, components of the totals, last events.
 
-use ratatui::Frame;
-use ratatui::layout::{Constraint, Layout, Rect};
-use ratatui::style::{Color, Modifier, Style};
-use ratatui::text::{Line, Span, Text};
-use ratatui::widgets::{Block, Clear, Paragraph, Sparkline, Wrap};
+use ratatui_core::layout::{Constraint, Layout, Margin, Rect};
+use ratatui_core::style::{Color, Modifier, Style};
+use ratatui_core::terminal::Frame;
+use ratatui_core::text::{Line, Span, Text};
 use rtec_control::protocol::{
     AxisReport, DaemonStatus, Distribution, Explained, NumberedEvent, Observed, Reading, word,
 };
@@ -16,6 +15,9 @@ use std::time::{Duration, Instant};
 const TREND: usize = 600;
 /// Smallest screen that shows anything useful, columns and lines.
 const NEEDS: (u16, u16) = (60, 16);
+
+/// Levels of the trend, lowest first.
+const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
 /// The latest state, and how to show it.
 pub(super) struct View {
@@ -99,10 +101,10 @@ impl View {
         let area = frame.area();
         if area.width < NEEDS.0 || area.height < NEEDS.1 {
             let text = format!(
-                "terminal {}x{}, needs {}x{}; or `rtecctl status`; q quits",
+                "terminal {}x{}, needs {}x{}\nor `rtecctl status`\nq quits",
                 area.width, area.height, NEEDS.0, NEEDS.1
             );
-            return frame.render_widget(Paragraph::new(text).wrap(Wrap { trim: true }), area);
+            return frame.render_widget(Text::from(text), area);
         }
         let axes = self.status.as_ref().map_or(0, |s| s.axes.len()) as u16;
         let [head, table, middle, thread, why, events, foot] = Layout::vertical([
@@ -123,16 +125,14 @@ impl View {
                 let [effects, sensors] =
                     Layout::horizontal([Constraint::Percentage(56), Constraint::Percentage(44)])
                         .areas(middle);
-                let block = Block::bordered().title(" error taken out, µm ");
-                frame.render_widget(Paragraph::new(self.effects()).block(block), effects);
-                let block = Block::bordered().title(format!(" sensors, {} ", s.sensors.len()));
-                frame.render_widget(Paragraph::new(self.sensors(&s.sensors)).block(block), sensors);
+                draw_framed(frame, effects, " error taken out, µm ", self.effects());
+                let title = format!(" sensors, {} ", s.sensors.len());
+                draw_framed(frame, sensors, &title, self.sensors(&s.sensors));
                 frame.render_widget(thread_line(s), thread);
                 let room = why.height as usize;
                 frame.render_widget(Text::from(self.why().into_iter().take(room).collect::<Vec<_>>()), why);
-                let block = Block::bordered().title(" last events ");
                 let room = usize::from(events.height.saturating_sub(2));
-                frame.render_widget(Paragraph::new(self.events(s, room)).block(block), events);
+                draw_framed(frame, events, " last events ", self.events(s, room));
             }
         }
         frame.render_widget(self.foot(), foot);
@@ -193,11 +193,9 @@ impl View {
         for (n, values) in self.trend.iter().enumerate() {
             let row = Rect { y: trend.y + 1 + n as u16, height: 1, ..trend };
             if row.y < trend.bottom() {
-                let line = Sparkline::default()
-                    .data(squeezed(values, usize::from(row.width)))
-                    .max(8)
-                    .style(self.good());
-                frame.render_widget(line, row);
+                let levels = squeezed(values, usize::from(row.width)).into_iter();
+                let bars: String = levels.map(|level| BARS[level - 1]).collect();
+                frame.render_widget(Line::styled(bars, self.good()), row);
             }
         }
     }
@@ -303,9 +301,21 @@ impl View {
             Nothing is commanded from here.";
         let (width, height) = (area.width.min(76), area.height.min(12));
         let at = Rect { x: (area.width - width) / 2, y: (area.height - height) / 2, width, height };
-        frame.render_widget(Clear, at);
-        frame.render_widget(Paragraph::new(text).block(Block::bordered().title(" rtecctl top ")), at);
+        draw_framed(frame, at, " rtecctl top ", text);
     }
+}
+
+/// Draws a text in a frame with a title, over whatever was there.
+fn draw_framed<'t>(frame: &mut Frame, area: Rect, title: &str, text: impl Into<Text<'t>>) {
+    let width = usize::from(area.width.saturating_sub(2));
+    let inside = format!("│{:width$}│", "");
+    let mut lines = vec![inside; usize::from(area.height).max(2)];
+    let last = lines.len() - 1;
+    lines[0] = format!("┌{title:─<width$.width$}┐");
+    lines[last] = format!("└{:─<width$}┘", "");
+    let border: Text = lines.into_iter().map(|line| Line::styled(line, Style::reset())).collect();
+    frame.render_widget(border, area);
+    frame.render_widget(text.into(), area.inner(Margin::new(1, 1)));
 }
 
 fn thread_line(s: &DaemonStatus) -> Line<'static> {
@@ -350,12 +360,12 @@ fn shortened(name: &str, to: usize) -> String {
     name.chars().take(to - 1).chain(['…']).collect()
 }
 
-/// The last values in a number of columns, from 0 (the least) to 8 (the most).
+/// The last values in a number of columns, from 1 (the least) to 8 (the most).
 /// A constant value is in the middle.
-fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<u64> {
+fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<usize> {
     let [least, most] = span(values);
     let level =
-        |v: f64| if most > least { (1.0 + (v - least) / (most - least) * 7.0).round() as u64 } else { 4 };
+        |v: f64| if most > least { (1.0 + (v - least) / (most - least) * 7.0).round() as usize } else { 4 };
     let n = columns.min(values.len());
     (0..n).map(|i| level(values[(i + 1) * values.len() / n - 1])).collect()
 }
@@ -363,8 +373,8 @@ fn squeezed(values: &VecDeque<f64>, columns: usize) -> Vec<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ratatui::Terminal;
-    use ratatui::backend::TestBackend;
+    use ratatui_core::backend::TestBackend;
+    use ratatui_core::terminal::Terminal;
     use rtec_control::protocol::{Contribution, EventReport, Histograms, LogState};
 
     /// The screen as text, and its cells' colours.
