@@ -244,12 +244,17 @@ fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
             let role = need.role(effect.axes());
             let given = match need {
                 Need::SpindleSpeed | Need::Coolant | Need::Load => of_role(watches, &role).is_some(),
-                Need::Angle => false,
                 _ => true,
             };
             if !given {
                 missing.push(format!(
                     "{}: no [[sensor]] of role {role} in the daemon's configuration, taken as zero",
+                    effect.name()
+                ));
+            }
+            if *need == Need::Angle {
+                missing.push(format!(
+                    "{}: is over the angle of a circle, which a machine at work does not have: without effect here",
                     effect.name()
                 ));
             }
@@ -312,7 +317,7 @@ impl ModelSource {
         let layout = Layout { axes: axes.to_vec(), sensors: machine.sensors(), channels };
         let sensors = places(&machine, &layout.sensors, ("temperature", &Role::Temperature), watches)?;
         let channels = places(&machine, &layout.channels, ("channel", &Role::Channel), watches)?;
-        let live = Live::of(&machine, layout).map_err(|missing| {
+        let live = Live::at_work(&machine, layout).map_err(|missing| {
             InputError::whole(&machine.path, missing.to_string(), "what the configuration has")
         })?;
         Ok(Self {

@@ -299,7 +299,7 @@ fn what_is_taken_as_zero_is_said() {
     bench.load("[[effect]]\nname = \"coolant.z\"\num = 5.0\n");
     assert_eq!(bench.corrector.shown().unwrap().notes, [""; 0]);
     bench.load("[[effect]]\nname = \"form_bump\"\num = 5.0\ncentre_rad = 0.0\nwidth_rad = 1.0\n");
-    let said = "form_bump: no [[sensor]] of role angle in the daemon's configuration, taken as zero";
+    let said = "form_bump: is over the angle of a circle, which a machine at work does not have: without effect here";
     assert_eq!(bench.corrector.shown().unwrap().notes, [said]);
 }
 

@@ -177,8 +177,20 @@ impl Live {
     /// # Errors
     /// A sensor, channel or (for the chain) axis that the layout does not have.
     pub fn of(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
+        Self::only(machine, layout, |_| true)
+    }
+
+    /// As [`Live::of`], without the effects over the angle of a circle: a machine that works reads no such angle.
+    ///
+    /// # Errors
+    /// As [`Live::of`].
+    pub fn at_work(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
+        Self::only(machine, layout, |e| !e.description().needs.contains(&Need::Angle))
+    }
+
+    fn only(machine: &Machine, layout: Layout, acts: impl Fn(&Effect) -> bool) -> Result<Self, Missing> {
         let own = machine.listed().iter().filter(|l| !l.provenance.set_up).map(|l| &l.effect);
-        let mut live = Self::new(own, layout)?;
+        let mut live = Self::new(own.filter(|e| acts(e)), layout)?;
         if let Some(chain) = machine.chain() {
             let layout = &live.layout;
             let missing = |what: String, has: String| Missing { effect: "chain".to_owned(), what, has };

@@ -126,7 +126,8 @@ impl Guide<'_> {
         let name = self.args.axis.clone();
         let (display_mm, indicator_mm) = if self.simulated {
             let to_mm = to_mm.map_or_else(|| self.stands(None).map(|s| s.0.round()), Ok)?;
-            eprintln!("jogging {name} to {to_mm:.4} mm");
+            // No "-0.0000".
+            eprintln!("jogging {name} to {:.4} mm", to_mm + 0.0);
             self.stands(Some(to_mm))?;
             // It must first begin to move, then come to rest at the target.
             while (self.stands(None)?.0 - to_mm).abs() > 1e-6 {

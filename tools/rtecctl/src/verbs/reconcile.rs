@@ -82,9 +82,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.model)?;
     spares_inputs(args)?;
     let asked = args.why.as_ref().map(|name| machine.dictionary().effect(name));
-    let asked = asked.transpose().map_err(|error| {
-        usage(format!("--why: {error}"), "an effect of the dictionary; rtecctl model effects lists them")
-    })?;
+    let asked =
+        asked.transpose().map_err(|error| usage(format!("--why {}", error.found), &error.expected))?;
     if asked.is_some() && args.stage == Stage::Find {
         let expected = "a later stage: the first says where, not what";
         return Err(usage("--why with --stage find".to_owned(), expected).into());

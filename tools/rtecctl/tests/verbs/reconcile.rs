@@ -362,7 +362,7 @@ fn recorder_options_without_a_live_run_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     warm_up(folder.path());
     for (option, value) in
-        [("--duration", "3"), ("--feed", "localhost:1"), ("--kind", "drift"), ("--period", "1")]
+        [("--duration", "3s"), ("--feed", "localhost:1"), ("--kind", "drift"), ("--period", "1")]
     {
         let output = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
             .args(["reconcile", "run.run.toml", "--model", "machine.toml", "--out", "found", option, value])

@@ -59,10 +59,10 @@ pub(crate) struct Recorder {
     #[arg(long, value_delimiter = ',', value_name = "NAME=ROLE", requires = "feed")]
     columns: Vec<String>,
     /// Time between rows, s [default: 1]
-    #[arg(long)]
+    #[arg(long, value_parser = seconds)]
     period: Option<f64>,
     /// How long to record, s
-    #[arg(long)]
+    #[arg(long, value_parser = seconds)]
     duration: Option<f64>,
     #[command(flatten)]
     circle: super::CircleOptions,
@@ -137,6 +137,12 @@ impl Recorder {
 
 fn usage(found: String, expected: &str) -> InputError {
     InputError::whole(Path::new("recording"), found, expected)
+}
+
+/// A time in seconds, or with its unit.
+fn seconds(text: &str) -> Result<f64, String> {
+    let with_unit = || humantime::parse_duration(text).ok().map(|t| t.as_secs_f64());
+    text.parse().ok().or_else(with_unit).ok_or_else(|| "write seconds, or 500ms, 90s, 5m".to_owned())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

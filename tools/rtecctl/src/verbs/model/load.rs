@@ -98,6 +98,8 @@ fn agreed() -> anyhow::Result<bool> {
         eprintln!("no terminal to ask at: `--yes` loads it");
         return Ok(false);
     }
+    // No line of progress while the question stands.
+    let _asking = crate::progress::cleared();
     eprint!("take it? [y/N] ");
     std::io::stderr().flush()?;
     let mut answer = String::new();
