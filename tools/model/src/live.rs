@@ -180,7 +180,9 @@ impl Live {
         Self::only(machine, layout, |_| true)
     }
 
-    /// As [`Live::of`], without the effects over the angle of a circle: a machine that works reads no such angle.
+    /// As [`Live::of`], without the effects over the angle of a circle.
+    ///
+    /// A machine at work has no such angle.
     ///
     /// # Errors
     /// As [`Live::of`].
