@@ -49,7 +49,9 @@ fn an_interrupted_verb_leaves_no_file() {
             std::fs::write(at.join("out.csv"), "kept\n").unwrap();
             let made = Command::new("mkfifo").arg(at.join("in.csv")).status().unwrap();
             assert!(made.success());
-            let mut verb = Command::new(env!("CARGO_BIN_EXE_rtecctl"))
+            // A shell starts what runs in the background with Ctrl-C ignored.
+            let mut verb = Command::new("env")
+                .args(["--default-signal=INT,TERM", env!("CARGO_BIN_EXE_rtecctl")])
                 .current_dir(at)
                 .args(line.split(' '))
                 .stdout(std::process::Stdio::null())
