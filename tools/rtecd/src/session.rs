@@ -518,7 +518,9 @@ impl Session {
                 let wanted = loads::Wanted { take: take.clone(), expired: *expired };
                 return self.model_load(file.as_deref(), files, wanted, beside);
             }
-            ClientRequest::Jog { axis, display_mm } => return Answer::of(self.jog(axis, *display_mm)),
+            ClientRequest::Jog { axis, display_mm, go_on } => {
+                return Answer::of(self.jog(axis, *display_mm, *go_on));
+            }
             ClientRequest::ModelUnload {} => return Answer::Now(self.model_unload(log)),
             ClientRequest::ModelAgain {} => return self.model_again(),
             ClientRequest::Explain { axis } => return Answer::of(self.explain(axis.as_deref(), control)),

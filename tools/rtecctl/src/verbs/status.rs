@@ -404,6 +404,7 @@ mod tests {
             balanced: true,
             faults: Vec::new(),
             why_not: Vec::new(),
+            model_refused: None,
             rt: RtStatus {
                 alive: true,
                 card: "mapped".into(),
