@@ -194,6 +194,9 @@ pub enum Response {
         /// Movements that `enable` causes, axis by axis.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         jumps: Vec<Jump>,
+        /// Corrections were on before `enable`, which moves nothing then.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        already: bool,
         /// Consequences of the request that may not be intended.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         warnings: Vec<String>,
@@ -245,7 +248,12 @@ pub enum Response {
 impl Response {
     /// Done, without jumps or warnings.
     pub const fn done() -> Self {
-        Self::Done { jumps: Vec::new(), warnings: Vec::new() }
+        Self::done_with(Vec::new())
+    }
+
+    /// Done without jumps, with these warnings.
+    pub const fn done_with(warnings: Vec<String>) -> Self {
+        Self::Done { jumps: Vec::new(), already: false, warnings }
     }
 
     /// A refusal without jumps: its word, and its text for people.

@@ -200,7 +200,7 @@ impl Session {
             _ => None,
         });
         let warnings = warnings.take(1).chain(rest(config, total_counts, control.status().axes[n].in_effect));
-        Ok(Response::Done { jumps: Vec::new(), warnings: warnings.collect() })
+        Ok(Response::done_with(warnings.collect()))
     }
 
     /// Jogs a simulated axis or lets it go on.
