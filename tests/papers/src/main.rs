@@ -17,7 +17,7 @@ use std::process::ExitCode;
 #[derive(Debug, clap::Parser)]
 #[command(version)]
 struct Args {
-    /// The source: 4832 (or nistir4832), 4854, cmti or wo97 [default: all four]
+    /// The source: 4832 or nistir4832, 4854, cmti or wo97 [default: all four]
     #[arg(value_parser = paper)]
     paper: Option<&'static Paper>,
     /// Take the machines' files from this folder; missing ones are built in
@@ -41,7 +41,8 @@ struct Args {
 }
 
 fn paper(name: &str) -> Result<&'static Paper, String> {
-    Paper::find(name).ok_or_else(|| format!("expected one of {}", PAPERS.map(|p| p.name).join(", ")))
+    let names = PAPERS.map(|p| p.name).join(", ");
+    Paper::find(name).ok_or_else(|| format!("expected one of {names} (nistir4832 and nistir4854 too)"))
 }
 
 /// Exits with 2 on bad input, with 1 on any other error.
@@ -52,7 +53,7 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
-    let described = Described { folder: args.from.clone() };
+    let described = Described::of(args.from.clone());
     if let Some(folder) = args.from.as_deref().filter(|f| !f.is_dir()) {
         return Err(InputError::whole(folder, "no such folder", "a folder with the machines' files").into());
     }
@@ -67,16 +68,26 @@ fn run(args: &Args) -> anyhow::Result<()> {
             for seed in args.seed..=last {
                 spread.add(paper.compare(&described, seed, &mut progress).map_err(input_error)?);
             }
+            tell_missing(&described, args);
             println!("{}, seeds {} to {last}\n{}", paper.title, args.seed, spread.table());
             continue;
         }
         let compared = paper.compare(&described, args.seed, &mut progress).map_err(input_error)?;
+        tell_missing(&described, args);
         if let Some(folder) = &args.out {
             write_all(folder, compared.figures.iter().map(|(name, text)| (name.as_str(), text.as_str())))?;
         }
         print!("{}", table(&compared, args.differ));
     }
     Ok(())
+}
+
+/// Names the files that `--from` was expected to have.
+fn tell_missing(described: &Described, args: &Args) {
+    let folder = args.from.as_deref().unwrap_or(Path::new(""));
+    for file in described.take_missing() {
+        eprintln!("rtec-papers: no {}: the one built in was taken", folder.join(file).display());
+    }
 }
 
 fn write_all<'t>(folder: &Path, files: impl Iterator<Item = (&'t str, &'t str)>) -> anyhow::Result<()> {

@@ -16,7 +16,7 @@ fn rtec_papers(arguments: &[&str]) -> Output {
 
 /// Compares a source and checks that every row is complete.
 fn compared(paper: &str, from: Option<&Path>, seed: u64) -> Compared {
-    let described = Described { folder: from.map(Path::to_owned) };
+    let described = Described::of(from.map(Path::to_owned));
     let compared = Paper::find(paper).unwrap().compare(&described, seed, &mut |_| ()).unwrap();
     for row in &compared.rows {
         assert!(![&row.place, &row.what, &row.says, &row.gets].contains(&&String::new()), "{row:?}");
@@ -307,4 +307,22 @@ fn refuses_an_unknown_source_and_a_missing_folder() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(output.stdout.is_empty());
     }
+    let said = String::from_utf8(rtec_papers(&["cmt"]).stderr).unwrap();
+    assert!(said.contains("4832, 4854, cmti, wo97 (nistir4832 and nistir4854 too)"), "{said}");
+}
+
+/// A file under a wrong name changes nothing, and nobody would know why.
+#[test]
+fn names_each_file_that_the_folder_does_not_have() {
+    let folder = tempfile::tempdir().unwrap();
+    let from = folder.path().to_str().unwrap();
+    let lines = |output: Output| {
+        let said = String::from_utf8(output.stderr).unwrap();
+        said.lines().filter(|l| l.contains("built in")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let missing = format!("rtec-papers: no {from}/cmti.toml: the one built in was taken");
+    assert_eq!(lines(rtec_papers(&["cmti", "--from", from])), [missing]);
+    changed(folder.path(), "cmti.toml", "", "");
+    assert_eq!(lines(rtec_papers(&["cmti", "--from", from])), [""; 0]);
+    assert_eq!(lines(rtec_papers(&["cmti"])), [""; 0]);
 }

@@ -47,7 +47,55 @@ fn right_and_everything_that_can_be_wrong_is_named() {
         // Nothing is left requested, whatever was found.
         let status = daemon.status();
         assert_eq!((&status["axes"][0]["requested"], &status["balanced"]), (&0.into(), &true.into()));
+        // The axis goes to and fro as before, so that nothing is left in effect either.
+        until("the axis moves again", || {
+            let axis = daemon.status()["axes"][0].clone();
+            axis["edge_rate_hz"] != 0.0 && axis["in_effect"] == 0
+        });
     }
+}
+
+/// `--by-hand` asks at a simulated axis that nobody stops.
+#[test]
+fn says_what_it_waits_for_by_hand() {
+    let _room = among_others();
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("rtec.toml");
+    std::fs::write(&file, config("")).unwrap();
+    let socket = directory.path().join("s");
+    let daemon = Daemon::start(&socket, Some(&file));
+    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["enable"]);
+    let mut guided = Command::new(program("rtecctl"))
+        .args(["commission", "x", "--by-hand", "--socket"])
+        .arg(&socket)
+        .stdin(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    writeln!(guided.stdin.as_mut().unwrap(), "0 0").unwrap();
+    let mut said = BufReader::new(guided.stderr.take().unwrap()).lines();
+    let asked = said.next().unwrap().unwrap();
+    let waits = "x moves: waiting 60 s for it to stand; without --by-hand it is jogged to each place";
+    assert!(asked.ends_with(&format!("mm: {waits}")), "{asked}");
+    Command::new("kill").arg(guided.id().to_string()).status().unwrap();
+    assert_eq!(guided.wait().unwrap().code(), Some(1));
+}
+
+/// An axis is commissioned without a model, and its name is what matters first.
+#[test]
+fn refuses_by_what_commissioning_needs() {
+    let _room = among_others();
+    let directory = tempfile::tempdir().unwrap();
+    let (file, model) = (directory.path().join("rtec.toml"), directory.path().join("machine.toml"));
+    std::fs::write(&file, config("[model]\nfile = 'machine.toml'")).unwrap();
+    std::fs::write(&model, "name = 'bench'\n[[effect]]\nname = 'scale.x'\nppm = 10.0\n").unwrap();
+    let daemon = Daemon::start(&directory.path().join("s"), Some(&file));
+    assert!(daemon.expect(0, &["status"]).contains("has not been loaded yet"));
+    let said = daemon.expect(1, &["commission", "x"]);
+    assert!(said.contains("not homed: x") && !said.contains("model"), "{said}");
+    let said = daemon.expect(2, &["commission", "a", "--model", model.to_str().unwrap()]);
+    assert!(said.contains("found axis \"a\", expected one of x"), "{said}");
 }
 
 /// Jogs the simulated machine to `to_mm`; returns display and indicator, mm.

@@ -1,11 +1,14 @@
 //! The machine model in a real `rtecd`.
 //! It is loaded, explained, kept over a restart, and refused when its file has changed.
 
+use super::top::Terminal;
 use rtec_tests::daemon::{Daemon, among_others, until};
 use rtec_tests::sensors::Sensors;
+use rtec_tests::skipped;
 use serde_json::Value;
 use std::path::Path;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 fn set_up(directory: &Path, sensors: &Sensors, model: &str) -> std::path::PathBuf {
     std::fs::write(directory.join("machine.toml"), format!("name = \"bench\"\n{model}")).unwrap();
@@ -40,6 +43,31 @@ fn part_um(daemon: &Daemon, axis: &str, name: &str) -> Option<f64> {
 
 const GROWTH: &str =
     "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\n";
+
+/// Regression: the line of progress took the place of the question.
+#[test]
+fn the_question_of_a_load_stays_on_the_terminal() {
+    if std::process::Command::new("tmux").arg("-V").output().is_err() {
+        return skipped("no tmux (Debian: tmux)");
+    }
+    let _room = among_others();
+    let directory = tempfile::tempdir().unwrap();
+    let socket = directory.path().join("s");
+    let daemon = Daemon::start(&socket, None);
+    let file = directory.path().join("m.toml");
+    std::fs::write(&file, "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 10.0\n").unwrap();
+    let words = ["model", "load", file.to_str().unwrap()];
+    let terminal = Terminal::of(directory.path(), &words, &socket, (100, 30), "");
+    let question = "take it? [y/N]";
+    terminal.shows(question);
+    // A computation shows its line after two seconds.
+    std::thread::sleep(Duration::from_secs(4));
+    let screen = terminal.screen();
+    assert!(screen.trim_end().ends_with(question) && !screen.contains("model: "), "{screen}");
+    terminal.tmux(&["send-keys", "y", "Enter"]);
+    terminal.shows("ended with 0");
+    assert_eq!(daemon.status()["model"]["file"], file.to_str().unwrap());
+}
 
 #[test]
 fn a_model_is_shown_taken_explained_held_and_unloaded() {

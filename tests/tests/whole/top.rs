@@ -5,18 +5,31 @@ use rtec_tests::skipped;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-struct Terminal {
+/// A terminal of tmux.
+pub(crate) struct Terminal {
     server: PathBuf,
 }
 
 impl Terminal {
-    /// A terminal that runs `rtecctl top` and then prints its exit code.
-    /// It has a tmux server of its own.
+    /// A terminal that runs `rtecctl top`.
     fn start(directory: &Path, socket: &Path, size: (u16, u16), variables: &str) -> Self {
+        Self::of(directory, &["top", "--every", "100ms"], socket, size, variables)
+    }
+
+    /// A terminal that runs `rtecctl` with these words and then prints its exit code.
+    /// It has a tmux server of its own.
+    pub(crate) fn of(
+        directory: &Path,
+        words: &[&str],
+        socket: &Path,
+        size: (u16, u16),
+        variables: &str,
+    ) -> Self {
         let terminal = Self { server: directory.join(format!("tmux-{}-{}", size.0, variables.len())) };
         let command = format!(
-            "{variables} {} top --every 100ms --socket {}; echo ended with $?; sleep 60",
+            "{variables} {} {} --socket {}; echo ended with $?; sleep 60",
             program("rtecctl").display(),
+            words.join(" "),
             socket.display()
         );
         let (width, height) = (size.0.to_string(), size.1.to_string());
@@ -24,16 +37,16 @@ impl Terminal {
         terminal
     }
 
-    fn tmux(&self, args: &[&str]) -> String {
+    pub(crate) fn tmux(&self, args: &[&str]) -> String {
         let run = Command::new("tmux").arg("-S").arg(&self.server).args(args).output().unwrap();
         String::from_utf8_lossy(&run.stdout).into_owned()
     }
 
-    fn screen(&self) -> String {
+    pub(crate) fn screen(&self) -> String {
         self.tmux(&["capture-pane", "-p"])
     }
 
-    fn shows(&self, text: &str) {
+    pub(crate) fn shows(&self, text: &str) {
         until(text, || self.screen().contains(text));
     }
 }

@@ -20,7 +20,7 @@
 //! | `probe`, `hold` | `on` |
 //! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown; `files` |
 //! | `model_unload`, `model_again` | – |
-//! | `jog` | `axis`, `display_mm`: a simulated axis only |
+//! | `jog` | `axis`, `display_mm`, `go_on`: a simulated axis only |
 //! | `explain` | `axis`; all without it |
 //! | `table_load` | `errors`, `axes`, `nose_mm`, `origin_mm`, `lead_ms`; of an arc `centre_mm`, `radius_mm` too |
 //! | `table_unload` | – |
@@ -136,6 +136,9 @@ pub enum ClientRequest {
         /// Target as the controller displays it, mm; without it only read.
         #[serde(default)]
         display_mm: Option<f64>,
+        /// The axis goes on to and fro, as before it was jogged.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        go_on: bool,
     },
     /// Asks for the components of each axis's correction.
     Explain {
@@ -191,6 +194,9 @@ pub enum Response {
         /// Movements that `enable` causes, axis by axis.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         jumps: Vec<Jump>,
+        /// Corrections were on before `enable`, which moves nothing then.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        already: bool,
         /// Consequences of the request that may not be intended.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         warnings: Vec<String>,
@@ -242,7 +248,12 @@ pub enum Response {
 impl Response {
     /// Done, without jumps or warnings.
     pub const fn done() -> Self {
-        Self::Done { jumps: Vec::new(), warnings: Vec::new() }
+        Self::done_with(Vec::new())
+    }
+
+    /// Done without jumps, with these warnings.
+    pub const fn done_with(warnings: Vec<String>) -> Self {
+        Self::Done { jumps: Vec::new(), already: false, warnings }
     }
 
     /// A refusal without jumps: its word, and its text for people.

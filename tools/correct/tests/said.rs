@@ -303,6 +303,26 @@ fn what_is_taken_as_zero_is_said() {
     assert_eq!(bench.corrector.shown().unwrap().notes, [said]);
 }
 
+/// Regression: a curve over the angle of a circle was corrected as a constant.
+/// It was its value at angle 0.
+#[test]
+fn an_effect_over_an_angle_corrects_nothing_at_work() {
+    let law = "[[law]]\nname = \"bend\"\nnaming = \"A\"\nacts_on = \"error\"\nlaw = \"a line over angle\"\ncause = \"unknown\"\n\
+               experiment = \"a circle\"\nparameters = [{ name = \"um\", unit = \"um\", terms = [{ hat = [0.0, 0.0, 3.0], of = \"angle\" }] }]\n";
+    let text = "name = \"m\"\ndictionary = \"own.toml\"\n[[effect]]\nname = \"bend.y\"\num = 40.0\n[[effect]]\nname = \"offset.y\"\n\
+                um = 4.0\n";
+    let read = |_: &Path| Ok(law.to_owned());
+    let machine = Machine::parse_from(Path::new("m.toml"), text, Dictionary::default(), &read).unwrap();
+    let mut bench = Bench::new();
+    bench.corrector.load(machine, &|_| Vec::new()).unwrap();
+    bench.run(20.0, 1, |_| None);
+    // The other effect of the axis is corrected.
+    assert_eq!(bench.status.axes[1].requested, 4);
+    assert_eq!(names(&bench, 1), ["offset.y"]);
+    let notes = bench.corrector.shown().unwrap().notes;
+    assert!(notes.len() == 1 && notes[0].starts_with("bend.y: is over the angle of a circle"), "{notes:?}");
+}
+
 /// An axis waits for each sensor that it reads, and for no other.
 #[test]
 fn an_axis_waits_for_its_own_sensors_only() {

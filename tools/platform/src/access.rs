@@ -241,7 +241,9 @@ impl Tree<'_> {
             given,
         )
         .needed()
-        .remedy(format!("install -Dt /{DROP_INS} /usr/share/rtec/port.conf && systemctl daemon-reload"))
+        .remedy(format!(
+            "install -Dm 644 -t /{DROP_INS} /usr/share/rtec/port.conf && systemctl daemon-reload"
+        ))
     }
 
     /// Whether the card's interrupts land on the right CPUs.

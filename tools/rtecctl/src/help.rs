@@ -68,6 +68,28 @@ const VERBS: [(&str, usize, &str, &str); 40] = [
     ("help", 4, "rtecctl help status", READS),
 ];
 
+/// Examples of verbs below a verb whose own example is of another.
+#[rustfmt::skip] // a verb a line
+const BELOW: [&str; 17] = [
+    "rtecctl card show parallel-port",
+    "rtecctl card probe --config rtec.toml --watch --for 10s",
+    "rtecctl characterise import x.csv --format csv --columns x=position.x,dir=direction.x,e=error.x --out x.run.toml",
+    "rtecctl characterise plan --axes x=500,y=400 --out plan.md",
+    "rtecctl characterise record --sensors sensors.toml --feed 127.0.0.1:47901 --columns e=error.x --duration 90s --out x.run.toml",
+    "rtecctl model compare machine.toml found/model.toml",
+    "rtecctl model export --machine machine.toml --axis x --from 0 --to 500 --format linuxcnc --out x.comp",
+    "rtecctl model fit --record drift.run.toml --out fitted.toml",
+    "rtecctl model load machine.toml",
+    "rtecctl model predict --machine machine.toml --record x.run.toml --out predicted.csv",
+    "rtecctl model rehearse --machine machine.toml --record x.run.toml",
+    "rtecctl model validate --machine machine.toml --record x.run.toml",
+    "rtecctl part errors --points probed.csv --radius-mm 25",
+    "rtecctl part features nose.dxf",
+    "rtecctl part points nose.dxf --tip-mm 2.5 --out semi",
+    "rtecctl part table --errors error.cor --out table",
+    "rtecctl trace from-position x.csv --count-um 1 --out trace.csv",
+];
+
 /// First steps of a newcomer: the aim, and its command.
 const BEGIN: [(&str, &str); 8] = [
     ("see a machine corrected, ten seconds, no hardware", "rtecctl demo"),
@@ -178,14 +200,20 @@ fn paths(command: &Command, under: &mut Vec<String>, all: &mut Vec<Vec<String>>)
 
 /// Hints after a usage error: an example of the verb and its list of names.
 /// A hint that the error already contains is left out.
-pub(crate) fn next(verb: &str, said: &str) -> String {
-    let Some((.., example, _)) = VERBS.iter().find(|v| v.0 == verb).filter(|_| !said.contains("Example:"))
-    else {
-        return String::new();
-    };
-    let mut text = format!("Example: {example}\n");
+pub(crate) fn next(words: &[OsString], said: &str) -> String {
+    let word = |n: usize| words.get(n).and_then(|w| w.to_str()).unwrap_or_default();
+    let (verb, below) = (word(1), word(2));
     let command = Cli::command();
-    let mut options = command.find_subcommand(verb).into_iter().flat_map(Command::get_arguments);
+    let found = command.find_subcommand(verb);
+    let mut examples = VERBS.iter().filter(|v| v.0 == verb).map(|v| v.2);
+    let example = match found.and_then(|c| c.find_subcommand(below)) {
+        // An example of another verb below it would mislead.
+        Some(_) => examples.chain(BELOW).find(|e| e.split(' ').take(3).eq(["rtecctl", verb, below])),
+        None => examples.next(),
+    };
+    let Some(example) = example.filter(|_| !said.contains("Example:")) else { return String::new() };
+    let mut text = format!("Example: {example}\n");
+    let mut options = found.into_iter().flat_map(Command::get_arguments);
     if options.any(|a| a.get_long() == Some("list")) && !example.ends_with("--list") {
         // Writing to a String does not fail.
         let _ = writeln!(text, "Names: rtecctl {verb} --list");
@@ -235,6 +263,8 @@ mod tests {
         }
         for (verb, _, example, _) in VERBS {
             assert!(example.starts_with(&format!("rtecctl {verb}")), "{verb}: {example}");
+        }
+        for example in VERBS.iter().map(|v| v.2).chain(BELOW) {
             let words = example.split(' ');
             if let Err(error) = super::command().try_get_matches_from(words)
                 && error.exit_code() != 0
@@ -288,12 +318,25 @@ mod tests {
 
     #[test]
     fn a_usage_error_ends_with_an_example() {
-        assert_eq!(next("simulate", "error: …"), "Example: rtecctl simulate --list\n");
+        let next =
+            |line: &str, said: &str| next(&line.split(' ').map(OsString::from).collect::<Vec<_>>(), said);
+        assert_eq!(next("rtecctl simulate", "error: …"), "Example: rtecctl simulate --list\n");
         assert_eq!(
-            next("example", "error: …"),
+            next("rtecctl example", "error: …"),
             "Example: rtecctl example lathe lathe\nNames: rtecctl example --list\n"
         );
-        assert_eq!(next("model", "Example: rtecctl model show\n") + &next("nonsense", "error: …"), "");
+        let said =
+            next("rtecctl model", "Example: rtecctl model show\n") + &next("rtecctl nonsense", "error: …");
+        assert_eq!(said + &next("rtecctl", "error: …"), "");
+        // Of a verb below another, its own example or none.
+        let show = "Example: rtecctl model show --machine machine.toml\n";
+        assert_eq!(
+            ["rtecctl model", "rtecctl model shwo", "rtecctl model show"].map(|l| next(l, "")),
+            [show; 3]
+        );
+        let export = next("rtecctl model export --machine m.toml", "error: …");
+        assert!(export.starts_with("Example: rtecctl model export --machine "), "{export}");
+        assert_eq!(next("rtecctl model unload --now", "error: …"), "");
     }
 
     #[test]

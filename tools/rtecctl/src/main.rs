@@ -31,6 +31,7 @@ macro_rules! eprint {
 mod archive;
 mod daemon;
 mod document;
+mod duration;
 mod full_screen;
 mod help;
 mod http;
@@ -195,8 +196,7 @@ fn main() -> ExitCode {
             let error = help::with_meant(error, &words);
             // If standard error cannot be written, there is nowhere to report it.
             let _ = error.print();
-            let verb = std::env::args_os().nth(1).unwrap_or_default();
-            tell(&help::next(&verb.to_string_lossy(), &error.render().to_string()));
+            tell(&help::next(&words, &error.render().to_string()));
             return ExitCode::from(2);
         }
         // Help and version are printed like any other output.

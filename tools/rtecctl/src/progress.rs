@@ -26,6 +26,14 @@ pub(crate) fn cleared() -> impl Drop {
     shown
 }
 
+/// Asks a question in place of the line.
+/// The guard prevents the line from returning before the answer.
+pub(crate) fn asking(question: &str) -> impl Drop {
+    let shown = cleared();
+    write(question);
+    shown
+}
+
 fn write(text: &str) {
     let mut out = std::io::stderr().lock();
     // If standard error cannot be written, there is nowhere to report it.

@@ -183,7 +183,7 @@ impl Audit {
     /// position, or a target already set.
     pub(crate) fn command(&mut self, command: Command) {
         let Command { by, request, result, text, before, after, model } = command;
-        let looks = result == "done" && request["do"] == "jog";
+        let looks = result == "done" && request["do"] == "jog" && request["go_on"].is_null();
         let uid = by.uid;
         let mut key =
             (looks || result != "done").then(|| (uid, format!("{} {} {result} {request}", by.pid, by.role)));
@@ -482,6 +482,10 @@ mod tests {
             audit.command(command(1, "done"));
         }
         audit.command(Command { request: jog(None), ..command(1, "done") });
+        let mut go_on = jog(None);
+        go_on["go_on"] = true.into();
+        audit.command(Command { request: jog(None), ..command(1, "done") });
+        audit.command(Command { request: go_on, ..command(1, "done") });
         // Another user's question is another line.
         audit.command(Command { request: jog(None), ..command(2, "done") });
         audit.end(Duration::from_secs(30));
@@ -493,8 +497,8 @@ mod tests {
         let round = |mm| {
             [("jog", Some(mm), None), ("jog", None, None), ("jog", None, Some(399)), ("enable", None, None)]
         };
-        let expected: Vec<_> =
-            [round(1.0), round(2.0)].concat().into_iter().chain([("jog", None, None); 2]).collect();
+        let once = ("jog", None, None);
+        let expected = [&round(1.0)[..], &round(2.0), &[once, ("jog", None, Some(1)), once, once]].concat();
         let all: Vec<_> = all.iter().map(|(what, mm, times)| (what.as_str(), *mm, *times)).collect();
         assert_eq!(all, expected);
         assert!(verify(&path, &[]).unwrap().broken.is_empty());

@@ -43,6 +43,11 @@ impl SimulatedOperator {
         truth.jog_to(display_mm * 1000.0 / simulated.count_um * own);
     }
 
+    /// Lets a jogged axis go on to and fro.
+    pub(crate) fn go_on(&self, n: usize) {
+        self.axes[n].0.go_on();
+    }
+
     /// Readings of the controller's display and of an indicator at the axis, mm.
     pub(crate) fn read_mm(&self, n: usize) -> (f64, f64) {
         let (truth, simulated) = &self.axes[n];

@@ -504,11 +504,14 @@ impl Session {
             }
             ClientRequest::Enable { accept_jump } => {
                 let status = control.status();
-                let jumps = self.jumps(&status);
+                // Corrections that are on go on in their ramp, which is no jump.
+                let already = status.mode == Mode::Run;
+                let jumps = if already { Vec::new() } else { self.jumps(&status) };
                 if let Some(refusal) = self.forbidden(&status, &jumps, *accept_jump) {
                     return Answer::Now(refusal);
                 }
-                (Request::Enable, Response::Done { jumps, warnings: self.no_model().into_iter().collect() })
+                let warnings = self.no_model().into_iter().collect();
+                (Request::Enable, Response::Done { jumps, already, warnings })
             }
             ClientRequest::Shadow {} => plain(Request::Shadow),
             ClientRequest::Correct { axis, total_counts, large } => {
@@ -518,7 +521,9 @@ impl Session {
                 let wanted = loads::Wanted { take: take.clone(), expired: *expired };
                 return self.model_load(file.as_deref(), files, wanted, beside);
             }
-            ClientRequest::Jog { axis, display_mm } => return Answer::of(self.jog(axis, *display_mm)),
+            ClientRequest::Jog { axis, display_mm, go_on } => {
+                return Answer::of(self.jog(axis, *display_mm, *go_on));
+            }
             ClientRequest::ModelUnload {} => return Answer::Now(self.model_unload(log)),
             ClientRequest::ModelAgain {} => return self.model_again(),
             ClientRequest::Explain { axis } => return Answer::of(self.explain(axis.as_deref(), control)),

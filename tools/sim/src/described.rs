@@ -6,7 +6,9 @@ use rtec_files::InputError;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use serde::de::DeserializeOwned;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// Files of the experiments with the machining centre of WO 97/43703.
 macro_rules! wo97_of {
@@ -42,13 +44,27 @@ pub(crate) const WO97_MACHINE: &str = include_str!("../papers/wo97-machine.toml"
 pub(crate) const WO97_CHAIN: &str = include_str!("../papers/wo97-chain.toml");
 
 /// Source of the descriptions.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub struct Described {
     /// A folder with the user's files; for a missing one the program's is used.
-    pub folder: Option<PathBuf>,
+    folder: Option<PathBuf>,
+    /// Files that were missing there.
+    missing: Mutex<BTreeSet<&'static str>>,
 }
 
 impl Described {
+    /// The descriptions of a folder, or the program's.
+    #[must_use]
+    pub fn of(folder: Option<PathBuf>) -> Self {
+        Self { folder, ..Self::default() }
+    }
+
+    /// Files that the folder lacked since the last call.
+    /// The program's were used instead.
+    pub fn take_missing(&self) -> BTreeSet<&'static str> {
+        std::mem::take(&mut *self.missing.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     /// Text of a file, and the path that messages use for it.
     ///
     /// # Errors
@@ -59,12 +75,14 @@ impl Described {
             return Ok((file, text));
         }
         let path = PathBuf::from(name);
-        let within = FILES.iter().find(|f| f.0 == name);
-        let text = within.map(|f| f.1.to_owned()).ok_or_else(|| {
+        let (name, text) = FILES.iter().find(|f| f.0 == name).ok_or_else(|| {
             let names = FILES.map(|f| f.0).join(", ");
             InputError::whole(&path, "no such description", format!("one of {names}"))
         })?;
-        Ok((path, text))
+        if self.folder.is_some() {
+            self.missing.lock().unwrap_or_else(PoisonError::into_inner).insert(name);
+        }
+        Ok((path, (*text).to_owned()))
     }
 
     /// Reads a description.
@@ -115,9 +133,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("4832-machine.toml");
         std::fs::write(&file, "name = \"mine\"\n").unwrap();
-        let own = Described { folder: Some(dir.path().to_owned()) };
+        let own = Described::of(Some(dir.path().to_owned()));
         assert_eq!(own.machine("4832-machine.toml").unwrap().name(), "mine");
         assert_eq!(own.machine("4854-machine.toml").unwrap().name(), "turning centre of NISTIR 4854");
         assert!(own.machine("none.toml").is_err());
+        assert_eq!(Vec::from_iter(own.take_missing()), ["4854-chain.toml", "4854-machine.toml"]);
+        assert!(own.take_missing().is_empty());
     }
 }

@@ -74,9 +74,14 @@ impl Truth {
     }
 
     /// Leaves the cycle, moves to a commanded position, counts, at the motion's feed.
-    /// It stays there.
+    /// It stays there until [`Truth::go_on`].
     pub fn jog_to(&self, commanded_counts: f64) {
         self.jog.store(commanded_counts.to_bits(), Ordering::Relaxed);
+    }
+
+    /// Takes up the cycle again once a jog is done.
+    pub fn go_on(&self) {
+        self.jog_to(f64::NAN);
     }
 
     /// Illegal transitions that the controller has seen.
@@ -188,10 +193,10 @@ impl Attended for Stroking {
 
     fn tick(&mut self) {
         let jog = self.truth.jog.load(Ordering::Relaxed);
-        if jog != self.jogged {
-            self.jogged = jog;
+        let cycles = f64::from_bits(jog).is_nan();
+        if std::mem::replace(&mut self.jogged, jog) != jog && !cycles {
             self.machine.jog(self.motion.to(f64::from_bits(jog)));
-        } else if f64::from_bits(jog).is_nan() && self.machine.finished() && self.go.load(Ordering::Relaxed) {
+        } else if cycles && self.machine.finished() && self.go.load(Ordering::Relaxed) {
             let seconds = self.motion.dwell_s;
             let stroke = self.motion.to(self.motion.stroke_counts);
             self.machine.load([
@@ -282,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jog_leaves_the_cycle_and_stays() {
+    fn a_jog_leaves_the_cycle_until_it_goes_on() {
         let motion =
             StrokeMotion { stroke_counts: 1000.0, feed_counts_s: 10_000.0, dwell_s: 0.1, on_feedback: true };
         let (mut axes, operator) = axes(motion);
@@ -296,6 +301,17 @@ mod tests {
             (at + 700.0).abs() < 1.0 && (operator.truth[0].commanded_counts() + 700.0).abs() < 1e-9,
             "{at}"
         );
+        // It is let go on its way to another place: first there, then to and fro as before.
+        operator.truth[0].jog_to(-300.0);
+        run(&mut axes, 1_000_000_000, 1_010_000_000, 0);
+        operator.truth[0].go_on();
+        let (mut least, mut most) = (f64::MAX, f64::MIN);
+        for k in 0..2000 {
+            run(&mut axes, 1_010_000_000 + k * 1_000_000, 1_011_000_000 + k * 1_000_000, 0);
+            let at = operator.truth[0].commanded_counts();
+            (least, most) = (if k < 500 { f64::MAX } else { least.min(at) }, most.max(at));
+        }
+        assert!(least.abs() < 1.0 && (most - 1000.0).abs() < 1.0, "{least} to {most}");
     }
 
     #[test]

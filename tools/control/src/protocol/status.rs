@@ -44,6 +44,9 @@ pub struct DaemonStatus {
     pub record_trouble: Option<String>,
     /// Why nothing is corrected now, and what to do about it; empty while correcting.
     pub why_not: Vec<String>,
+    /// The one of `why_not` that keeps only the model out, if any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model_refused: Option<String>,
     /// Files edited since they were read, so that the running state differs from them.
     /// Each comes with what to do.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

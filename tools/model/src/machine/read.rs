@@ -70,21 +70,25 @@ impl Machine {
         }
         let mut hash = Sha256::new_with_prefix(text);
         // The files that it names are part of the hash.
-        let mut beside = |file: &str| {
-            let path = path.parent().unwrap_or(Path::new("")).join(file);
-            read(&path).map(|text| {
-                hash.update(&text);
-                (path, text)
-            })
+        let mut beside = |key: Entry, what: &str| {
+            let name = key.str(what)?;
+            let path = path.parent().unwrap_or(Path::new("")).join(name);
+            // Of a file that cannot be read, the line that names it says more than its path.
+            let text = read(&path).map_err(|e| match e.line {
+                0 => key.error(format!("`{name}` ({})", e.found), e.expected),
+                _ => e,
+            })?;
+            hash.update(&text);
+            Ok((path, text))
         };
         let mut dictionary = given.clone();
         if let Some(own) = root.get("dictionary") {
-            let (file, text) = beside(own.str("a file of the project's own laws")?)?;
+            let (file, text) = beside(own, "a file of the project's own laws")?;
             dictionary.add_own(&file, &text)?;
         }
         let chain = match root.get("chain") {
             Some(e) => {
-                let (file, text) = beside(e.str("a file with a kinematic chain")?)?;
+                let (file, text) = beside(e, "a file with a kinematic chain")?;
                 Some(Chain::parse(&file, &text)?)
             }
             None => None,
@@ -331,6 +335,21 @@ mod tests {
             assert!(e.line > 2 && e.line <= last && e.found.contains(found), "{line}: {e}");
             assert!(e.to_string().len() < 300, "{e}");
         }
+    }
+
+    #[test]
+    fn a_missing_file_is_named_by_the_line_that_asks_for_it() {
+        for key in ["dictionary", "chain"] {
+            let text = format!("name = \"m\"\n{key} = \"gone.toml\"\n");
+            let said = Machine::parse(Path::new("nowhere/m.toml"), &text).unwrap_err().to_string();
+            let begins = format!("nowhere/m.toml:2:{}: found `gone.toml` (No such file", key.len() + 4);
+            assert!(said.starts_with(&begins), "{said}");
+        }
+        // What is wrong within such a file has its own place.
+        let read = |_: &Path| Ok("nonsense\n".to_owned());
+        let text = "name = \"m\"\nchain = \"c.toml\"\n";
+        let e = Machine::parse_from(Path::new("m.toml"), text, Dictionary::default(), &read).unwrap_err();
+        assert_eq!((e.file.as_path(), e.line), (Path::new("c.toml"), 1));
     }
 
     /// A model of so many effects that comparing all pairs would take too long.

@@ -88,8 +88,10 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
         None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
     };
     put("versions.txt", Ok(versions()))?;
-    put("rtec.toml", config.map(|text| without_secrets(&text)))?;
     let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
+    let runs = seen.as_ref().ok().map(|seen| seen.status.machine.clone());
+    let of = config.as_ref().ok().and_then(|text| Some(Config::parse(installed, text).ok()?.machine));
+    put("rtec.toml", config.map(|text| without_secrets(&text)))?;
     put(STATE, seen.and_then(|seen| pretty(&seen)))?;
     put("record.jsonl", args.daemon.log_path().and_then(|path| read(&path)))?;
     let log = output("journalctl", &["-q", "-b", "-u", "rtecd", "--no-pager", "-n", LOG_LINES]);
@@ -109,6 +111,12 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     for (name, text) in file.map(beside).unwrap_or_default() {
         let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
         archive.add(&format!("{TOP}/{name}"), text.as_bytes())?;
+    }
+    if let Some((of, runs)) = of.zip(runs).filter(|(of, runs)| of != runs) {
+        let _ = writeln!(
+            contents.text,
+            "rtec.toml is of machine {of:?}, but the daemon that answered runs {runs:?}: `--of FILE` takes its configuration"
+        );
     }
     archive.add(&format!("{TOP}/contents.txt"), contents.text.as_bytes())?;
     archive.finish()?;

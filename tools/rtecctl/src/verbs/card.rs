@@ -65,7 +65,7 @@ enum CardAction {
         #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
         every: Duration,
         /// With --watch: end after this time; without it: until Ctrl-C
-        #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = humantime::parse_duration)]
+        #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
         during: Option<Duration>,
         /// Print one JSON document; with --watch at the end of --for
         #[arg(long)]
@@ -75,7 +75,7 @@ enum CardAction {
 
 /// Parses the time between two refreshes.
 fn pause(text: &str) -> Result<Duration, String> {
-    let time = humantime::parse_duration(text).map_err(|e| format!("{e}; write 500ms or 2s"))?;
+    let time = crate::duration::duration(text)?;
     let range = Duration::from_millis(20)..=Duration::from_secs(3600);
     if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }

@@ -49,7 +49,7 @@ pub(crate) struct Args {
     /// Propose a belief window for this model: three of its largest steps, as NISTIR 4832 has three corrections
     #[arg(long, value_name = "machine.toml")]
     model: Option<PathBuf>,
-    /// Ask for the readings of a simulated axis too
+    /// Ask for the readings of a simulated axis too, which a program has to jog
     #[arg(long)]
     by_hand: bool,
     #[command(flatten)]
@@ -92,7 +92,7 @@ impl Guide<'_> {
 
     /// Waits until the axis is at rest and nothing is left to be inserted.
     fn at_rest(&mut self) -> anyhow::Result<AxisReport> {
-        let begun = Instant::now();
+        let (begun, mut told) = (Instant::now(), self.simulated);
         let (mut last, mut since) = (None, Instant::now());
         loop {
             let (status, axis) = self.status()?;
@@ -105,6 +105,11 @@ impl Guide<'_> {
             if since.elapsed() > REST {
                 return Ok(axis);
             }
+            if begun.elapsed() > REST && !std::mem::replace(&mut told, true) {
+                let simulated = status.rt.card == "mock";
+                let jogged = if simulated { "; without --by-hand it is jogged to each place" } else { "" };
+                eprintln!("{} moves: waiting {} s for it to stand{jogged}", axis.name, PATIENCE.as_secs());
+            }
             if begun.elapsed() > PATIENCE {
                 return Err(Outcome::No("the axis does not come to rest".to_owned()).into());
             }
@@ -113,7 +118,7 @@ impl Guide<'_> {
     }
 
     fn stands(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
-        let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm };
+        let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm, go_on: false };
         match self.ask(&request)? {
             Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
             other => Err(daemon::unexpected(&other)),
@@ -126,8 +131,7 @@ impl Guide<'_> {
         let name = self.args.axis.clone();
         let (display_mm, indicator_mm) = if self.simulated {
             let to_mm = to_mm.map_or_else(|| self.stands(None).map(|s| s.0.round()), Ok)?;
-            // No "-0.0000".
-            eprintln!("jogging {name} to {:.4} mm", to_mm + 0.0);
+            eprintln!("jogging {name} to {:.4} mm", rounded(to_mm));
             self.stands(Some(to_mm))?;
             // It must first begin to move, then come to rest at the target.
             while (self.stands(None)?.0 - to_mm).abs() > 1e-6 {
@@ -137,7 +141,10 @@ impl Guide<'_> {
             self.stands(None)?
         } else {
             match to_mm {
-                Some(mm) => eprint!("jog {name} to {mm:.4} mm on the display, always from the same side. "),
+                Some(mm) => {
+                    let mm = rounded(mm);
+                    eprint!("jog {name} to {mm:.4} mm on the display, always from the same side. ");
+                }
                 None => eprint!("let {name} stand, with an indicator at it. "),
             }
             eprint!(
@@ -185,7 +192,7 @@ impl Guide<'_> {
     ) -> anyhow::Result<JogFinding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
         let note = |f: &mut serde_json::Map<String, serde_json::Value>, key: &str, v: f64| {
-            f.insert(key.to_owned(), serde_json::json!((v * 1e4).round() / 1e4));
+            f.insert(key.to_owned(), rounded(v).into());
         };
         let start = self.go(None)?;
         let there = self.go(Some(start.display_mm + args.jog_mm))?;
@@ -205,7 +212,7 @@ impl Guide<'_> {
         }
         let off = format!(
             "take the indicator off first: the next jog goes to {:.4} mm",
-            start.display_mm + args.far_mm
+            rounded(start.display_mm + args.far_mm)
         );
         self.indicator(false, &off);
         let far = JogReading { count_um, ..self.go(Some(start.display_mm + args.far_mm))? };
@@ -246,6 +253,11 @@ impl Guide<'_> {
     }
 }
 
+/// Rounded to the four decimals that are shown, zero without a sign.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4 + 0.0
+}
+
 /// Reads the numbers of a line.
 /// Anything else is asked for again; the end of the input is an error.
 fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> anyhow::Result<[f64; N]> {
@@ -267,9 +279,10 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
 }
 
 /// Withdraws the inserted counts, and reports what the controller still has.
-fn take_back(args: &Args) -> anyhow::Result<()> {
+/// A simulated axis that was jogged goes on to and fro.
+fn take_back(args: &Args, simulated: bool) -> anyhow::Result<()> {
     let client = args.daemon.connect()?;
-    let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um: None };
+    let mut guide = Guide { client, args, simulated, indicator: true, counts: 0, step_um: None };
     guide.insert(0)?;
     let axis = guide.status()?.1;
     if axis.in_effect != 0 {
@@ -279,18 +292,21 @@ fn take_back(args: &Args) -> anyhow::Result<()> {
             axis.name, axis.in_effect
         );
     }
+    if simulated {
+        guide.ask(&ClientRequest::Jog { axis: axis.name, display_mm: None, go_on: true })?;
+    }
     Ok(())
 }
 
 /// From now on a signal ends the run after the inserted counts are withdrawn.
 /// The main thread cannot do that while it waits for answers.
-fn on_signal(args: &Args) -> anyhow::Result<()> {
+fn on_signal(args: &Args, simulated: bool) -> anyhow::Result<()> {
     let ends = daemon::block_end_signals()?;
     let args = args.clone();
     std::thread::spawn(move || {
         let signal = ends.wait();
         eprintln!("\n{}: nothing is proved", signal.map_or("interrupted", Signal::as_str));
-        let code = match take_back(&args) {
+        let code = match take_back(&args, simulated) {
             Ok(()) => 1,
             Err(error) => {
                 eprintln!("rtecctl: not taken back: {error:#}; `rtecctl correct {} 0`", args.axis);
@@ -312,18 +328,21 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
         return Err(Outcome::Bad(text).into());
     }
-    let places_mm = [0.0, args.jog_mm, args.far_mm];
-    let step_of = |file: &PathBuf| largest_step_um(&Machine::read(file)?, &args.axis, places_mm);
-    let step_um = args.model.as_ref().map(step_of).transpose()?;
+    let model = args.model.as_deref().map(Machine::read).transpose()?;
     let client = args.daemon.connect()?;
-    let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um };
+    let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um: None };
     let (status, axis) = guide.status()?;
+    let places_mm = [0.0, args.jog_mm, args.far_mm];
+    guide.step_um = model.map(|m| largest_step_um(&m, &args.axis, places_mm)).transpose()?;
     guide.counts = args.counts.unwrap_or_else(|| USUAL_COUNTS.min(axis.window_counts));
     if status.mode == "fault" {
         return Err(Outcome::Fault(status.why_not.join("; ")).into());
     }
     if status.mode != "run" || !axis.homed {
-        return Err(Outcome::No(format!("corrections are not on: {}", status.why_not.join("; "))).into());
+        // An axis is commissioned without a model.
+        let why = status.why_not.into_iter().filter(|why| status.model_refused.as_ref() != Some(why));
+        let why = why.collect::<Vec<_>>().join("; ");
+        return Err(Outcome::No(format!("corrections are not on: {why}")).into());
     }
     // Any other source that moves the axis would be mistaken for the inserted counts.
     for (is, what, unload, load) in [
@@ -353,10 +372,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(Outcome::No(text).into());
     }
     guide.simulated = status.rt.card == "mock" && !args.by_hand;
-    on_signal(args)?;
+    on_signal(args, guide.simulated)?;
     let mut figures = serde_json::Map::new();
     let found = guide.prove(&mut figures);
-    let back = take_back(args);
+    let back = take_back(args, guide.simulated);
     let found = found?;
     back?;
     if args.daemon.json {
@@ -400,6 +419,12 @@ mod tests {
             }
         }
         assert!(axes > 8, "{axes}");
+    }
+
+    #[test]
+    fn zero_is_shown_without_a_sign() {
+        let shown = [-0.0, -0.000_04, -0.000_06, 12.345_67].map(|v| format!("{:.4}", rounded(v)));
+        assert_eq!(shown, ["0.0000", "0.0000", "-0.0001", "12.3457"]);
     }
 
     #[test]

@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// How long to run
-    #[arg(long, default_value = "10s", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "10s", value_parser = crate::duration::duration)]
     duration: Duration,
     /// Print one JSON document at the end instead of the live view
     #[arg(long)]

@@ -15,10 +15,15 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let response = args.daemon.ask(&ClientRequest::Enable { accept_jump: args.accept_jump })?;
-    if let Response::Done { jumps, .. } = response
+    if let Response::Done { jumps, already, .. } = response
         && !args.daemon.json
     {
-        println!("corrections on{}", if jumps.is_empty() { ", nothing moves" } else { "; what moves:" });
+        let what = match (already, jumps.is_empty()) {
+            (true, _) => " already",
+            (false, true) => ", nothing moves",
+            (false, false) => "; what moves:",
+        };
+        println!("corrections on{what}");
         for jump in &jumps {
             println!("  {}", describe(jump));
         }

@@ -44,8 +44,8 @@ enum LedgerAction {
         #[arg(long, value_name = "NAME")]
         axis: Option<String>,
         /// The last changes only, as 60s
-        #[arg(long, value_name = "TIME")]
-        last: Option<humantime::Duration>,
+        #[arg(long, value_name = "TIME", value_parser = crate::duration::duration)]
+        last: Option<Duration>,
         #[command(flatten)]
         daemon: Daemon,
     },
@@ -74,7 +74,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for axis in axes {
         let mut kept = fetch(&mut client, &axis.name)?;
         if let Some(last) = last {
-            kept.shorten(Duration::from(*last));
+            kept.shorten(*last);
         }
         let files = |what| out.join(format!("{}_{what}.csv", axis.name));
         let told = LedgerExport::of(&kept, axis.window_counts);

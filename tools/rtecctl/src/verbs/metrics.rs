@@ -31,8 +31,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.prom")]
     textfile: Option<PathBuf>,
     /// Write the file again and again, as 15s
-    #[arg(long, value_name = "TIME", requires = "textfile")]
-    every: Option<humantime::Duration>,
+    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = crate::duration::duration)]
+    every: Option<Duration>,
     /// Serve them at this address, as 127.0.0.1:9837, or at a Unix socket, as /run/rtec-metrics/socket
     #[arg(long, value_name = "ADDRESS", conflicts_with = "textfile")]
     listen: Option<String>,
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return serve(&args.daemon, address, args.beyond_loopback);
     }
     if let Some(file) = &args.textfile {
-        return write(&args.daemon, file, args.every.map(Into::into));
+        return write(&args.daemon, file, args.every);
     }
     let form = if args.openmetrics { MetricsFormat::OpenMetrics } else { MetricsFormat::Prometheus };
     print!("{}", text(Some(&seen(&args.daemon)?), form, VERSION));

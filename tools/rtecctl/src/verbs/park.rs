@@ -20,8 +20,8 @@ pub(crate) struct Args {
     #[arg(long, group = "moves")]
     inverters_off: bool,
     /// Give up after this time without a count taken out, as 30s or 5min; corrections stay on then
-    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves")]
-    patience: humantime::Duration,
+    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = crate::duration::duration)]
+    patience: Duration,
     #[command(flatten)]
     daemon: Daemon,
 }
@@ -32,7 +32,7 @@ const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.inverters_off {
         let mut client = args.daemon.connect()?;
-        inverters_off(&mut client, args.patience.into())?;
+        inverters_off(&mut client, args.patience)?;
         args.daemon.order(&ClientRequest::Park {}, "parked: all inverters off, corrections frozen")?;
         let on: Vec<String> = inverted(&status(&mut client)?).map(|a| a.name.clone()).collect();
         if !on.is_empty() {
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut client = args.daemon.connect()?;
     // If the MTC's count is unknown, nothing can be withdrawn, but corrections are still disabled.
     let known = unknown(&status(&mut client)?).is_none();
-    let unloaded = known && args.to_zero && to_zero(&mut client, args.patience.into())?;
+    let unloaded = known && args.to_zero && to_zero(&mut client, args.patience)?;
     if let Some(why) = unknown(&status(&mut client)?) {
         ask(&mut client, &ClientRequest::Park {})?;
         return Err(Outcome::No(why).into());

@@ -153,7 +153,7 @@ fn text(report: &Report) -> String {
     }
     if report.findings.iter().any(|f| !f.ok && by_service.contains(&f.name)) {
         line(format_args!(
-            "\n{} are set at each start of the service by\n  install -Dt /etc/systemd/system/rtecd.service.d /usr/share/rtec/realtime.conf && systemctl daemon-reload",
+            "\n{} are set at each start of the service by\n  install -Dm 644 -t /etc/systemd/system/rtecd.service.d /usr/share/rtec/realtime.conf && systemctl daemon-reload",
             by_service.join(", ")
         ));
     }

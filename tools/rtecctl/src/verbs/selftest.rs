@@ -109,7 +109,7 @@ struct CardTest<'a> {
 }
 
 fn duration(text: &str) -> Result<Duration, String> {
-    let time = humantime::parse_duration(text).map_err(|e| format!("{e}; write 10s, 2m or 1h"))?;
+    let time = crate::duration::duration(text)?;
     if time < Duration::from_millis(100) { Err("at least 100ms".into()) } else { Ok(time) }
 }
 

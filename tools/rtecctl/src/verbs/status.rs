@@ -18,8 +18,8 @@ pub(crate) struct Args {
     #[arg(long)]
     watch: bool,
     /// With --watch: another time between two looks, as 1s
-    #[arg(long, value_name = "TIME", requires = "watch")]
-    every: Option<humantime::Duration>,
+    #[arg(long, value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
+    every: Option<Duration>,
     #[command(flatten)]
     daemon: Daemon,
 }
@@ -30,7 +30,7 @@ const FASTEST: Duration = Duration::from_millis(20);
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.watch {
-        return watch(&args.daemon, args.every.map_or(EVERY, Into::into).max(FASTEST));
+        return watch(&args.daemon, args.every.unwrap_or(EVERY).max(FASTEST));
     }
     let Response::Status(status) = args.daemon.ask(&ClientRequest::Status {})? else { return Ok(()) };
     if !args.daemon.json {
@@ -404,6 +404,7 @@ mod tests {
             balanced: true,
             faults: Vec::new(),
             why_not: Vec::new(),
+            model_refused: None,
             rt: RtStatus {
                 alive: true,
                 card: "mapped".into(),

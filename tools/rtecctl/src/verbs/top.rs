@@ -24,8 +24,8 @@ use view::View;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Time between two looks, as 500ms
-    #[arg(long, value_name = "TIME", default_value = "500ms")]
-    every: humantime::Duration,
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = crate::duration::duration)]
+    every: Duration,
     #[command(flatten)]
     daemon: Daemon,
 }
@@ -46,7 +46,7 @@ enum Look {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let every = Duration::from(args.every);
+    let every = args.every;
     let bad = |text: &str| anyhow::Error::from(Outcome::Bad(text.to_owned()));
     if args.daemon.json || !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
         return Err(bad(

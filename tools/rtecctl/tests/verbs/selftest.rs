@@ -192,7 +192,7 @@ fn the_configuration_s_axes_have_their_own_rates() {
 }
 
 #[test]
-fn a_duration_without_a_unit_is_a_usage_error() {
+fn a_duration_that_is_none_is_a_usage_error() {
     let out = latency(&["--duration", "soon"]);
     assert_eq!(out.status.code(), Some(2));
 }

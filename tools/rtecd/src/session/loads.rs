@@ -364,7 +364,7 @@ impl Session {
         let warnings = self.remember(&taken, files, log);
         let text = format!("machine model {} loaded, SHA-256 {sha256}", file.display());
         log.record(Level::Notice, "model_loaded", &text, &[("RTEC_MODEL_SHA256", &sha256)]);
-        Response::Done { jumps: Vec::new(), warnings }
+        Response::done_with(warnings)
     }
 
     /// Stores the model for a restart: its name and hash, and its files as read.
@@ -419,7 +419,7 @@ impl Session {
         let warnings = self.forget(log);
         self.model_refused = self.directory().join(UNLOADED).exists().then(|| AGAIN.to_owned());
         log.record(Level::Notice, "model_unloaded", "machine model unloaded", &[]);
-        Response::Done { jumps: Vec::new(), warnings }
+        Response::done_with(warnings)
     }
 
     pub(super) fn table_load(&mut self, table: &PartTable, beside: RequestContext) -> Answer {

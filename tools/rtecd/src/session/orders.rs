@@ -200,11 +200,12 @@ impl Session {
             _ => None,
         });
         let warnings = warnings.take(1).chain(rest(config, total_counts, control.status().axes[n].in_effect));
-        Ok(Response::Done { jumps: Vec::new(), warnings: warnings.collect() })
+        Ok(Response::done_with(warnings.collect()))
     }
 
-    /// Jogs a simulated axis, and reports what display and indicator show.
-    pub(super) fn jog(&self, axis: &str, display_mm: Option<f64>) -> Result<Response, Response> {
+    /// Jogs a simulated axis or lets it go on.
+    /// Reports what display and indicator show.
+    pub(super) fn jog(&self, axis: &str, display_mm: Option<f64>, go_on: bool) -> Result<Response, Response> {
         let n = self.number(axis)?;
         let Some(stand) = &self.stand else {
             let text = "only a simulated machine can be jogged from here";
@@ -217,6 +218,9 @@ impl Session {
                 return Err(Response::Bad { text });
             }
             stand.jog_to(n, mm);
+        }
+        if go_on {
+            stand.go_on(n);
         }
         let (display_mm, indicator_mm) = stand.read_mm(n);
         Ok(Response::Stands { display_mm, indicator_mm })

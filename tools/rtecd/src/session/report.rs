@@ -120,6 +120,7 @@ impl Session {
             balanced: now.balanced() && now.axes().iter().all(|a| a.mtc_known),
             faults: now.faults.iter().collect(),
             why_not: self.why_not(&now, alive, may_arm),
+            model_refused: self.model_refused.clone(),
             rt,
             edited: self.edited(),
             model: self.corrector.shown(),

@@ -216,7 +216,7 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
         done
     );
     let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control, &mut log);
-    let Response::Done { jumps, warnings } = enabled else { panic!("{enabled:?}") };
+    let Response::Done { jumps, warnings, already: false } = enabled else { panic!("{enabled:?}") };
     assert!(jumps.is_empty() && warnings[0].starts_with("no model is loaded"), "{warnings:?}");
     while !control.status().control_stale {
         std::thread::sleep(Duration::from_millis(1));

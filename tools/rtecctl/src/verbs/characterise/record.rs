@@ -139,10 +139,9 @@ fn usage(found: String, expected: &str) -> InputError {
     InputError::whole(Path::new("recording"), found, expected)
 }
 
-/// A time in seconds, or with its unit.
+/// A time in seconds.
 fn seconds(text: &str) -> Result<f64, String> {
-    let with_unit = || humantime::parse_duration(text).ok().map(|t| t.as_secs_f64());
-    text.parse().ok().or_else(with_unit).ok_or_else(|| "write seconds, or 500ms, 90s, 5m".to_owned())
+    crate::duration::duration(text).map(|t| t.as_secs_f64())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

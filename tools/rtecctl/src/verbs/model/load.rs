@@ -11,7 +11,7 @@ use rtec_model::machine::Machine;
 use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::{IsTerminal, Write as _};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 /// Show what a model changes right now, and have the daemon take it
@@ -98,10 +98,7 @@ fn agreed() -> anyhow::Result<bool> {
         eprintln!("no terminal to ask at: `--yes` loads it");
         return Ok(false);
     }
-    // No line of progress while the question stands.
-    let _asking = crate::progress::cleared();
-    eprint!("take it? [y/N] ");
-    std::io::stderr().flush()?;
+    let _asking = crate::progress::asking("take it? [y/N] ");
     let mut answer = String::new();
     std::io::stdin().read_line(&mut answer)?;
     Ok(matches!(answer.trim(), "y" | "Y" | "yes"))

@@ -16,6 +16,21 @@ fn one_nan_costs_its_row_and_not_the_run() {
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
+/// Regression: a time with its unit, as other verbs take it, was refused.
+#[test]
+fn a_time_with_its_unit_is_as_one_in_seconds() {
+    for (duration, period) in [("2", "0.1"), ("2s", "100ms")] {
+        let dir = tempfile::tempdir().unwrap();
+        let from = feed(|i| format!("gz {i}\n"));
+        let words = ["record", "--out", "r.run.toml", "--feed", &from, "--columns", "gz=error.z"];
+        let times = ["--duration", duration, "--period", period];
+        let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &times].concat()));
+        assert!(code == Some(0) && err.contains(" of 2 s, "), "{code:?} {err}");
+        let rows = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap().rows();
+        assert!((2..=21).contains(&rows), "{rows} rows in {duration} every {period}");
+    }
+}
+
 /// Regression: only the last of several bad lines was named.
 /// A closed connection looked like a pause.
 #[test]

@@ -137,6 +137,33 @@ impl Hand {
     }
 }
 
+/// A model goes to its place in a ramp, which `enable` leaves as it is.
+/// The same distance is a jump when corrections are off.
+#[test]
+fn enabling_what_is_on_moves_nothing() {
+    let mut hand = Hand::new();
+    hand.running();
+    let file = hand.session.directory().join("m.toml");
+    std::fs::write(&file, "name = \"m\"\n[[effect]]\nname = \"offset.y\"\num = -88.0\n").unwrap();
+    let take = Some(Machine::read(&file).unwrap().sha256().to_owned());
+    let file = Some(file.display().to_string());
+    hand.done(&ClientRequest::ModelLoad { file, take, expired: false, files: Vec::new() });
+    hand.session.due = Instant::now();
+    hand.session.tick(&mut hand.running.control, &mut hand.log);
+    let enable = |accept_jump| ClientRequest::Enable { accept_jump };
+    let before = hand.running.control.status().axes[1].requested;
+    for accept_jump in [false, true] {
+        let answer = hand.ask(&enable(accept_jump));
+        let already = Response::Done { jumps: Vec::new(), already: true, warnings: Vec::new() };
+        assert_eq!(answer, already);
+        assert_eq!(hand.running.control.status().axes[1].requested, before);
+    }
+    hand.done(&ClientRequest::Disable {});
+    let answer = hand.ask(&enable(false));
+    assert!(matches!(&answer, Response::Refused { why, .. } if why == "jump"), "{answer:?}");
+    hand.running.stop();
+}
+
 /// A function that puts a machine into a mode.
 type Put = Box<dyn Fn(&mut Hand)>;
 /// A condition that holds once a verb is done.
