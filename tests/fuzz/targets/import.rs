@@ -31,7 +31,10 @@ fuzz_target!(|data: &[u8]| {
             import::halsampler(file, &text, &wanted, &sampling, &Form::default(), Kind::Dynamics, to)
         }
         b"shdr\n" => import::shdr(file, &text, &wanted(&["Xabs=position.x"]), Kind::Drift, true, to),
-        b"csv\n" => import::csv(file, &text, &wanted(&["t=time", "e=error.x:mm"]), Kind::Drift, to),
+        b"csv\n" => {
+            let wanted = wanted(&["t=time", "e=error.x:mm"]);
+            import::table(file, &text, &wanted, &Form::default(), Kind::Drift, to)
+        }
         b"own\n" => {
             let [form, table] = rtec_fuzz::parts(&text);
             let Some(own) = rtec_fuzz::checked(Own::parse(file, form)) else { return };

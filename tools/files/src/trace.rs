@@ -509,29 +509,19 @@ pub struct RequestReader<R> {
 }
 
 impl RequestReader<File> {
-    /// Opens a file of requests.
+    /// Opens a file of requests, with the columns that the user has assigned.
     ///
     /// # Errors
-    /// The file cannot be read or its header is wrong.
-    pub fn open(file: &Path) -> Result<Self, InputError> {
-        Self::open_columns(file, &Columns::default())
-    }
-
-    /// As [`RequestReader::open`], with the columns that the user has assigned.
-    ///
-    /// # Errors
-    /// As [`RequestReader::open`]; an assigned column that is missing.
+    /// The file cannot be read, its header is wrong, or an assigned column is missing.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
     }
-}
 
-impl RequestReader<File> {
     /// As [`RequestReader::open_columns`], for totals on a trace's clock.
     /// If the trace begins before a trigger, both count from its first time.
     ///
     /// # Errors
-    /// As [`RequestReader::open`].
+    /// As [`RequestReader::open_columns`].
     pub fn open_beside(
         file: &Path,
         columns: &Columns,

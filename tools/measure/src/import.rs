@@ -33,7 +33,7 @@ pub use linuxcnc::linuxcnc_comp;
 pub use own::Own;
 pub use renishaw::{any_text, rtl};
 pub use shdr::shdr;
-pub use table::{Form, ImportColumn, csv, table};
+pub use table::{Form, ImportColumn, table};
 
 use rtec_files::InputError;
 use rtec_model::record::{Column, Kind, Record, Role};

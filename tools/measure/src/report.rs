@@ -226,14 +226,6 @@ impl Report {
         })
     }
 
-    /// Its tables, in their order.
-    pub fn tables(&self) -> impl Iterator<Item = &Table> {
-        self.sections.iter().filter_map(|s| match s {
-            Section::Table(table) => Some(table),
-            Section::Plot { .. } => None,
-        })
-    }
-
     /// What to know before using it.
     #[must_use]
     pub fn warnings(&self) -> &[String] {

@@ -177,17 +177,6 @@ pub fn safe_at(
     design: AnyDesign,
     computer: &Computer,
     config: AxisConfig,
-    encoder_hz: f64,
-    seed: u64,
-) -> bool {
-    safe_with(design, computer, config, Pll::default(), encoder_hz, seed)
-}
-
-/// As [`safe_at`], with the ECC's PLL.
-fn safe_with(
-    design: AnyDesign,
-    computer: &Computer,
-    config: AxisConfig,
     pll: Pll,
     encoder_hz: f64,
     seed: u64,
@@ -238,7 +227,7 @@ pub fn safe_range_of(
     pll: Pll,
     seed: u64,
 ) -> (f64, f64) {
-    let safe = |hz: f64| safe_with(design, computer, config, pll, hz, seed);
+    let safe = |hz: f64| safe_at(design, computer, config, pll, hz, seed);
     // From the lowest frequency of interest upwards; the ECC is not safe at the slow end.
     let from = [100.0, 10_000.0].into_iter().find(|&hz| safe(hz));
     let Some(from) = from else { return (0.0, 0.0) };
@@ -390,7 +379,7 @@ pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String 
 
 /// One signal of a timing diagram, with its name, from left to right.
 /// Low is at `base`, and changes are (x, level).
-pub(crate) fn trace(
+pub fn trace(
     (name, colour): (&str, &str),
     (left, right, base): (f64, f64, f64),
     changes: impl Iterator<Item = (f64, bool)>,

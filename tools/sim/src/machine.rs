@@ -351,12 +351,6 @@ impl SimMachine {
         self.tool_offset_mm = offset_mm;
     }
 
-    /// Time from contact to the probe's line, ns.
-    #[must_use]
-    pub const fn probe_delay_ns(&self) -> u64 {
-        self.probe_delay_ns
-    }
-
     /// Sets the part that the probe may touch, and the delay from contact to line, ns.
     /// `None` is a part out of reach.
     pub fn set_surface(&mut self, surface: Option<Surface>, delay_ns: u64) {

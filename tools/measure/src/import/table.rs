@@ -193,21 +193,6 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
     Cow::Owned(out)
 }
 
-/// Reads the wanted columns of a CSV with a header line.
-/// Fields are parted by commas, by semicolons (numbers may then have a decimal comma) or by tabs, whichever the header has.
-///
-/// # Errors
-/// As [`table`].
-pub fn csv(
-    from: &Path,
-    text: &str,
-    wanted: &[ImportColumn],
-    kind: Kind,
-    to: &Path,
-) -> Result<Record, InputError> {
-    table(from, text, wanted, &Form::default(), kind, to)
-}
-
 /// What a table begins with.
 const HEADER: &str = "a header line";
 

@@ -24,12 +24,6 @@ impl Pieces {
         self.rows += piece.rows();
     }
 
-    /// How many pieces there were.
-    #[must_use]
-    pub fn count(&self) -> usize {
-        self.found.len()
-    }
-
     /// As [`super::said`], of all of them.
     /// What is said of every piece as a whole is said once, of the record.
     pub fn said(self, say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {

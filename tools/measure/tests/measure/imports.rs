@@ -37,7 +37,8 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         columns.iter().map(|c| import::ImportColumn::parse(c).unwrap()).collect::<Vec<_>>()
     };
     let read = |text: &str, columns: &[&str]| {
-        import::csv(Path::new("g.csv"), text, &wanted(columns), Kind::Drift, Path::new("g.run.toml"))
+        let (file, to) = (Path::new("g.csv"), Path::new("g.run.toml"));
+        import::table(file, text, &wanted(columns), &Form::default(), Kind::Drift, to)
     };
     let all = ["Zeit=time:min", "T1=temperature", "Luft=temperature:degF", "Weg=error.z:mm"];
     let record = read(text, &all).unwrap();

@@ -44,11 +44,6 @@ impl Machine {
         Ok(left)
     }
 
-    /// Half width of a response's 95 % prediction interval, µm, if a fit states it.
-    pub fn half_width_um(&self, response: &str) -> Option<f64> {
-        self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
-    }
-
     /// Reversal that a correction at rest may leave in a response, µm.
     ///
     /// Such a correction moves the table. Where it takes the table back by some counts only, nobody knows
