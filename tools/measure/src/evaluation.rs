@@ -45,7 +45,6 @@ impl Standard {
     ];
 
     /// The evaluation of this name; `iso230-4` is the ballbar's too.
-    #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         let name = if name == "iso230-4" { "ballbar" } else { name };
         Self::ALL.iter().find(|(own, _)| *own == name).map(|(_, standard)| *standard)

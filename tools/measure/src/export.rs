@@ -51,7 +51,6 @@ pub struct Point {
 
 impl Point {
     /// Mean of both directions, µm.
-    #[must_use]
     pub fn mean_um(&self) -> f64 {
         f64::midpoint(self.up_um, self.down_um)
     }
@@ -449,7 +448,6 @@ pub struct Left {
 
 impl Left {
     /// Largest absolute value of both directions, µm.
-    #[must_use]
     pub fn max_um(&self) -> f64 {
         self.max_up_um.max(self.max_down_um)
     }
@@ -667,7 +665,6 @@ impl Table {
     }
 
     /// The highest position, mm.
-    #[must_use]
     pub fn end_mm(&self) -> f64 {
         self.points.last().map_or(0.0, |p| p.position_mm)
     }

@@ -68,7 +68,6 @@ pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
 
 /// The line at a page's end that makes it a certificate.
 /// Instrument, name, day and signature; what is not known is left to be written.
-#[must_use]
 pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
     format!(
         "<table class=\"signed\"><tr class=\"given\"><td>{}</td><td>{}</td><td>{}</td><td></td></tr>\
@@ -227,13 +226,11 @@ impl Report {
     }
 
     /// What to know before using it.
-    #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
     /// As text, without the plots.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = format!("{}\n", self.title);
         for s in &self.sections {
@@ -266,7 +263,6 @@ impl Report {
     }
 
     /// As one HTML file: nothing is fetched, and it prints to A4.
-    #[must_use]
     pub fn html(&self) -> String {
         let mut h = String::new();
         let _ = write!(

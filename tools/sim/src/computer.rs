@@ -115,13 +115,11 @@ impl Computer {
     }
 
     /// Worst time until the next look, ns.
-    #[must_use]
     pub fn worst_look_ns(&self) -> u64 {
         at_share(&self.looks, TAIL)
     }
 
     /// An axis's configuration with this computer's times for the speed gate.
-    #[must_use]
     pub fn configure(&self, config: AxisConfig) -> AxisConfig {
         AxisConfig {
             min_separation_ns: self.step_ns,

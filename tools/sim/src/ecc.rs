@@ -229,7 +229,6 @@ impl Ecc {
 
     /// Every change of the controller's lines and of the acknowledgement.
     /// Each has its time (ns) and the new state.
-    #[must_use]
     pub fn lines_log(&self) -> &[(u64, ControlLines)] {
         &self.lines_log
     }
@@ -242,20 +241,17 @@ impl Ecc {
     }
 
     /// Number of acknowledgements, that is of completed compensations.
-    #[must_use]
     pub fn acknowledged(&self) -> u64 {
         self.acknowledged
     }
 
     /// Largest deviation from 90° between two edges of a split pulse, degrees of phase.
     /// At 180° the edges have changed places; larger values are not phases.
-    #[must_use]
     pub fn worst_phase_deg(&self) -> f64 {
         self.worst_phase_deg
     }
 
     /// Shortest and longest time of one pulse, a cycle of the encoder, ns.
-    #[must_use]
     pub fn pulse_ns(&self) -> Option<(u64, u64)> {
         self.pulse_ns
     }

@@ -150,7 +150,6 @@ impl Experiment {
     }
 
     /// The experiment of this name.
-    #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
         EXPERIMENTS.iter().find(|e| e.name == name)
     }

@@ -226,13 +226,11 @@ impl Heat {
     }
 
     /// Readings of the sensors, °C, in the order of [`SENSORS`].
-    #[must_use]
     pub fn readings_degc(&self) -> &[f64] {
         &self.readings
     }
 
     /// Temperature of a mass, °C.
-    #[must_use]
     pub fn degc(&self, node: Node) -> f64 {
         self.temperature[node as usize]
     }

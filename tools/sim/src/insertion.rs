@@ -147,7 +147,6 @@ pub enum GateDesign {
 
 impl GateDesign {
     /// Counts of one insertion.
-    #[must_use]
     pub const fn increment_counts(self) -> i64 {
         match self {
             Self::Original | Self::A => 4,

@@ -182,7 +182,6 @@ pub struct Moment {
 impl Moment {
     /// The tool's deviation from its position by the controller, µm.
     /// It is the machine's error minus the inserted correction.
-    #[must_use]
     pub fn off_um(&self, axis: usize) -> f64 {
         self.error_um[axis] - self.inserted_um[axis]
     }
@@ -256,19 +255,16 @@ impl Sim {
     }
 
     /// Names of the logged channels.
-    #[must_use]
     pub fn channel_names(&self) -> &[String] {
         self.errors.channel_names()
     }
 
     /// Values of the logged channels.
-    #[must_use]
     pub fn channels(&self) -> &[f64] {
         self.errors.channels()
     }
 
     /// Readings of the temperature sensors, °C, ordered as [`crate::heat::SENSORS`].
-    #[must_use]
     pub fn temperatures_degc(&self) -> &[f64] {
         self.errors.heat.readings_degc()
     }
@@ -279,13 +275,11 @@ impl Sim {
     }
 
     /// Reasons why axes do not follow the model now; empty if all follow.
-    #[must_use]
     pub fn holding(&self) -> Vec<String> {
         self.control.as_ref().map_or_else(Vec::new, Control::holding)
     }
 
     /// The engine's status at this moment.
-    #[must_use]
     pub fn status(&self) -> Status {
         self.corrected.status()
     }

@@ -40,7 +40,6 @@ impl Workpiece {
     }
 
     /// Radius at an angle.
-    #[must_use]
     pub fn radius_mm(&self, angle_rad: f64) -> f64 {
         let at = ((angle_rad - LOW_RAD) / STEP_RAD - 0.5).clamp(0.0, (STEPS - 2) as f64);
         let (k, part) = (at as usize, at.fract());
@@ -48,14 +47,12 @@ impl Workpiece {
     }
 
     /// Distance of a position (part coordinates) from the surface, mm; negative inside.
-    #[must_use]
     pub fn distance_mm(&self, at: Zx) -> f64 {
         let p = at - self.centre;
         p.norm() - self.radius_mm(p.angle_rad())
     }
 
     /// Errors of the surface from the nominal circle, as by a measuring machine.
-    #[must_use]
     pub fn truth(&self, radius_mm: f64, number: usize) -> Vec<PointError> {
         (0..number)
             .map(|k| {
@@ -70,7 +67,6 @@ impl Workpiece {
     }
 
     /// The workpiece as CSV: radii at even steps of angle around one centre.
-    #[must_use]
     pub fn to_csv(&self) -> String {
         let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
         for r in &self.radius_mm {
@@ -94,7 +90,6 @@ impl Workpiece {
     }
 
     /// A workpiece from stored radii; `None` if their number is wrong.
-    #[must_use]
     pub fn from_radii(centre: Zx, radius_mm: Vec<f64>) -> Option<Self> {
         (radius_mm.len() == STEPS && radius_mm.iter().all(|r| r.is_finite()))
             .then_some(Self { centre, radius_mm })

@@ -23,7 +23,6 @@ pub enum Unit {
 
 impl Unit {
     /// What one of it is, mm.
-    #[must_use]
     pub fn mm(self) -> f64 {
         match self {
             Self::Mm => 1.0,

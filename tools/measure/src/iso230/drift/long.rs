@@ -139,13 +139,11 @@ impl LongDrift {
     }
 
     /// Its rows.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.rows
     }
 
     /// The record with its first rows: its columns, its day and note.
-    #[must_use]
     pub fn head(&self) -> &Record {
         &self.head
     }
@@ -248,7 +246,6 @@ impl LongDrift {
 
     /// The charts of [`super::drift_charts`] from fewer points.
     /// They touch the same pixels, except for some at the edge between two.
-    #[must_use]
     pub fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
         let line = |name: &str, of: &Outline| Series::new(name, Style::Line, of.points(start_s));
