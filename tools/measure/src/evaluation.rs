@@ -33,21 +33,32 @@ pub enum Standard {
 }
 
 impl Standard {
-    /// All of them, by name.
-    pub const ALL: [(&'static str, Self); 7] = [
-        ("iso230-2", Self::Iso230_2),
-        ("straightness", Self::Straightness),
-        ("iso230-3", Self::Iso230_3),
-        ("iso230-6", Self::Iso230_6),
-        ("ballbar", Self::Ballbar),
-        ("plate", Self::Plate),
-        ("repeatability", Self::Repeatability),
+    /// All of them: the name that people write, the evaluation, and its meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 7] = [
+        ("iso230-2", Self::Iso230_2, "Positioning: accuracy and repeatability; tilts too"),
+        (
+            "straightness",
+            Self::Straightness,
+            "Straightness of an axis's motion: the error across it, about a least-squares line (ISO 230-1)",
+        ),
+        ("iso230-3", Self::Iso230_3, "Thermal effects, phase by phase"),
+        ("iso230-6", Self::Iso230_6, "Body or face diagonals"),
+        ("ballbar", Self::Ballbar, "Circular test, ISO 230-4"),
+        ("plate", Self::Plate, "Plate of holes: offset, scale, rotation, quadrupole"),
+        (
+            "repeatability",
+            Self::Repeatability,
+            "Returning to one position: standard deviation and range per axis",
+        ),
     ];
 
-    /// The evaluation of this name; `iso230-4` is the ballbar's too.
+    /// The other name of the circular test.
+    pub const CIRCULAR: (&'static str, &'static str) = ("iso230-4", "ballbar");
+
+    /// The evaluation of this name, or of [`Standard::CIRCULAR`].
     pub fn parse(name: &str) -> Option<Self> {
-        let name = if name == "iso230-4" { "ballbar" } else { name };
-        Self::ALL.iter().find(|(own, _)| *own == name).map(|(_, standard)| *standard)
+        let name = if name == Self::CIRCULAR.0 { Self::CIRCULAR.1 } else { name };
+        Self::ALL.iter().find(|all| all.0 == name).map(|all| all.1)
     }
 
     /// The evaluation that belongs to a record's kind.

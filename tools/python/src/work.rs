@@ -65,6 +65,11 @@ fn one_of<T: Copy>(argument: &str, name: &str, all: &[(&'static str, T)]) -> Res
     found.ok_or_else(|| bad(argument, format!("`{name}`"), format!("one of {}", names())))
 }
 
+/// A library's values with their names alone.
+fn named<T, const N: usize>(all: [(&'static str, T, &'static str); N]) -> [(&'static str, T); N] {
+    all.map(|(name, value, _)| (name, value))
+}
+
 /// Document, text, page and plots, then messages.
 type Evaluated = ((String, String, String, String), Vec<String>);
 
@@ -314,8 +319,6 @@ pub(crate) struct ExportAsked {
     form: Option<PathBuf>,
 }
 
-const UNITS: [(&str, Unit); 2] = [("mm", Unit::Mm), ("inch", Unit::Inch)];
-
 /// Document and the table's text, then messages.
 #[pyfunction]
 pub(crate) fn export_table(
@@ -335,8 +338,8 @@ pub(crate) fn export_table(
             },
             temperatures_degc: asked.temperatures_degc,
             at_mm: asked.at_mm,
-            format: one_of("format", &asked.format, &export::order::Name::ALL)?,
-            unit: one_of("unit", &asked.unit, &UNITS)?,
+            format: one_of("format", &asked.format, &named(export::order::Name::ALL))?,
+            unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             along: asked.along,
             along_name: asked.along_name,
             table: asked.table,
@@ -393,7 +396,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
         };
         let asked = import::asked::Asked {
             file: asked.file,
-            format: one_of("format", &asked.format, &import::asked::Name::ALL)?,
+            format: one_of("format", &asked.format, &named(import::asked::Name::ALL))?,
             axis: asked.axis,
             columns: asked.columns,
             kind: asked.kind,
@@ -401,7 +404,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
             log: asked.log,
             period_s: asked.period_s,
             numbered: asked.numbered,
-            unit: one_of("unit", &asked.unit, &UNITS)?,
+            unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             form: asked.form,
             derive: asked.derive,
             circle,

@@ -22,6 +22,9 @@ pub enum Unit {
 }
 
 impl Unit {
+    /// All of them: the name that people write, the unit, and nothing more to say of it.
+    pub const ALL: [(&'static str, Self, &'static str); 2] = [("mm", Self::Mm, ""), ("inch", Self::Inch, "")];
+
     /// What one of it is, mm.
     pub fn mm(self) -> f64 {
         match self {

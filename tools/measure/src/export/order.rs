@@ -30,15 +30,23 @@ pub enum Name {
 }
 
 impl Name {
-    /// All of them, with the names that people write.
-    pub const ALL: [(&'static str, Self); 7] = [
-        ("linuxcnc", Self::Linuxcnc),
-        ("linuxcnc-type1", Self::LinuxcncType1),
-        ("ssfk", Self::Ssfk),
-        ("siemens", Self::Siemens),
-        ("siemens-cec", Self::SiemensCec),
-        ("csv", Self::Csv),
-        ("own", Self::Own),
+    /// All of them: the name that people write, the format, and its meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 7] = [
+        ("linuxcnc", Self::Linuxcnc, "`COMP_FILE` of type 0: nominal, forward and reverse position"),
+        ("linuxcnc-type1", Self::LinuxcncType1, "`COMP_FILE` of type 1: nominal, forward and reverse trim"),
+        (
+            "ssfk",
+            Self::Ssfk,
+            "Beckhoff TF5200 and ISG kernel: leadscrew error compensation `kw.ssfk.*`, both directions",
+        ),
+        ("siemens", Self::Siemens, "SINUMERIK: `$AA_ENC_COMP`, the mean of both directions"),
+        (
+            "siemens-cec",
+            Self::SiemensCec,
+            "SINUMERIK: `$AN_CEC`, what the position of --along does to --axis",
+        ),
+        ("csv", Self::Csv, "`position_mm,error_up_um,error_down_um`"),
+        ("own", Self::Own, "A form of your own: --form"),
     ];
 }
 

@@ -36,18 +36,34 @@ pub enum Name {
 }
 
 impl Name {
-    /// All of them, with the names that people write.
-    pub const ALL: [(&'static str, Self); 10] = [
-        ("ecmc-dat", Self::EcmcDat),
-        ("linuxcnc-comp0", Self::LinuxcncComp0),
-        ("linuxcnc-comp1", Self::LinuxcncComp1),
-        ("csv", Self::Csv),
-        ("own", Self::Own),
-        ("cmm-plate", Self::CmmPlate),
-        ("rtl", Self::Rtl),
-        ("etalon", Self::Etalon),
-        ("halsampler", Self::Halsampler),
-        ("shdr", Self::Shdr),
+    /// All of them: the name that people write, the format, and its meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 10] = [
+        ("ecmc-dat", Self::EcmcDat, "ecmc's ISO 230-2 data: `TGT_DATA`, `REF_DATA_FWD`, `REF_DATA_BWD`"),
+        (
+            "linuxcnc-comp0",
+            Self::LinuxcncComp0,
+            "LinuxCNC compensation file of type 0: nominal, forward, backward position",
+        ),
+        (
+            "linuxcnc-comp1",
+            Self::LinuxcncComp1,
+            "LinuxCNC compensation file of type 1: nominal, forward, backward correction",
+        ),
+        (
+            "csv",
+            Self::Csv,
+            "A table with a header line, parted by commas, semicolons or tabs; --columns says what is in it",
+        ),
+        ("own", Self::Own, "A table as a file of your own describes it: --form"),
+        (
+            "cmm-plate",
+            Self::CmmPlate,
+            "Coordinate measuring machine's table of holes: Meas X, Meas Y, Nom X, Nom Y, Nom D",
+        ),
+        ("rtl", Self::Rtl, "Renishaw .rtl of linear targets, as other programs read it"),
+        ("etalon", Self::Etalon, "Etalon exchange format: `[EXX] Gridpoints = { … }`"),
+        ("halsampler", Self::Halsampler, "What LinuxCNC's halsampler prints"),
+        ("shdr", Self::Shdr, "A log of `MTConnect`'s SHDR lines: TIME|KEY|VALUE"),
     ];
 }
 
