@@ -114,7 +114,7 @@ impl Standard {
 
 /// What an evaluation is asked with.
 #[derive(Debug, Clone, Default)]
-pub struct Asked {
+pub struct EvaluationRequest {
     /// The evaluation; by the first record's kind where it is left out.
     pub standard: Option<Standard>,
     /// What the test was done under.
@@ -144,7 +144,7 @@ pub struct Evaluation {
 /// that lengths are to be reduced with.
 pub fn evaluate(
     records: &[Record],
-    asked: &Asked,
+    asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
     let Some(first) = records.first() else {
@@ -193,7 +193,7 @@ pub fn evaluate(
 /// As [`evaluate`], and as [`record::read`].
 pub fn evaluate_files(
     paths: &[PathBuf],
-    asked: &Asked,
+    asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
     if let [path] = paths
@@ -208,10 +208,14 @@ pub fn evaluate_files(
 pub const MOST_ROWS: usize = 1 << 18;
 
 /// The record where it is a drift test of more rows, and is evaluated as such.
-fn long_drift(path: &Path, asked: &Asked, more_than: usize) -> Result<Option<LongDrift>, InputError> {
+fn long_drift(
+    path: &Path,
+    asked: &EvaluationRequest,
+    more_than: usize,
+) -> Result<Option<LongDrift>, InputError> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
-        None => record::Pieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
+        None => record::RecordPieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
     };
     if drift { LongDrift::of(path, more_than) } else { Ok(None) }
 }
@@ -219,13 +223,13 @@ fn long_drift(path: &Path, asked: &Asked, more_than: usize) -> Result<Option<Lon
 fn in_pieces(
     path: &Path,
     long: &mut LongDrift,
-    asked: &Asked,
+    asked: &EvaluationRequest,
     most_rows: usize,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
     // Of one length, so that none is too short to show what it is.
     let pieces = long.rows().div_ceil(most_rows);
-    let mut looked_at = plausible::Pieces::default();
+    let mut looked_at = plausible::PieceSuspicions::default();
     let rows_at_once = long.rows().div_ceil(pieces);
     let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
     let doubts = looked_at.said(say);
@@ -388,7 +392,7 @@ fn single(records: &[Record]) -> Result<&Record, InputError> {
 fn by(
     standard: Standard,
     records: &[Record],
-    asked: &Asked,
+    asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<(Value, Report), InputError> {
     let file = &records[0].path;
@@ -610,14 +614,14 @@ mod tests {
     }
 
     fn pieces(path: &Path, most_rows: usize) -> (Evaluation, Vec<String>) {
-        let (asked, mut said) = (Asked::default(), Vec::new());
+        let (asked, mut said) = (EvaluationRequest::default(), Vec::new());
         let mut long = long_drift(path, &asked, most_rows).unwrap().unwrap();
         let found = in_pieces(path, &mut long, &asked, most_rows, &mut |s| said.push(s.to_string()));
         (found.unwrap(), said)
     }
 
     fn held(path: &Path) -> Evaluation {
-        evaluate(&[record::read(path).unwrap()], &Asked::default(), &mut |_| ()).unwrap()
+        evaluate(&[record::read(path).unwrap()], &EvaluationRequest::default(), &mut |_| ()).unwrap()
     }
 
     /// Reading piece by piece gives the same figures, phases, tables and plots.
@@ -673,8 +677,9 @@ mod tests {
     #[test]
     fn what_cannot_be_cut_is_held() {
         let folder = tempfile::tempdir().unwrap();
-        let is_long =
-            |path: &Path, most_rows: usize| long_drift(path, &Asked::default(), most_rows).unwrap().is_some();
+        let is_long = |path: &Path, most_rows: usize| {
+            long_drift(path, &EvaluationRequest::default(), most_rows).unwrap().is_some()
+        };
         let path = drift(folder.path(), 1000, |_, _| ());
         assert!(is_long(&path, 999) && !is_long(&path, 1000));
         let sidecar = std::fs::read_to_string(&path).unwrap();

@@ -131,7 +131,7 @@ impl Format for Csv {
 
 /// What was asked for.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wanted {
+pub struct TableRange {
     /// Lowest position, mm.
     pub from_mm: f64,
     /// Highest position, mm.
@@ -500,7 +500,7 @@ impl Table {
     /// # Errors
     /// A range or step that is none, more points than the format takes, a reference point outside the range, and what
     /// [`Errors::along`] finds.
-    pub fn of(errors: &Errors<'_>, wanted: &Wanted, rules: &Rules) -> Result<Self, InputError> {
+    pub fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self, InputError> {
         let (from, to) = (wanted.from_mm, wanted.to_mm);
         if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
             let expected = format!(

@@ -171,8 +171,8 @@ pub struct Batch {
 /// `seen` are the errors that probing on the machine found on the same feature.
 ///
 /// # Errors
-/// A bad file; a place measured twice on one part; fewer than three parts at a place; other features besides
-/// the one that was `seen`; an invalid word, a column that is missing.
+/// A bad file, an invalid word or a missing column. A place measured twice on one part; fewer than three parts
+/// at a place; other features besides the one that was `seen`.
 pub fn evaluate_columns(
     file: &Path,
     columns: &[String],

@@ -92,7 +92,7 @@ pub(crate) fn evaluate(
         if !(2..=4).contains(&norm) {
             return Err(bad("norm", norm.to_string(), "2 (squares) to 4 (fourth powers)"));
         }
-        let asked = evaluation::Asked {
+        let asked = evaluation::EvaluationRequest {
             standard: standard.as_ref().map(parsed).transpose()?,
             conditions: conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
             one_way,
@@ -327,9 +327,9 @@ pub(crate) fn export_table(
     asked: ExportAsked,
 ) -> PyResult<((String, String), Vec<String>)> {
     work(py, move |say| {
-        let order = export::order::Order {
+        let order = export::order::TableOrder {
             axis: asked.axis,
-            wanted: export::Wanted {
+            wanted: export::TableRange {
                 from_mm: asked.from_mm,
                 to_mm: asked.to_mm,
                 step_mm: asked.step_mm,
@@ -338,7 +338,7 @@ pub(crate) fn export_table(
             },
             temperatures_degc: asked.temperatures_degc,
             at_mm: asked.at_mm,
-            format: one_of("format", &asked.format, &named(export::order::Name::ALL))?,
+            format: one_of("format", &asked.format, &named(export::order::ExportFormat::ALL))?,
             unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             along: asked.along,
             along_name: asked.along_name,
@@ -394,9 +394,9 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
             }
             _ => None,
         };
-        let asked = import::asked::Asked {
+        let asked = import::request::ImportRequest {
             file: asked.file,
-            format: one_of("format", &asked.format, &named(import::asked::Name::ALL))?,
+            format: one_of("format", &asked.format, &named(import::request::ImportFormat::ALL))?,
             axis: asked.axis,
             columns: asked.columns,
             kind: asked.kind,

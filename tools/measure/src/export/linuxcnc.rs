@@ -22,7 +22,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// All of them: the name that people write, the unit, and nothing more to say of it.
+    /// All of them: name, unit, and no more to say.
     pub const ALL: [(&'static str, Self, &'static str); 2] = [("mm", Self::Mm, ""), ("inch", Self::Inch, "")];
 
     /// What one of it is, mm.

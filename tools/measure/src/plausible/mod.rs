@@ -43,7 +43,7 @@ mod units;
 
 pub use between::repeated;
 pub use motion::agreement;
-pub use pieces::Pieces;
+pub use pieces::PieceSuspicions;
 pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 

@@ -1,4 +1,4 @@
-//! The Error Correction Circuit behind a controller that knows the axis's acceleration.
+//! The Error Correction Circuit behind a controller that knows the acceleration.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

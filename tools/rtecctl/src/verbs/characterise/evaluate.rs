@@ -4,7 +4,7 @@
 use crate::document::{pretty, write};
 use crate::say;
 use crate::verbs::{one_of, suspicions};
-use rtec_measure::evaluation::{Asked, Standard, evaluate_files};
+use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::PathBuf;
 
@@ -39,7 +39,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let asked = Asked {
+    let asked = EvaluationRequest {
         standard: args.standard,
         conditions: args.conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
         one_way: args.one_way,

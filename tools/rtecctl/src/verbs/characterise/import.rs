@@ -5,7 +5,7 @@ use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_files::Said;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::asked::{Asked, Name};
+use rtec_measure::import::request::{ImportFormat, ImportRequest};
 use rtec_measure::record;
 use std::path::PathBuf;
 
@@ -15,8 +15,8 @@ pub(crate) struct Args {
     /// The file to import
     file: PathBuf,
     /// What it is
-    #[arg(long, value_parser = one_of(&Name::ALL, &[]))]
-    format: Name,
+    #[arg(long, value_parser = one_of(&ImportFormat::ALL, &[]))]
+    format: ImportFormat,
     /// The axis that was measured (not for plates and tables)
     #[arg(long)]
     axis: Option<String>,
@@ -61,7 +61,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let asked = Asked {
+    let asked = ImportRequest {
         file: args.file.clone(),
         format: args.format,
         axis: args.axis.clone(),

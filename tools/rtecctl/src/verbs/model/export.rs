@@ -6,9 +6,9 @@ use crate::say;
 use crate::verbs::one_of;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_files::InputError;
-use rtec_measure::export::Wanted;
+use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::order::{Name, Order};
+use rtec_measure::export::order::{ExportFormat, TableOrder};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
@@ -44,8 +44,8 @@ pub(crate) struct Args {
     #[arg(long, value_delimiter = ',', value_name = "AXIS=mm", allow_negative_numbers = true)]
     at: Vec<String>,
     /// What to write
-    #[arg(long, value_parser = one_of(&Name::ALL, &[]), default_value = "linuxcnc")]
-    format: Name,
+    #[arg(long, value_parser = one_of(&ExportFormat::ALL, &[]), default_value = "linuxcnc")]
+    format: ExportFormat,
     /// linuxcnc: the machine's `LINEAR_UNITS`
     #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
     unit: Unit,
@@ -101,9 +101,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         given.iter().map(pair).collect::<Result<Vec<_>, _>>()
     };
-    let order = Order {
+    let order = TableOrder {
         axis: args.axis.clone(),
-        wanted: Wanted {
+        wanted: TableRange {
             from_mm: args.from,
             to_mm: args.to,
             step_mm: args.step,
