@@ -18,7 +18,6 @@ pub struct Directions {
 
 impl Directions {
     /// Directions determined by columns; the lengths of the columns have no effect.
-    #[must_use]
     pub fn by(columns: &DMatrix<f64>) -> Self {
         let p = columns.ncols();
         let lengths: Vec<f64> = columns.column_iter().map(|c| c.norm().max(1e-300)).collect();

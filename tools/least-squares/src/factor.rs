@@ -111,7 +111,6 @@ mod wide {
 
 impl Factor {
     /// Factors without columns.
-    #[must_use]
     pub fn new(response: &[f64]) -> Self {
         Self {
             upper: Vec::new(),

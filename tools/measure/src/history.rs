@@ -60,7 +60,6 @@ impl Limits {
     }
 
     /// Of limits by name.
-    #[must_use]
     pub fn of(limits: impl IntoIterator<Item = (String, f64)>) -> Self {
         Self(limits.into_iter().collect())
     }

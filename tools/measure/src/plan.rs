@@ -206,7 +206,6 @@ const UNEVEN: f64 = 0.4;
 
 impl TargetRun {
     /// So many targets over an axis.
-    #[must_use]
     pub fn uneven(axis: &PlanAxis, count: usize, cycles: usize, warmer_k: Option<f64>) -> Self {
         let margin_mm = margin_mm(axis);
         let targets_mm = targets(margin_mm, axis.travel_mm - 2.0 * margin_mm, count);

@@ -25,7 +25,6 @@ pub struct Table {
 
 impl Table {
     /// An empty table.
-    #[must_use]
     pub fn new(title: &str, head: &[&str]) -> Self {
         let head = head.iter().map(|h| (*h).to_owned()).collect();
         Self { title: title.to_owned(), head, rows: Vec::new() }
@@ -104,7 +103,6 @@ pub struct Run {
 
 impl Run {
     /// That of a record.
-    #[must_use]
     pub fn of(record: &Record) -> Self {
         let range = |c: &Column| (c.name.clone(), span(&c.data));
         let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);

@@ -654,7 +654,7 @@ pub(crate) fn part_errors(
     asked: PartAsked,
 ) -> PyResult<((String, String, String), Vec<String>)> {
     work(py, move |say| {
-        let features = [("circle", determine::Feature::Circle), ("line", determine::Feature::Line)];
+        let features = named(determine::Feature::ALL);
         let report = determine::determine(
             &determine::ErrorRequest {
                 columns: asked.columns,

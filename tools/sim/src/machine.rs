@@ -135,7 +135,6 @@ impl std::fmt::Debug for SimMachine {
 impl SimMachine {
     /// A machine at rest at `at_mm` (X, Y, Z).
     /// Its axes are `x`, `y` or `z`, in any order.
-    #[must_use]
     pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
         let place: Vec<usize> =
             axes.iter().map(|a| ["x", "y", "z"].iter().position(|n| *n == a.name).unwrap_or(0)).collect();

@@ -83,7 +83,6 @@ pub struct FeedProfile {
 
 impl FeedProfile {
     /// The fastest motion within the limits.
-    #[must_use]
     pub fn new(length_mm: f64, limits: Limits) -> Self {
         let jerk_mm_s3 = limits.jerk_mm_s3;
         let ramps = |v: f64| [limits.accel_mm_s2, limits.decel_mm_s2].map(|a| Ramp::new(v, a, jerk_mm_s3));

@@ -44,19 +44,16 @@ pub struct Spec {
 
 impl Spec {
     /// The machining centre of WO 97/43703: X 24 in, Y 28 in, Z 60 in.
-    #[must_use]
     pub fn machining_centre() -> Self {
         Self::new(vec![AxisSpec::new("x", 609.6), AxisSpec::new("y", 711.2), AxisSpec::new("z", 1524.0)])
     }
 
     /// The turning centre of NISTIR 4832: X and Z, 1 µm scales.
-    #[must_use]
     pub fn turning_centre() -> Self {
         Self::new(vec![AxisSpec::new("x", 400.0), AxisSpec::new("z", 1000.0)])
     }
 
     /// A machine with these axes, corrected by Design C, also at rest.
-    #[must_use]
     pub fn new(axes: Vec<AxisSpec>) -> Self {
         Self {
             axes,

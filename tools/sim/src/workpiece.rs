@@ -34,7 +34,6 @@ const STEPS: usize = 3263;
 
 impl Workpiece {
     /// A raw part: a circle around `centre` (part coordinates) with this radius, mm.
-    #[must_use]
     pub fn raw(centre: Zx, radius_mm: f64) -> Self {
         Self { centre, radius_mm: vec![radius_mm; STEPS] }
     }

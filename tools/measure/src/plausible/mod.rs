@@ -141,7 +141,6 @@ pub struct Suspicion {
 
 impl Suspicion {
     /// A suspicion against a column; no rows (of this record, from 0) stand for all.
-    #[must_use]
     pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
         let sensor = record.columns.iter().any(|c| c.name == column && is_sensor(c));
         let (of, path) = (record.rows(), record.path.display().to_string());
@@ -150,7 +149,6 @@ impl Suspicion {
     }
 
     /// A record that holds the rows of another one, whatever its name.
-    #[must_use]
     pub fn again(first: &Record, record: &Record) -> Self {
         let text = format!("holds the same rows as {}: it says nothing more", first.path.display());
         Self::new(record, "", What::Doubled, &[], text)
