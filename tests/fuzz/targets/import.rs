@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, Own, Sampling};
+use rtec_measure::import::{self, Form, ImportColumn, OwnTable, Sampling};
 use rtec_measure::record;
 use rtec_model::record::{Axis, Kind};
 use std::path::Path;
@@ -31,10 +31,13 @@ fuzz_target!(|data: &[u8]| {
             import::halsampler(file, &text, &wanted, &sampling, &Form::default(), Kind::Dynamics, to)
         }
         b"shdr\n" => import::shdr(file, &text, &wanted(&["Xabs=position.x"]), Kind::Drift, true, to),
-        b"csv\n" => import::csv(file, &text, &wanted(&["t=time", "e=error.x:mm"]), Kind::Drift, to),
+        b"csv\n" => {
+            let wanted = wanted(&["t=time", "e=error.x:mm"]);
+            import::table(file, &text, &wanted, &Form::default(), Kind::Drift, to)
+        }
         b"own\n" => {
             let [form, table] = rtec_fuzz::parts(&text);
-            let Some(own) = rtec_fuzz::checked(Own::parse(file, form)) else { return };
+            let Some(own) = rtec_fuzz::checked(OwnTable::parse(file, form)) else { return };
             own.read(file, table, to)
         }
         _ => return,

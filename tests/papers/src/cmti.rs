@@ -1,6 +1,7 @@
 //! CMTI (2014): the Error Correction Circuit.
 
 use crate::PaperError;
+use crate::ecc_board::{Board, Order, run as run_board};
 use crate::rows::{Agreement, Rows, shown};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant};
@@ -8,7 +9,6 @@ use rtec_sim::computer::Computer;
 use rtec_sim::described::Described;
 use rtec_sim::designs::safe_range_of;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
-use rtec_sim::ecc_board::{Board, Order, run as run_board};
 use serde::Deserialize;
 
 /// The machine as its file describes it.

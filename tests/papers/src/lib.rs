@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`nistir4832`] | NISTIR 4832 (1992): the Original RTEC, Designs A, B and C |
 //! | [`nistir4854`] | NISTIR 4854 (1992): fast probing, part-form error, compensation by table |
-//! | [`cmti`] | CMTI (2014): the Error Correction Circuit |
+//! | [`cmti`], [`ecc_board`] | CMTI (2014): the Error Correction Circuit; two of them behind one controller |
 //! | [`wo97`] | WO 97/43703 (1997): the global differential wet model |
 //!
 //! Each runs the machine that its source describes (`rtec_sim::described`). It gives one [`Row`] for every table,
@@ -16,6 +16,7 @@
 //! `cargo run --profile quick -p rtec-papers -- cmti` prints the table of a source.
 
 pub mod cmti;
+pub mod ecc_board;
 pub mod nistir4832;
 pub mod nistir4854;
 mod rows;

@@ -52,6 +52,6 @@ pub mod words;
 pub mod write;
 
 pub use input::{InputError, Said};
-pub use numbers::{Marks, Numbers};
+pub use numbers::{Numbers, TableMarks};
 pub use sheet::{Columns, Sheet};
 pub use words::nearest;

@@ -111,7 +111,7 @@ impl Numbers {
 
 /// The format of a table: its separator, and the decimal mark of each column.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Marks {
+pub struct TableMarks {
     columns: Vec<Option<char>>,
     table: Option<char>,
     by: char,
@@ -127,7 +127,7 @@ pub struct Marks {
     preamble: usize,
 }
 
-impl Marks {
+impl TableMarks {
     /// The format of a table before its first row.
     pub fn new<R: Read>(reader: &Reader<R>) -> Self {
         let mut marks = Self {
@@ -437,7 +437,7 @@ mod tests {
         let written = |text: &str| {
             let mut reader = Reader::new(Path::new("a.csv"), text.as_bytes()).unwrap();
             reader.header_with("names", &[]).unwrap();
-            Marks::of(&mut reader).unwrap().written(Path::new("a.csv"))
+            TableMarks::of(&mut reader).unwrap().written(Path::new("a.csv"))
         };
         let says = "a.csv: read as columns parted by semicolons; 1.500 was read as 1.500, with a decimal point; it may be 1500, as \
                     no cell shows the decimal mark: if so, write it without the point, or one cell with a decimal comma";

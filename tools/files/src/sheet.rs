@@ -4,7 +4,7 @@
 use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
-use crate::numbers::Marks;
+use crate::numbers::TableMarks;
 use crate::words::{cut, shown};
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ pub struct Sheet {
     header: Header,
     names: Vec<String>,
     rows: Vec<Row>,
-    marks: Marks,
+    marks: TableMarks,
     /// Columns that were ignored.
     unrelated: Vec<String>,
 }
@@ -177,7 +177,7 @@ impl Sheet {
             return Err(commented);
         }
         let names = header.names().filter(|name| !name.is_empty()).map(str::to_owned).collect();
-        let mut marks = Marks::new(&reader);
+        let mut marks = TableMarks::new(&reader);
         for (place, (text, _)) in rows.iter().flat_map(|r: &Row| r.cells.iter().enumerate()) {
             marks.see(place, text);
         }

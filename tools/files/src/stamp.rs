@@ -32,9 +32,6 @@ pub fn by() -> String {
     }
 }
 
-/// The keys of the stamp at the top of a TOML file.
-pub const KEYS: [&str; 2] = ["format", "by"];
-
 /// Checks that a file is of a format that this version can read.
 ///
 /// # Errors

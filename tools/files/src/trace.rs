@@ -13,7 +13,7 @@ use crate::csv::{self, Cell, Header};
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::BUFFER;
-use crate::numbers::{Marks, Numbers};
+use crate::numbers::{Numbers, TableMarks};
 use crate::sheet::Columns;
 use crate::text::{open_regular, opened};
 use crate::units;
@@ -248,7 +248,7 @@ impl<const N: usize> Table<N> {
     fn find_numbers(&mut self, by: char) -> Result<[Numbers; N], InputError> {
         let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
         let marks = match self.file.as_deref() {
-            Some(file) => Marks::find(file, &mut open_regular(file)?, &columns)?,
+            Some(file) => TableMarks::find(file, &mut open_regular(file)?, &columns)?,
             None => None,
         };
         let of = |place| marks.as_ref().map_or(Numbers::shown(None, None, by), |marks| marks.numbers(place));
@@ -449,7 +449,7 @@ impl<R: Read> TraceReader<R> {
 }
 
 fn written<R: Read>(rows: &csv::Reader<R>) -> Option<String> {
-    Marks::new(rows).written(&rows.lines.file)
+    TableMarks::new(rows).written(&rows.lines.file)
 }
 
 impl<R: Read> Iterator for TraceReader<R> {
@@ -509,29 +509,19 @@ pub struct RequestReader<R> {
 }
 
 impl RequestReader<File> {
-    /// Opens a file of requests.
+    /// Opens a file of requests, with the columns that the user has assigned.
     ///
     /// # Errors
-    /// The file cannot be read or its header is wrong.
-    pub fn open(file: &Path) -> Result<Self, InputError> {
-        Self::open_columns(file, &Columns::default())
-    }
-
-    /// As [`RequestReader::open`], with the columns that the user has assigned.
-    ///
-    /// # Errors
-    /// As [`RequestReader::open`]; an assigned column that is missing.
+    /// The file cannot be read, its header is wrong, or an assigned column is missing.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
     }
-}
 
-impl RequestReader<File> {
     /// As [`RequestReader::open_columns`], for totals on a trace's clock.
     /// If the trace begins before a trigger, both count from its first time.
     ///
     /// # Errors
-    /// As [`RequestReader::open`].
+    /// As [`RequestReader::open_columns`].
     pub fn open_beside(
         file: &Path,
         columns: &Columns,

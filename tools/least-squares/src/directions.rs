@@ -18,7 +18,6 @@ pub struct Directions {
 
 impl Directions {
     /// Directions determined by columns; the lengths of the columns have no effect.
-    #[must_use]
     pub fn by(columns: &DMatrix<f64>) -> Self {
         let p = columns.ncols();
         let lengths: Vec<f64> = columns.column_iter().map(|c| c.norm().max(1e-300)).collect();
@@ -42,27 +41,23 @@ impl Directions {
     }
 
     /// The values that explain a response best.
-    #[must_use]
     pub fn solve(&self, y: &DVector<f64>) -> DVector<f64> {
         &self.to_values * y
     }
 
     /// The values that explain each of several responses best, one column each.
-    #[must_use]
     pub fn solve_all(&self, responses: &DMatrix<f64>) -> DMatrix<f64> {
         &self.to_values * responses
     }
 }
 
 /// Orthonormal columns that span the same space.
-#[must_use]
 pub fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
     if columns.ncols() == 0 { columns } else { columns.qr().q() }
 }
 
 /// Orthonormal directions of what remains of columns after projection on others.
 /// Directions with less than `share` of the largest are left out.
-#[must_use]
 pub fn principal(columns: &DMatrix<f64>, beside: DMatrix<f64>, share: f64) -> Vec<DVector<f64>> {
     let q = orthonormal(beside);
     let found = (columns - &q * q.tr_mul(columns)).svd(true, false);

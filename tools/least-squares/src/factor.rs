@@ -31,7 +31,6 @@ pub struct Factor {
 }
 
 /// Σ aᵢbᵢ.
-#[must_use]
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
@@ -112,7 +111,6 @@ mod wide {
 
 impl Factor {
     /// Factors without columns.
-    #[must_use]
     pub fn new(response: &[f64]) -> Self {
         Self {
             upper: Vec::new(),
@@ -128,31 +126,26 @@ impl Factor {
     }
 
     /// Number of columns.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.upper.len()
     }
 
     /// Whether there are no columns.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.upper.is_empty()
     }
 
     /// Data rows of the orthonormal columns.
-    #[must_use]
     pub fn columns(&self) -> &[Rc<[f64]>] {
         &self.upper
     }
 
     /// Products of the orthonormal columns with another column.
-    #[must_use]
     pub fn shares(&self, column: &[f64]) -> Vec<f64> {
         self.shares_after(Vec::new(), column)
     }
 
     /// As [`Self::shares`], with the products of the first columns already known.
-    #[must_use]
     pub fn shares_after(&self, mut first: Vec<f64>, column: &[f64]) -> Vec<f64> {
         let of = |(q, within): (&Rc<[f64]>, &Range<usize>)| dot(&q[within.clone()], &column[within.clone()]);
         let from = first.len();
@@ -161,7 +154,6 @@ impl Factor {
     }
 
     /// The residual of another column after projection on these.
-    #[must_use]
     pub fn beside(&self, column: &[f64]) -> Vec<f64> {
         let mut out = column.to_vec();
         for (share, (q, within)) in self.shares(column).iter().zip(self.upper.iter().zip(&self.within)) {
@@ -171,39 +163,33 @@ impl Factor {
     }
 
     /// Columns of R: products of each pushed column with the orthonormal ones.
-    #[must_use]
     pub fn triangle(&self) -> &[Vec<f64>] {
         &self.triangle
     }
 
     /// Products of the orthonormal columns with the response.
     /// Each product is of what the columns before it leave.
-    #[must_use]
     pub fn along(&self) -> &[f64] {
         &self.along
     }
 
     /// C⁻¹y: the remaining response.
-    #[must_use]
     pub fn residual(&self) -> &[f64] {
         &self.residual
     }
 
     /// yᵀC⁻¹y.
-    #[must_use]
     pub fn left(&self) -> f64 {
         self.left
     }
 
     /// ½ log |I + `XᵀX`|.
-    #[must_use]
     pub fn half_log_det(&self) -> f64 {
         self.half_log_det
     }
 
     /// Effective number of coefficients that the data determine.
     /// Each counts by how much narrower its posterior is than its prior.
-    #[must_use]
     pub fn freedom(&self) -> f64 {
         let inverse = self.inverse();
         let prior: f64 = inverse.iter().map(|row| dot(row, row)).sum();
@@ -272,7 +258,6 @@ impl Factor {
     }
 
     /// Weight of each row in a coefficient's value: a row of the pseudo-inverse.
-    #[must_use]
     pub fn weights(&self, coefficient: usize) -> Vec<f64> {
         let mut out = vec![0.0; self.residual.len()];
         for (r, q) in self.inverse()[coefficient].iter().zip(&self.upper) {
@@ -302,7 +287,6 @@ impl Factor {
     }
 
     /// The coefficients' posterior means, in prior standard deviations.
-    #[must_use]
     pub fn solve(&self) -> Vec<f64> {
         let k = self.len();
         let mut x = self.along.clone();
@@ -317,7 +301,6 @@ impl Factor {
     }
 
     /// Rows of R⁻¹: the posterior covariance is R⁻¹R⁻ᵀ.
-    #[must_use]
     pub fn inverse(&self) -> Vec<Vec<f64>> {
         let k = self.len();
         let mut rows = vec![vec![0.0; k]; k];

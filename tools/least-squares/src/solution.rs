@@ -21,20 +21,17 @@ pub struct Solution {
 
 impl Solution {
     /// Sum of the squared residuals.
-    #[must_use]
     pub fn left(&self) -> f64 {
         dot(&self.residual, &self.residual)
     }
 
     /// Covariance of the values if each row has the variance one.
-    #[must_use]
     pub fn covariance(&self) -> DMatrix<f64> {
         let p = self.values.len();
         DMatrix::from_fn(p, p, |i, j| dot(&self.inverse[i], &self.inverse[j]))
     }
 
     /// Standard deviation of each value if each row has the variance one.
-    #[must_use]
     pub fn spread(&self) -> Vec<f64> {
         self.inverse.iter().map(|row| dot(row, row).sqrt()).collect()
     }
@@ -67,7 +64,6 @@ pub fn solve<C: AsRef<[f64]>>(columns: &[C], y: &[f64]) -> Result<Solution, usiz
 
 /// As many rows as columns, with the same solution when joined with other rows.
 /// They are the triangle of the columns' factors and the products of the response.
-#[must_use]
 pub fn equal_rows(columns: &[Vec<f64>], y: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     let p = columns.len();
     if y.len() <= p {

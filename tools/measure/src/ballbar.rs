@@ -481,7 +481,6 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
 /// They stand before, between and after its contours.
 ///
 /// The angle does not say from where they came, and so not which side of their play they are on.
-#[must_use]
 pub fn in_motion(record: &Record) -> Record {
     let angle = record.circle().and_then(|_| record.data(&Role::Angle));
     let Some((angle, t)) = angle.zip(record.data(&Role::Time)) else { return record.clone() };

@@ -33,22 +33,32 @@ pub enum Standard {
 }
 
 impl Standard {
-    /// All of them, by name.
-    pub const ALL: [(&'static str, Self); 7] = [
-        ("iso230-2", Self::Iso230_2),
-        ("straightness", Self::Straightness),
-        ("iso230-3", Self::Iso230_3),
-        ("iso230-6", Self::Iso230_6),
-        ("ballbar", Self::Ballbar),
-        ("plate", Self::Plate),
-        ("repeatability", Self::Repeatability),
+    /// All of them: the name that people write, the evaluation, and its meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 7] = [
+        ("iso230-2", Self::Iso230_2, "Positioning: accuracy and repeatability; tilts too"),
+        (
+            "straightness",
+            Self::Straightness,
+            "Straightness of an axis's motion: the error across it, about a least-squares line (ISO 230-1)",
+        ),
+        ("iso230-3", Self::Iso230_3, "Thermal effects, phase by phase"),
+        ("iso230-6", Self::Iso230_6, "Body or face diagonals"),
+        ("ballbar", Self::Ballbar, "Circular test, ISO 230-4"),
+        ("plate", Self::Plate, "Plate of holes: offset, scale, rotation, quadrupole"),
+        (
+            "repeatability",
+            Self::Repeatability,
+            "Returning to one position: standard deviation and range per axis",
+        ),
     ];
 
-    /// The evaluation of this name; `iso230-4` is the ballbar's too.
-    #[must_use]
+    /// The other name of the circular test.
+    pub const CIRCULAR: (&'static str, &'static str) = ("iso230-4", "ballbar");
+
+    /// The evaluation of this name, or of [`Standard::CIRCULAR`].
     pub fn parse(name: &str) -> Option<Self> {
-        let name = if name == "iso230-4" { "ballbar" } else { name };
-        Self::ALL.iter().find(|(own, _)| *own == name).map(|(_, standard)| *standard)
+        let name = if name == Self::CIRCULAR.0 { Self::CIRCULAR.1 } else { name };
+        Self::ALL.iter().find(|all| all.0 == name).map(|all| all.1)
     }
 
     /// The evaluation that belongs to a record's kind.
@@ -104,7 +114,7 @@ impl Standard {
 
 /// What an evaluation is asked with.
 #[derive(Debug, Clone, Default)]
-pub struct Asked {
+pub struct EvaluationRequest {
     /// The evaluation; by the first record's kind where it is left out.
     pub standard: Option<Standard>,
     /// What the test was done under.
@@ -134,7 +144,7 @@ pub struct Evaluation {
 /// that lengths are to be reduced with.
 pub fn evaluate(
     records: &[Record],
-    asked: &Asked,
+    asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
     let Some(first) = records.first() else {
@@ -183,7 +193,7 @@ pub fn evaluate(
 /// As [`evaluate`], and as [`record::read`].
 pub fn evaluate_files(
     paths: &[PathBuf],
-    asked: &Asked,
+    asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
     if let [path] = paths
@@ -198,10 +208,14 @@ pub fn evaluate_files(
 pub const MOST_ROWS: usize = 1 << 18;
 
 /// The record where it is a drift test of more rows, and is evaluated as such.
-fn long_drift(path: &Path, asked: &Asked, more_than: usize) -> Result<Option<LongDrift>, InputError> {
+fn long_drift(
+    path: &Path,
+    asked: &EvaluationRequest,
+    more_than: usize,
+) -> Result<Option<LongDrift>, InputError> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
-        None => record::Pieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
+        None => record::RecordPieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
     };
     if drift { LongDrift::of(path, more_than) } else { Ok(None) }
 }
@@ -209,13 +223,13 @@ fn long_drift(path: &Path, asked: &Asked, more_than: usize) -> Result<Option<Lon
 fn in_pieces(
     path: &Path,
     long: &mut LongDrift,
-    asked: &Asked,
+    asked: &EvaluationRequest,
     most_rows: usize,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
     // Of one length, so that none is too short to show what it is.
     let pieces = long.rows().div_ceil(most_rows);
-    let mut looked_at = plausible::Pieces::default();
+    let mut looked_at = plausible::PieceSuspicions::default();
     let rows_at_once = long.rows().div_ceil(pieces);
     let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
     let doubts = looked_at.said(say);
@@ -378,7 +392,7 @@ fn single(records: &[Record]) -> Result<&Record, InputError> {
 fn by(
     standard: Standard,
     records: &[Record],
-    asked: &Asked,
+    asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<(Value, Report), InputError> {
     let file = &records[0].path;
@@ -600,14 +614,14 @@ mod tests {
     }
 
     fn pieces(path: &Path, most_rows: usize) -> (Evaluation, Vec<String>) {
-        let (asked, mut said) = (Asked::default(), Vec::new());
+        let (asked, mut said) = (EvaluationRequest::default(), Vec::new());
         let mut long = long_drift(path, &asked, most_rows).unwrap().unwrap();
         let found = in_pieces(path, &mut long, &asked, most_rows, &mut |s| said.push(s.to_string()));
         (found.unwrap(), said)
     }
 
     fn held(path: &Path) -> Evaluation {
-        evaluate(&[record::read(path).unwrap()], &Asked::default(), &mut |_| ()).unwrap()
+        evaluate(&[record::read(path).unwrap()], &EvaluationRequest::default(), &mut |_| ()).unwrap()
     }
 
     /// Reading piece by piece gives the same figures, phases, tables and plots.
@@ -663,8 +677,9 @@ mod tests {
     #[test]
     fn what_cannot_be_cut_is_held() {
         let folder = tempfile::tempdir().unwrap();
-        let is_long =
-            |path: &Path, most_rows: usize| long_drift(path, &Asked::default(), most_rows).unwrap().is_some();
+        let is_long = |path: &Path, most_rows: usize| {
+            long_drift(path, &EvaluationRequest::default(), most_rows).unwrap().is_some()
+        };
         let path = drift(folder.path(), 1000, |_, _| ());
         assert!(is_long(&path, 999) && !is_long(&path, 1000));
         let sidecar = std::fs::read_to_string(&path).unwrap();

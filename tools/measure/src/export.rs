@@ -51,7 +51,6 @@ pub struct Point {
 
 impl Point {
     /// Mean of both directions, µm.
-    #[must_use]
     pub fn mean_um(&self) -> f64 {
         f64::midpoint(self.up_um, self.down_um)
     }
@@ -132,7 +131,7 @@ impl Format for Csv {
 
 /// What was asked for.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wanted {
+pub struct TableRange {
     /// Lowest position, mm.
     pub from_mm: f64,
     /// Highest position, mm.
@@ -449,7 +448,6 @@ pub struct Left {
 
 impl Left {
     /// Largest absolute value of both directions, µm.
-    #[must_use]
     pub fn max_um(&self) -> f64 {
         self.max_up_um.max(self.max_down_um)
     }
@@ -502,7 +500,7 @@ impl Table {
     /// # Errors
     /// A range or step that is none, more points than the format takes, a reference point outside the range, and what
     /// [`Errors::along`] finds.
-    pub fn of(errors: &Errors<'_>, wanted: &Wanted, rules: &Rules) -> Result<Self, InputError> {
+    pub fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self, InputError> {
         let (from, to) = (wanted.from_mm, wanted.to_mm);
         if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
             let expected = format!(
@@ -667,7 +665,6 @@ impl Table {
     }
 
     /// The highest position, mm.
-    #[must_use]
     pub fn end_mm(&self) -> f64 {
         self.points.last().map_or(0.0, |p| p.position_mm)
     }

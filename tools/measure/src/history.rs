@@ -60,7 +60,6 @@ impl Limits {
     }
 
     /// Of limits by name.
-    #[must_use]
     pub fn of(limits: impl IntoIterator<Item = (String, f64)>) -> Self {
         Self(limits.into_iter().collect())
     }
@@ -71,7 +70,6 @@ impl Limits {
     }
 
     /// The limits that no figure of the history was held against.
-    #[must_use]
     pub fn without(&self, history: &History) -> Vec<&str> {
         let of = |limit: &str, figure: &str| figure == limit || figure.rsplit('.').next() == Some(limit);
         let limits = self.0.keys().map(String::as_str);
@@ -162,7 +160,6 @@ pub struct History {
 
 /// One machine's history from its records, each by its path.
 /// One that cannot be read is left out and named.
-#[must_use]
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();

@@ -12,9 +12,8 @@
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |
 //!
-//! `asked`: which of them, as somebody asks for it. Times: `rtec_files::clock`.
+//! `request`: which of them, as somebody asks for it. Times: `rtec_files::clock`.
 
-pub mod asked;
 mod cmm;
 mod ecmc;
 mod etalon;
@@ -22,6 +21,7 @@ mod halsampler;
 mod linuxcnc;
 mod own;
 mod renishaw;
+pub mod request;
 mod shdr;
 mod table;
 
@@ -30,10 +30,10 @@ pub use ecmc::ecmc_dat;
 pub use etalon::etalon;
 pub use halsampler::{Sampling, halsampler};
 pub use linuxcnc::linuxcnc_comp;
-pub use own::Own;
+pub use own::OwnTable;
 pub use renishaw::{any_text, rtl};
 pub use shdr::shdr;
-pub use table::{Form, ImportColumn, csv, table};
+pub use table::{Form, ImportColumn, table};
 
 use rtec_files::InputError;
 use rtec_model::record::{Column, Kind, Record, Role};

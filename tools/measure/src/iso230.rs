@@ -194,7 +194,6 @@ pub(crate) fn lacks(record: &Record, found: &str, expected: &str) -> InputError 
 }
 
 /// Correlation coefficient; zero where one of the two does not vary.
-#[must_use]
 pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
@@ -429,7 +428,6 @@ pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
 
 impl Returns {
     /// Of errors in µm in the order of the returns; `None` for fewer than two.
-    #[must_use]
     pub fn of(e: &[f64]) -> Option<Self> {
         let (mean, s_um) = mean_and_s(e)?;
         let n = e.len() as f64;
@@ -464,7 +462,6 @@ impl Returns {
 
     /// The drift is no straight line.
     /// About it neighbours are more alike than chance makes them.
-    #[must_use]
     pub fn is_bent(&self) -> bool {
         let n = self.returns as f64;
         self.s_about_trend_um.zip(self.s_of_neighbours_um).is_some_and(|(about, neighbours)| {
@@ -475,14 +472,12 @@ impl Returns {
 
     /// Whether the returns drift beyond chance (one of a hundred runs).
     /// A step must not explain them better.
-    #[must_use]
     pub fn is_trend(&self) -> bool {
         self.step.is_none() && self.trend_p_value.is_some_and(|p| p < CHANCE)
     }
 }
 
 /// Repeatability of returning to one position, from the record's first error per axis.
-#[must_use]
 pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
     let of = |(axis, e): (&Axis, &[f64])| {
         let mut found = Returns::of(e)?;
@@ -495,7 +490,6 @@ pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
 }
 
 /// The evaluation that fits a record's kind.
-#[must_use]
 pub fn standard_for(kind: Kind) -> Option<&'static str> {
     match kind {
         Kind::Positioning => Some("iso230-2"),

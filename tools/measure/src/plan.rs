@@ -112,7 +112,6 @@ pub fn for_machine(
 
 /// The sequence for these axes and this highest spindle speed.
 /// The warm runs come last, each from a machine that has stood over night where it says *cold*. Without a bar there are no circles.
-#[must_use]
 pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<Step> {
     let mut steps = ball_radius_mm.map_or_else(Vec::new, |radius_mm| contouring(axes, radius_mm));
     steps.extend(axes.iter().flat_map(displacement));
@@ -207,7 +206,6 @@ const UNEVEN: f64 = 0.4;
 
 impl TargetRun {
     /// So many targets over an axis.
-    #[must_use]
     pub fn uneven(axis: &PlanAxis, count: usize, cycles: usize, warmer_k: Option<f64>) -> Self {
         let margin_mm = margin_mm(axis);
         let targets_mm = targets(margin_mm, axis.travel_mm - 2.0 * margin_mm, count);
@@ -226,13 +224,11 @@ impl TargetRun {
     }
 
     /// Time from reading to reading, s.
-    #[must_use]
     pub fn seconds_each(&self) -> f64 {
         60.0 * MINUTES_EACH
     }
 
     /// About how long it takes, min.
-    #[must_use]
     pub fn minutes(&self) -> f64 {
         let warming = self.warmer_k.map_or(0.0, |_| WARMING_MIN);
         MINUTES_EACH * self.readings().count() as f64 + warming
@@ -240,7 +236,6 @@ impl TargetRun {
 }
 
 /// The step of a plan for such a run; the gauge reads the error of axis `response`.
-#[must_use]
 pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> Step {
     let n = &axis.name;
     let targets: Vec<String> = run.targets_mm.iter().map(|t| format!("{t:.3}")).collect();
@@ -431,7 +426,6 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
 }
 
 /// The sequence as Markdown.
-#[must_use]
 pub fn markdown(machine: &str, steps: &[Step]) -> String {
     use std::fmt::Write as _;
     let hours = steps.iter().map(|s| s.minutes).sum::<f64>() / 60.0;

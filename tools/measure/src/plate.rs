@@ -343,7 +343,6 @@ const JOINT_TERMS: usize = 6;
 impl Plate {
     /// The joint fit's scale is outside of its 95 % interval about zero (Student's t):
     /// less than that is no temperature.
-    #[must_use]
     pub fn is_scale_beyond_chance(&self) -> bool {
         let freedom = (2 * self.holes).saturating_sub(JOINT_TERMS) as f64;
         let t = StudentsT::new(0.0, 1.0, freedom).map_or(f64::INFINITY, |law| law.inverse_cdf(0.975));
@@ -367,7 +366,6 @@ fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {
 
 impl Plate {
     /// Residuals as arrows on the plate, enlarged.
-    #[must_use]
     pub fn plot(&self, record: &Record) -> Vectors {
         let data =
             |name: &str| Axis::new(name).and_then(|a| record.data(&Role::Position(a))).unwrap_or_default();

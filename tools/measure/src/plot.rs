@@ -85,7 +85,6 @@ pub struct Series {
 
 impl Series {
     /// A series of points.
-    #[must_use]
     pub fn new(label: &str, style: Style, points: Vec<(f64, f64)>) -> Self {
         Self { label: label.to_owned(), points, style, colour: Colour::Next }
     }
@@ -97,7 +96,6 @@ impl Series {
     }
 
     /// A band between two edges over the same x.
-    #[must_use]
     pub fn band(label: &str, x: &[f64], lower: &[f64], upper: &[f64]) -> Self {
         let edge = |y: &[f64]| x.iter().copied().zip(y.iter().copied()).collect::<Vec<_>>();
         Self::new(label, Style::Band, [edge(lower), edge(upper)].concat())
@@ -190,7 +188,6 @@ pub struct PlotError {
 
 impl Chart {
     /// A chart without series.
-    #[must_use]
     pub fn new(title: &str, x: &str, y: &str) -> Self {
         Self { title: title.to_owned(), x: x.to_owned(), y: y.to_owned(), ..Self::default() }
     }

@@ -2,7 +2,7 @@
 
 use crate::{derive, plausible, record};
 use rtec_files::{InputError, Said};
-use rtec_model::machine::{Asked, HalfWidths, Machine, Reach, Running};
+use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, Reach, Running};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -49,7 +49,7 @@ pub fn write(
     out: &mut impl Write,
     say: &mut dyn FnMut(Said),
 ) -> Result<(), Failed> {
-    let Some(mut pieces) = record::Pieces::of(path)? else {
+    let Some(mut pieces) = record::RecordPieces::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
     // Motion follows from all positions: what is not by itself row by row is read as a whole.
@@ -58,7 +58,7 @@ pub fn write(
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     }
     pieces.rewind()?;
-    let (mut running, mut asked) = (Running::of(machine), Asked::of(machine));
+    let (mut running, mut asked) = (Running::of(machine), FitRangeCheck::of(machine));
     let mut looked_over = None;
     if interval {
         looked_over = Some(look_over(&mut pieces, &mut asked)?);
@@ -126,7 +126,10 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
 }
 
 /// How far a record goes, and how many rows it has.
-fn look_over(pieces: &mut record::Pieces, asked: &mut Asked<'_>) -> Result<(Reach, usize), InputError> {
+fn look_over(
+    pieces: &mut record::RecordPieces,
+    asked: &mut FitRangeCheck<'_>,
+) -> Result<(Reach, usize), InputError> {
     let (mut reach, mut rows, mut held) = (Reach::default(), 0, BTreeMap::new());
     while let Some(mut record) = pieces.next_record(PIECE_ROWS)? {
         plausible::hold_last_good(&mut record, &mut held);

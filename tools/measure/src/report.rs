@@ -25,7 +25,6 @@ pub struct Table {
 
 impl Table {
     /// An empty table.
-    #[must_use]
     pub fn new(title: &str, head: &[&str]) -> Self {
         let head = head.iter().map(|h| (*h).to_owned()).collect();
         Self { title: title.to_owned(), head, rows: Vec::new() }
@@ -68,7 +67,6 @@ pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
 
 /// The line at a page's end that makes it a certificate.
 /// Instrument, name, day and signature; what is not known is left to be written.
-#[must_use]
 pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
     format!(
         "<table class=\"signed\"><tr class=\"given\"><td>{}</td><td>{}</td><td>{}</td><td></td></tr>\
@@ -105,7 +103,6 @@ pub struct Run {
 
 impl Run {
     /// That of a record.
-    #[must_use]
     pub fn of(record: &Record) -> Self {
         let range = |c: &Column| (c.name.clone(), span(&c.data));
         let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
@@ -226,22 +223,12 @@ impl Report {
         })
     }
 
-    /// Its tables, in their order.
-    pub fn tables(&self) -> impl Iterator<Item = &Table> {
-        self.sections.iter().filter_map(|s| match s {
-            Section::Table(table) => Some(table),
-            Section::Plot { .. } => None,
-        })
-    }
-
     /// What to know before using it.
-    #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
     /// As text, without the plots.
-    #[must_use]
     pub fn text(&self) -> String {
         let mut out = format!("{}\n", self.title);
         for s in &self.sections {
@@ -274,7 +261,6 @@ impl Report {
     }
 
     /// As one HTML file: nothing is fetched, and it prints to A4.
-    #[must_use]
     pub fn html(&self) -> String {
         let mut h = String::new();
         let _ = write!(

@@ -26,7 +26,6 @@ pub struct Steps {
 impl Steps {
     /// Of readings; `repeats` are rows that differ by noise alone.
     /// `None` for readings without a step, or too few repeats.
-    #[must_use]
     pub fn of(readings: &[f64], repeats: &[Vec<usize>]) -> Option<Self> {
         let step = step_of(readings)?;
         let (mut pairs, mut same, mut squares, mut freedom) = (0, 0, 0.0, 0.0);
@@ -48,25 +47,21 @@ impl Steps {
 
     /// Of one response of a record: rows at one place from one side are repeats.
     /// Without positions neighbours are.
-    #[must_use]
     pub fn of_response(record: &Record, column: &Column) -> Option<Self> {
         Self::of(&column.data, &repeats(record, column))
     }
 
     /// Most repeats read the same: their mean keeps its rounding.
-    #[must_use]
     pub fn is_coarse(&self) -> bool {
         self.noise == 0.0
     }
 
     /// Standard deviation of the error that rounding leaves in a mean of repeats.
-    #[must_use]
     pub fn standard_error(&self) -> f64 {
         self.step / 12f64.sqrt() * self.left()
     }
 
     /// The largest error that rounding leaves in a mean of repeats.
-    #[must_use]
     pub fn half_width(&self) -> f64 {
         0.5 * self.step * self.left()
     }
@@ -85,7 +80,6 @@ const MANY_STEPS: f64 = 50.0;
 const FINE_K: f64 = 0.05;
 
 /// Whether the step of a cause is worth a word, where the cause has this range.
-#[must_use]
 pub fn is_coarse_cause(cause: &Column, step: f64, range: f64) -> bool {
     range < FEW_STEPS * step && (cause.role != Role::Temperature || step >= FINE_K)
 }
@@ -101,7 +95,6 @@ pub(crate) fn shared_time(record: &Record) -> Option<String> {
 }
 
 /// What to know of the coarse steps of a record: of its gauges where `responses`, of its sensors, of positions and the clock in motion.
-#[must_use]
 pub fn said(record: &Record, responses: bool) -> Vec<String> {
     let moving = matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep);
     let mut said = Vec::new();
@@ -164,7 +157,6 @@ pub(crate) fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
 }
 
 /// The step that all readings are multiples of; `None` where they have none, or too few readings share a value.
-#[must_use]
 pub fn step_of(readings: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = readings.iter().copied().filter(|v| v.is_finite()).collect();
     values.sort_by(f64::total_cmp);

@@ -300,13 +300,6 @@ impl Live {
         &self.layout
     }
 
-    /// Forgets lags and reversals, so that the next instant begins a new start.
-    pub fn restart(&mut self) {
-        for item in &mut self.items {
-            item.state = State::default();
-        }
-    }
-
     /// Evaluates all effects at an instant.
     ///
     /// The time must not decrease from call to call, because lags and reversals follow it.

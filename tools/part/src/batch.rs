@@ -165,22 +165,14 @@ pub struct Batch {
     pub written: Option<String>,
 }
 
-/// Evaluates a batch from a file.
-/// Its columns are `part,feature,error_um[,angle_rad]` or `part,feature,nominal_mm,measured_mm[,angle_rad]`.
+/// Evaluates a batch from a file, with columns that the user has assigned.
+/// The columns are `part,feature,error_um[,angle_rad]` or `part,feature,nominal_mm,measured_mm[,angle_rad]`.
+/// Words are such as `feature=2` or `measured_mm=Ist`. Without words the columns have their own names.
 /// `seen` are the errors that probing on the machine found on the same feature.
 ///
 /// # Errors
-/// A bad file; a place measured twice on one part; fewer than three parts at a place; other features besides
-/// the one that was `seen`.
-pub fn evaluate(file: &Path, seen: Option<&[PointError]>, judgement: Judgement) -> Result<Batch, InputError> {
-    judge(file, &Sheet::read(file, &COLUMNS, |_| false)?, seen, judgement)
-}
-
-/// As [`evaluate`], with columns that the user has assigned.
-/// Words are such as `feature=2` or `measured_mm=Ist`. Without words the columns have their own names.
-///
-/// # Errors
-/// As [`evaluate`]; an invalid word, a column that is missing.
+/// A bad file, an invalid word or a missing column. A place measured twice on one part; fewer than three parts
+/// at a place; other features besides the one that was `seen`.
 pub fn evaluate_columns(
     file: &Path,
     columns: &[String],
@@ -191,10 +183,10 @@ pub fn evaluate_columns(
     judge(file, &Sheet::read_columns(file, &COLUMNS, |_| false, &columns)?, seen, judgement)
 }
 
-/// As [`evaluate`], from text already in memory; `file` only names it.
+/// As [`evaluate_columns`], from text already in memory; `file` only names it.
 ///
 /// # Errors
-/// As [`evaluate`].
+/// As [`evaluate_columns`].
 pub fn evaluate_text(
     file: &Path,
     text: &str,

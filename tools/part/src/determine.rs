@@ -19,6 +19,14 @@ pub enum Feature {
     Line,
 }
 
+impl Feature {
+    /// All of them: name, feature and meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 2] = [
+        ("circle", Self::Circle, "A sphere or a fillet"),
+        ("line", Self::Line, "A cylinder, a face or a taper"),
+    ];
+}
+
 /// The request for a feature's errors.
 #[derive(Debug, Clone)]
 pub struct ErrorRequest {

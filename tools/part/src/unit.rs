@@ -5,6 +5,9 @@
 pub struct Unit(pub f64);
 
 impl Unit {
+    /// All of them: name, unit and meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 2] =
+        [("mm", Self::MM, "Millimetres"), ("inch", Self::INCH, "Inches")];
     /// Lengths in mm.
     pub const MM: Self = Self(1.0);
     /// Lengths in inches of 25.4 mm.

@@ -5,7 +5,7 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::InputError;
-use rtec_part::batch::{Batch, BatchFinding, Judgement, evaluate};
+use rtec_part::batch::{Batch, BatchFinding, Judgement, evaluate_columns};
 use rtec_part::cor::PointError;
 use std::fmt::Write as _;
 
@@ -15,7 +15,7 @@ fn judged(text: &str, seen: Option<&[PointError]>) -> Result<Batch, InputError> 
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cmm.csv");
     std::fs::write(&file, text).unwrap();
-    evaluate(&file, seen, JUDGEMENT)
+    evaluate_columns(&file, &[], seen, JUDGEMENT)
 }
 
 fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {

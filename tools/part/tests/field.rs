@@ -20,7 +20,7 @@ fn a_spreadsheet_is_one_batch_however_it_is_saved() {
         ("batch-thousands.csv", Some("columns parted by semicolons, decimal commas")),
         ("batch-utf16.csv", Some("UTF-16, columns parted by semicolons, decimal commas")),
     ] {
-        let batch = batch::evaluate(&field(name), None, judgement).unwrap();
+        let batch = batch::evaluate_columns(&field(name), &[], None, judgement).unwrap();
         assert!((batch.places[0].mean_um - 11.55).abs() < 0.005, "{name}: {}", batch.places[0].mean_um);
         assert_eq!(
             batch.written.as_deref().map(|w| w.contains(written.unwrap_or("-"))),
@@ -381,7 +381,7 @@ fn steps_of_a_caliper_are_in_a_batch_s_intervals() {
     let text = text.replace("38.11", "38.105").replace("8,D1,38.10,38.105", "8,D1,38.10,38.100");
     let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
     assert!((batch.step_um.unwrap() - 5.0).abs() < 1e-6, "{:?}", batch.step_um);
-    let fine = batch::evaluate(&field("batch-point.csv"), None, judgement).unwrap();
+    let fine = batch::evaluate_columns(&field("batch-point.csv"), &[], None, judgement).unwrap();
     assert_eq!(fine.step_um, None);
 }
 

@@ -65,6 +65,11 @@ fn one_of<T: Copy>(argument: &str, name: &str, all: &[(&'static str, T)]) -> Res
     found.ok_or_else(|| bad(argument, format!("`{name}`"), format!("one of {}", names())))
 }
 
+/// A library's values with their names alone.
+fn named<T, const N: usize>(all: [(&'static str, T, &'static str); N]) -> [(&'static str, T); N] {
+    all.map(|(name, value, _)| (name, value))
+}
+
 /// Document, text, page and plots, then messages.
 type Evaluated = ((String, String, String, String), Vec<String>);
 
@@ -87,7 +92,7 @@ pub(crate) fn evaluate(
         if !(2..=4).contains(&norm) {
             return Err(bad("norm", norm.to_string(), "2 (squares) to 4 (fourth powers)"));
         }
-        let asked = evaluation::Asked {
+        let asked = evaluation::EvaluationRequest {
             standard: standard.as_ref().map(parsed).transpose()?,
             conditions: conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
             one_way,
@@ -314,8 +319,6 @@ pub(crate) struct ExportAsked {
     form: Option<PathBuf>,
 }
 
-const UNITS: [(&str, Unit); 2] = [("mm", Unit::Mm), ("inch", Unit::Inch)];
-
 /// Document and the table's text, then messages.
 #[pyfunction]
 pub(crate) fn export_table(
@@ -324,9 +327,9 @@ pub(crate) fn export_table(
     asked: ExportAsked,
 ) -> PyResult<((String, String), Vec<String>)> {
     work(py, move |say| {
-        let order = export::order::Order {
+        let order = export::order::TableOrder {
             axis: asked.axis,
-            wanted: export::Wanted {
+            wanted: export::TableRange {
                 from_mm: asked.from_mm,
                 to_mm: asked.to_mm,
                 step_mm: asked.step_mm,
@@ -335,8 +338,8 @@ pub(crate) fn export_table(
             },
             temperatures_degc: asked.temperatures_degc,
             at_mm: asked.at_mm,
-            format: one_of("format", &asked.format, &export::order::Name::ALL)?,
-            unit: one_of("unit", &asked.unit, &UNITS)?,
+            format: one_of("format", &asked.format, &named(export::order::ExportFormat::ALL))?,
+            unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             along: asked.along,
             along_name: asked.along_name,
             table: asked.table,
@@ -391,9 +394,9 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
             }
             _ => None,
         };
-        let asked = import::asked::Asked {
+        let asked = import::request::ImportRequest {
             file: asked.file,
-            format: one_of("format", &asked.format, &import::asked::Name::ALL)?,
+            format: one_of("format", &asked.format, &named(import::request::ImportFormat::ALL))?,
             axis: asked.axis,
             columns: asked.columns,
             kind: asked.kind,
@@ -401,7 +404,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
             log: asked.log,
             period_s: asked.period_s,
             numbered: asked.numbered,
-            unit: one_of("unit", &asked.unit, &UNITS)?,
+            unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             form: asked.form,
             derive: asked.derive,
             circle,
@@ -651,7 +654,7 @@ pub(crate) fn part_errors(
     asked: PartAsked,
 ) -> PyResult<((String, String, String), Vec<String>)> {
     work(py, move |say| {
-        let features = [("circle", determine::Feature::Circle), ("line", determine::Feature::Line)];
+        let features = named(determine::Feature::ALL);
         let report = determine::determine(
             &determine::ErrorRequest {
                 columns: asked.columns,

@@ -7,7 +7,7 @@ use rtec_files::date;
 use rtec_files::stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
-use rtec_files::{InputError, Marks, Numbers, units};
+use rtec_files::{InputError, Numbers, TableMarks, units};
 use rtec_model::circle::Circle;
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
@@ -84,7 +84,7 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
 
 /// Reads a record in pieces.
 /// It may have any number of rows, and needs the memory of a few.
-pub struct Pieces {
+pub struct RecordPieces {
     path: PathBuf,
     sidecar: Sidecar,
     /// Length of the CSV, bytes.
@@ -95,14 +95,14 @@ pub struct Pieces {
 }
 
 /// Some rows of a record.
-pub struct Piece {
+pub struct RecordPiece {
     /// The rows as a record without a hash.
     pub record: Record,
     /// The rows' text in the CSV, with columns that are not listed.
     pub texts: Vec<String>,
 }
 
-impl Pieces {
+impl RecordPieces {
     /// Opens a record before its first piece.
     /// Returns `None` for a ballbar's circle, because the place of a row there depends on the rows around it.
     ///
@@ -150,20 +150,20 @@ impl Pieces {
 
     /// Style of further cells beside the CSV's own.
     pub fn style(&self) -> Style {
-        self.rows.marks.as_ref().map_or_else(Style::default, Marks::style)
+        self.rows.marks.as_ref().map_or_else(Style::default, TableMarks::style)
     }
 
     /// The next rows, at most `rows`; `None` at the end.
     ///
     /// # Errors
     /// Errors of [`read`] in these rows.
-    pub fn next(&mut self, rows: usize) -> Result<Option<Piece>, InputError> {
+    pub fn next(&mut self, rows: usize) -> Result<Option<RecordPiece>, InputError> {
         let mut texts = Vec::with_capacity(rows);
         let record = self.fill(rows, |text| texts.push(String::from_utf8_lossy(text).into_owned()))?;
-        Ok(record.map(|record| Piece { record, texts }))
+        Ok(record.map(|record| RecordPiece { record, texts }))
     }
 
-    /// As [`Pieces::next`], without the texts.
+    /// As [`RecordPieces::next`], without the texts.
     ///
     /// # Errors
     /// Errors of [`read`] in these rows.
@@ -233,8 +233,8 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
     let mut file = open_regular(&path)?;
     let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
-    let marks = Marks::find(&path, &mut file, &names)?;
-    let style = marks.as_ref().map_or_else(Style::default, Marks::style);
+    let marks = TableMarks::find(&path, &mut file, &names)?;
+    let style = marks.as_ref().map_or_else(Style::default, TableMarks::style);
     let mut reader = Reader::new(&path, file)?;
     let mut out = String::with_capacity(24 * (record.columns.len() + extra.len()) * record.rows());
     let header = reader.header_with("a header line", &names)?;
@@ -364,7 +364,7 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
 struct Rows<R> {
     reader: Reader<R>,
     /// Format of the numbers; `None` for decimal points and commas between cells.
-    marks: Option<Marks>,
+    marks: Option<TableMarks>,
     header: csv::Header,
     /// The listed columns in the CSV's order, with the values read so far.
     columns: Vec<Column>,
@@ -385,7 +385,7 @@ struct Rows<R> {
 }
 
 impl<R: Read> Rows<R> {
-    fn new(path: &Path, csv: R, sidecar: &Sidecar, marks: Option<Marks>) -> Result<Self, InputError> {
+    fn new(path: &Path, csv: R, sidecar: &Sidecar, marks: Option<TableMarks>) -> Result<Self, InputError> {
         let mut reader = Reader::new(path, csv)?;
         let header = reader.header_with("a header line", &sidecar.names())?;
         if sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
@@ -441,7 +441,7 @@ impl<R: Read> Rows<R> {
         let file = self.header.file();
         self.marks
             .as_ref()
-            .map_or_else(|| Marks::new(&self.reader).written(file), |marks| marks.written(file))
+            .map_or_else(|| TableMarks::new(&self.reader).written(file), |marks| marks.written(file))
     }
 
     /// Number of rows that the columns hold.
@@ -604,8 +604,8 @@ impl Sidecar {
         self.columns.iter().map(|c| c.name.as_str()).collect()
     }
 
-    fn marks(&self, csv_path: &Path, csv: &mut (impl Read + Seek)) -> Result<Option<Marks>, InputError> {
-        Marks::find(csv_path, csv, &self.names())
+    fn marks(&self, csv_path: &Path, csv: &mut (impl Read + Seek)) -> Result<Option<TableMarks>, InputError> {
+        TableMarks::find(csv_path, csv, &self.names())
     }
 
     /// Opens the CSV of the sidecar at `path`.

@@ -85,7 +85,7 @@ pub(crate) type Ticket = u64;
 
 /// Flags between a load and the loader.
 #[derive(Debug, Default)]
-pub(crate) struct Told {
+pub(crate) struct LoadFlags {
     /// The load must end.
     given_up: AtomicBool,
     /// The thread is reading a file.
@@ -93,7 +93,7 @@ pub(crate) struct Told {
     reads: AtomicBool,
 }
 
-impl Told {
+impl LoadFlags {
     fn go_on(&self) -> bool {
         !self.given_up.load(Ordering::Relaxed)
     }
@@ -103,7 +103,7 @@ impl Told {
 struct Running {
     ticket: Ticket,
     since: Instant,
-    told: Arc<Told>,
+    told: Arc<LoadFlags>,
 }
 
 /// The loader, with at most one load under way.
@@ -111,7 +111,7 @@ pub(crate) struct Loader {
     results: (Sender<Done>, Receiver<Done>),
     running: Option<Running>,
     /// Loads that were given up and have not ended yet.
-    hanging: Vec<(Ticket, Arc<Told>)>,
+    hanging: Vec<(Ticket, Arc<LoadFlags>)>,
     next: Ticket,
 }
 
@@ -137,7 +137,7 @@ impl Loader {
     /// When the system gives no thread.
     pub(crate) fn start(&mut self, job: Job) -> std::io::Result<Ticket> {
         let (ticket, done) = (self.next, self.results.0.clone());
-        let told = Arc::<Told>::default();
+        let told = Arc::<LoadFlags>::default();
         let own = Arc::clone(&told);
         std::thread::Builder::new().name("loader".into()).spawn(move || {
             // The receiver may have gone.
@@ -170,7 +170,7 @@ impl Loader {
 }
 
 /// Does a load on the calling thread.
-pub(crate) fn work(job: Job, told: &Told) -> Result<Loaded, InputError> {
+pub(crate) fn work(job: Job, told: &LoadFlags) -> Result<Loaded, InputError> {
     match job {
         Job::Model { file, source, preparer, log, period } => {
             let reader = Reader::new(&source, LONGEST_MODEL, told);
@@ -215,12 +215,12 @@ struct Reader<'s> {
     longest: u64,
     /// Number of bytes that may still be read.
     left: Cell<u64>,
-    told: &'s Told,
+    told: &'s LoadFlags,
     taken: RefCell<BTreeMap<PathBuf, String>>,
 }
 
 impl<'s> Reader<'s> {
-    fn new(source: &'s Source, longest: u64, told: &'s Told) -> Self {
+    fn new(source: &'s Source, longest: u64, told: &'s LoadFlags) -> Self {
         Self { source, longest, left: Cell::new(longest), told, taken: RefCell::default() }
     }
 
@@ -317,7 +317,7 @@ mod tests {
     }
 
     fn refused(file: &Path) -> String {
-        match work(Job::Table { table: table(file), source: Source::Named }, &Told::default()) {
+        match work(Job::Table { table: table(file), source: Source::Named }, &LoadFlags::default()) {
             Ok(_) => panic!("{} was read", file.display()),
             Err(error) => error.to_string(),
         }
@@ -350,10 +350,12 @@ mod tests {
         std::fs::remove_file(&file).unwrap();
         let files = BTreeMap::from([(file.clone(), OwnedFd::from(open))]);
         let job = Job::Table { table: table(&file), source: Source::Handed(files) };
-        assert!(matches!(work(job, &Told::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2));
+        assert!(
+            matches!(work(job, &LoadFlags::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2)
+        );
         let job =
             Job::Table { table: table(Path::new("/etc/passwd")), source: Source::Handed(BTreeMap::new()) };
-        let Err(error) = work(job, &Told::default()) else { panic!("read") };
+        let Err(error) = work(job, &LoadFlags::default()) else { panic!("read") };
         assert!(error.to_string().contains("did not come with the request"), "{error}");
     }
 
@@ -373,7 +375,7 @@ mod tests {
             }
             let files = [at("a.run.toml"), at("a.csv")];
             let job = Job::Keep { files, source: Source::Named, spool: spool.clone() };
-            let Err(error) = work(job, &Told::default()) else { panic!("kept") };
+            let Err(error) = work(job, &LoadFlags::default()) else { panic!("kept") };
             assert!(error.to_string().contains(&format!("more than {bound} bytes")), "{error}");
         }
     }
@@ -387,7 +389,7 @@ mod tests {
         for n in 0..HANGING {
             assert!(loader.busy().is_none(), "{n}");
             // A load that hangs in a file system: it is not under way, and its result has not come.
-            let told = Arc::new(Told { reads: true.into(), ..Told::default() });
+            let told = Arc::new(LoadFlags { reads: true.into(), ..LoadFlags::default() });
             loader.hanging.push((1000 + n as Ticket, told));
         }
         assert!(loader.busy().unwrap().contains("have not ended"));
@@ -400,7 +402,7 @@ mod tests {
         // A load that is given up ends without reading anything.
         let Err(error) = work(
             Job::Table { table: table(&file), source: Source::Named },
-            &Told { given_up: true.into(), ..Told::default() },
+            &LoadFlags { given_up: true.into(), ..LoadFlags::default() },
         ) else {
             panic!("read")
         };

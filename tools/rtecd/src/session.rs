@@ -518,7 +518,7 @@ impl Session {
                 return Answer::of(self.correct(axis, *total_counts, *large, control, log));
             }
             ClientRequest::ModelLoad { file, take, expired, files } => {
-                let wanted = loads::Wanted { take: take.clone(), expired: *expired };
+                let wanted = loads::ModelLoad { take: take.clone(), expired: *expired };
                 return self.model_load(file.as_deref(), files, wanted, beside);
             }
             ClientRequest::Jog { axis, display_mm, go_on } => {

@@ -9,7 +9,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use crate::feed::Feed;
-use crate::{SensorConfig, SensorSource, Use, Watch};
+use crate::{SensorConfig, SensorSource, Watch};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -104,19 +104,6 @@ impl Bank {
             watch.offer(now_s, reading);
         }
     }
-
-    /// The worst state of the named sensors, and the sensor that has it.
-    /// It decides what a model that reads them may do now.
-    pub fn usable<'a>(&'a self, names: &[String], now_s: f64) -> (Use, Option<&'a Watch>) {
-        let known = self.sensors.iter().filter(|w| names.contains(&w.config().name));
-        let worst = known.max_by_key(|w| w.usable(now_s));
-        let all = names.iter().all(|n| self.sensors.iter().any(|w| w.config().name == *n));
-        match worst {
-            Some(w) if all => (w.usable(now_s), Some(w)),
-            _ if names.is_empty() => (Use::Good, None),
-            w => (Use::Hold, w),
-        }
-    }
 }
 
 fn number_of(path: &Path) -> Result<f64, String> {
@@ -208,6 +195,7 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 mod tests {
     use super::*;
     use crate::SensorFault;
+    use crate::Use;
     use crate::config::for_test as config;
     use std::io::Write;
     use std::net::{TcpListener, TcpStream};
@@ -256,10 +244,8 @@ mod tests {
         .unwrap();
         bank.poll(0.0);
         bank.poll(5.0);
-        assert_eq!(bank.usable(&["T1".into()], 5.0).0, Use::Good);
-        let (worst, which) = bank.usable(&["T1".into(), "T2".into()], 5.0);
-        assert_eq!((worst, which.unwrap().config().name.as_str()), (Use::Hold, "T2"));
-        assert_eq!(bank.usable(&["T9".into()], 5.0).0, Use::Hold);
+        let states: Vec<Use> = bank.sensors().iter().map(|w| w.usable(5.0)).collect();
+        assert_eq!(states, [Use::Good, Use::Hold]);
     }
 
     #[test]
@@ -291,7 +277,7 @@ mod tests {
             "{:?}",
             bank.sensors()[0].fault()
         );
-        assert_eq!(bank.usable(&["T1".into()], 20.0).0, Use::Hold);
+        assert_eq!(bank.sensors()[0].usable(20.0), Use::Hold);
     }
 
     /// A gateway that loses power leaves its connection open and sends no more lines.

@@ -55,7 +55,6 @@ pub struct AxisSpec {
 
 impl AxisSpec {
     /// A ball-screw axis with a glass scale of 1 µm, rapid traverse 10 m/min.
-    #[must_use]
     pub fn new(name: &'static str, travel_mm: f64) -> Self {
         Self {
             name,

@@ -37,7 +37,6 @@ impl AnyDesign {
     pub const ALL: [Self; 5] = [Self::Original, Self::A, Self::B, Self::C, Self::Ecc];
 
     /// The design's name on the command line.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Original => "original",
@@ -49,13 +48,11 @@ impl AnyDesign {
     }
 
     /// The design of this name.
-    #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|d| d.name() == name)
     }
 
     /// Counts of one insertion.
-    #[must_use]
     pub const fn increment_counts(self) -> i64 {
         match self {
             Self::Original | Self::A | Self::Ecc => 4,
@@ -65,7 +62,6 @@ impl AnyDesign {
     }
 
     /// Whether A and B reach the MTC only through the computer.
-    #[must_use]
     pub const fn through_computer(self) -> bool {
         matches!(self, Self::B)
     }
@@ -142,7 +138,6 @@ impl Gates for Or {
 pub type Edge = (u64, i64);
 
 /// Constant speed for `counts` counts in one direction, starting at `from_ns`.
-#[must_use]
 pub fn constant(from_ns: u64, encoder_hz: f64, counts: u64, direction: i64) -> Vec<Edge> {
     let period_ns = 0.25e9 / encoder_hz;
     (0..counts).map(|n| (from_ns + (n as f64 * period_ns) as u64, direction)).collect()
@@ -150,7 +145,6 @@ pub fn constant(from_ns: u64, encoder_hz: f64, counts: u64, direction: i64) -> V
 
 /// A move of `counts` counts and back, with `rest_ns` in between.
 /// Each way starts from rest, reaches `encoder_hz`, and ends at rest. The acceleration is in counts/s².
-#[must_use]
 pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_ns: u64) -> Vec<Edge> {
     let mut edges = Vec::new();
     let mut from_ns = rest_ns;
@@ -359,7 +353,6 @@ pub struct BenchResult {
 
 impl BenchResult {
     /// Counts of the MTC beyond scale and completed total: zero, or an error.
-    #[must_use]
     pub const fn error_counts(&self) -> i64 {
         self.mtc - self.scale - self.completed
     }
@@ -367,7 +360,6 @@ impl BenchResult {
 
 impl BenchRun<'_> {
     /// A run with the axis at rest at A = B = low, no requests, no stop, speed gate on.
-    #[must_use]
     pub fn new(design: AnyDesign, computer: &Computer) -> BenchRun<'_> {
         BenchRun {
             design,
@@ -385,7 +377,6 @@ impl BenchRun<'_> {
     }
 
     /// The axis's configuration for this design and computer.
-    #[must_use]
     pub fn config(&self) -> AxisConfig {
         let config = self.computer.configure(self.config);
         let config = match self.design {
@@ -405,7 +396,6 @@ impl BenchRun<'_> {
     }
 
     /// Runs it. `None` if the computer is too slow for this axis at any speed.
-    #[must_use]
     pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
@@ -515,7 +505,6 @@ impl BenchRun<'_> {
 }
 
 /// The configuration, changed so that an axis at rest is corrected too.
-#[must_use]
 pub fn insert_at_rest(config: AxisConfig) -> AxisConfig {
     AxisConfig { rest: RestPolicy::Insert { after_ns: 1_000_000 }, ..config }
 }

@@ -36,7 +36,6 @@ impl Computer {
     /// It takes 4 µs from recognising "A&B low" until a pulse can be added. Pulses are 2 µs wide and overlap by half
     /// (3 µs for the pair), with 2 µs after them (NISTIR 4832, The "Original RTEC"). A pass of Design B is some ten
     /// instructions of one microsecond.
-    #[must_use]
     pub fn i8051() -> Self {
         Self {
             name: "8051, 12 MHz".into(),
@@ -52,7 +51,6 @@ impl Computer {
     /// A digital signal processor of 1992, ten times as fast as the 8051.
     /// (NISTIR 4832, Design B) It runs at 20 MHz, with 100 ns an instruction and byte-wide I/O that needs masking.
     /// Steps are as long as a 1 MHz decoder needs.
-    #[must_use]
     pub fn dsp() -> Self {
         Self {
             name: "DSP, 100 ns an instruction".into(),
@@ -115,13 +113,11 @@ impl Computer {
     }
 
     /// Worst time until the next look, ns.
-    #[must_use]
     pub fn worst_look_ns(&self) -> u64 {
         at_share(&self.looks, TAIL)
     }
 
     /// An axis's configuration with this computer's times for the speed gate.
-    #[must_use]
     pub fn configure(&self, config: AxisConfig) -> AxisConfig {
         AxisConfig {
             min_separation_ns: self.step_ns,

@@ -40,7 +40,6 @@ impl Default for TestMotion {
 
 impl TestMotion {
     /// The scale's edges during this motion.
-    #[must_use]
     pub fn edges(&self) -> Vec<Edge> {
         there_and_back(self.encoder_hz, self.accel_counts_s2, self.counts, self.rest_ns)
     }
@@ -121,7 +120,6 @@ pub struct Comparison {
 }
 
 /// Runs every design on the same motion and computer.
-#[must_use]
 pub fn compare(computer: &Computer, motion: TestMotion, seed: u64) -> Comparison {
     let designs = AnyDesign::ALL.map(|d| row(d, computer, &motion, seed)).into();
     Comparison { designs, motion, timing: computer.clone() }
@@ -172,19 +170,7 @@ fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -
 /// Whether the design is safe at this encoder frequency.
 /// Corrections of both signs must be served in full in both directions. The MTC must see no illegal
 /// transition, no edge closer than its separation, no wrong count, and phases of 90°.
-#[must_use]
 pub fn safe_at(
-    design: AnyDesign,
-    computer: &Computer,
-    config: AxisConfig,
-    encoder_hz: f64,
-    seed: u64,
-) -> bool {
-    safe_with(design, computer, config, Pll::default(), encoder_hz, seed)
-}
-
-/// As [`safe_at`], with the ECC's PLL.
-fn safe_with(
     design: AnyDesign,
     computer: &Computer,
     config: AxisConfig,
@@ -224,13 +210,11 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
 
 /// Lowest and highest encoder frequency at which the design is safe, Hz.
 /// Found by bisection to 0.1 %; (0, 0) if there is none.
-#[must_use]
 pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, seed: u64) -> (f64, f64) {
     safe_range_of(design, computer, config, Pll::default(), seed)
 }
 
 /// As [`safe_range`], with the ECC's PLL.
-#[must_use]
 pub fn safe_range_of(
     design: AnyDesign,
     computer: &Computer,
@@ -238,7 +222,7 @@ pub fn safe_range_of(
     pll: Pll,
     seed: u64,
 ) -> (f64, f64) {
-    let safe = |hz: f64| safe_with(design, computer, config, pll, hz, seed);
+    let safe = |hz: f64| safe_at(design, computer, config, pll, hz, seed);
     // From the lowest frequency of interest upwards; the ECC is not safe at the slow end.
     let from = [100.0, 10_000.0].into_iter().find(|&hz| safe(hz));
     let Some(from) = from else { return (0.0, 0.0) };
@@ -255,7 +239,6 @@ pub fn safe_range_of(
 }
 
 /// Whether corrections are exact and legal at rest in this state.
-#[must_use]
 pub fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
     let config = insert_at_rest(config);
@@ -310,7 +293,6 @@ fn death(run: &BenchRun<'_>) -> Death {
 
 impl Death {
     /// The same in words, for the table.
-    #[must_use]
     pub fn in_words(&self) -> String {
         let after = |follows: f64| {
             if (follows - 1.0).abs() < 0.01 {
@@ -334,7 +316,6 @@ impl Death {
 
 impl Comparison {
     /// The comparison as a table.
-    #[must_use]
     pub fn to_table(&self) -> String {
         let m = &self.motion;
         let mut s = format!(
@@ -376,7 +357,6 @@ impl Comparison {
 
 /// Waveforms of one design as an SVG: A, B, A', B' and the MTC's count.
 /// The design adds `pulses` increments, then removes them (NISTIR 4832, figure 2; CMTI 2014, figures 8 and 9).
-#[must_use]
 pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String {
     let increments = pulses * design.increment_counts();
     let counts = 8 * (increments as u64) + 40;
@@ -390,7 +370,7 @@ pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String 
 
 /// One signal of a timing diagram, with its name, from left to right.
 /// Low is at `base`, and changes are (x, level).
-pub(crate) fn trace(
+pub fn trace(
     (name, colour): (&str, &str),
     (left, right, base): (f64, f64, f64),
     changes: impl Iterator<Item = (f64, bool)>,

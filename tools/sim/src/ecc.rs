@@ -10,7 +10,7 @@
 //! | direction detector and corrector (fig. 7) | the last count's direction decides which way a tick counts |
 //! | full adder, counter, comparator | after twice the compensation value in pulses the encoder's own are passed again |
 //! | acknowledgement, 4-bit value | the controller requests at most 15 pulses at a time and books them when acknowledged |
-//! | X/Z, S1, S0 (table 1), ACK | [`ControlLines`]; two circuits behind one controller: [`crate::ecc_board`] |
+//! | X/Z, S1, S0 (table 1), ACK | [`ControlLines`]; two circuits behind one controller: the papers' `ecc_board` |
 //!
 //! The PLL is a behavioural model of the paper's measurements, not of its parts.
 
@@ -201,7 +201,6 @@ impl Ecc {
     /// Adds a controller that requests only compensations sure to end well.
     /// The axis must never accelerate by more than this, counts/s². The paper's circuit miscounts when its
     /// PLL loses lock or the axis reverses in the middle.
-    /// lock or the axis reverses in the middle.
     #[must_use]
     pub fn guarded(mut self, accel_counts_s2: f64) -> Self {
         self.accel_counts_s2 = Some(accel_counts_s2.max(1.0));
@@ -230,7 +229,6 @@ impl Ecc {
 
     /// Every change of the controller's lines and of the acknowledgement.
     /// Each has its time (ns) and the new state.
-    #[must_use]
     pub fn lines_log(&self) -> &[(u64, ControlLines)] {
         &self.lines_log
     }
@@ -243,20 +241,17 @@ impl Ecc {
     }
 
     /// Number of acknowledgements, that is of completed compensations.
-    #[must_use]
     pub fn acknowledged(&self) -> u64 {
         self.acknowledged
     }
 
     /// Largest deviation from 90° between two edges of a split pulse, degrees of phase.
     /// At 180° the edges have changed places; larger values are not phases.
-    #[must_use]
     pub fn worst_phase_deg(&self) -> f64 {
         self.worst_phase_deg
     }
 
     /// Shortest and longest time of one pulse, a cycle of the encoder, ns.
-    #[must_use]
     pub fn pulse_ns(&self) -> Option<(u64, u64)> {
         self.pulse_ns
     }

@@ -141,20 +141,17 @@ const FOLDERS: [&str; 2] = ["records", "holdout"];
 
 impl Example {
     /// The example of this name.
-    #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
         EXAMPLES.iter().find(|e| e.name == name)
     }
 
     /// Whether it has its own runs; otherwise `rtec-papers` runs the whole.
-    #[must_use]
     pub fn has_runs(&self) -> bool {
         self.runs.iter().any(|runs| !runs.is_empty())
     }
 
     /// The command that runs a source's experiment from start to end.
     /// It runs in the example's folder, and README.md names it.
-    #[must_use]
     pub fn experiment(&self) -> Option<&'static str> {
         self.files.iter().flat_map(|f| f.1.lines()).map(str::trim).find(|l| l.starts_with("rtec-papers "))
     }

@@ -107,24 +107,24 @@ pub struct Experiment {
     /// Its description in one line.
     pub what: &'static str,
     /// Its own machine, if a source describes one.
-    pub own: Option<Own>,
+    pub own: Option<OwnMachine>,
     run: Run,
 }
 
 /// An experiment's own machine.
 #[derive(Debug, Clone, Copy)]
-pub struct Own {
+pub struct OwnMachine {
     file: &'static str,
     /// Whether another machine would make it another experiment.
     pub fixed: bool,
 }
 
 /// The turning centre of NISTIR 4832; the results depend on its one error.
-const NIST_4832: Option<Own> = Some(Own { file: "4832-machine.toml", fixed: true });
+const NIST_4832: Option<OwnMachine> = Some(OwnMachine { file: "4832-machine.toml", fixed: true });
 /// The turning centre of NISTIR 4854.
-const NIST_4854: Option<Own> = Some(Own { file: "4854-machine.toml", fixed: false });
+const NIST_4854: Option<OwnMachine> = Some(OwnMachine { file: "4854-machine.toml", fixed: false });
 /// The machining centre of WO 97/43703.
-const WO_97: Option<Own> = Some(Own { file: "wo97-machine.toml", fixed: false });
+const WO_97: Option<OwnMachine> = Some(OwnMachine { file: "wo97-machine.toml", fixed: false });
 
 impl Experiment {
     /// Runs it.
@@ -150,7 +150,6 @@ impl Experiment {
     }
 
     /// The experiment of this name.
-    #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
         EXPERIMENTS.iter().find(|e| e.name == name)
     }

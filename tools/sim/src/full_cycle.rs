@@ -25,7 +25,6 @@ const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
 /// The speed gate for four inversions.
 /// `None` if no speed leaves time for an insertion.
-#[must_use]
 pub fn gate(config: &AxisConfig) -> Option<Gate> {
     Gate::new(GateInput {
         max_accel_counts_s2: config.max_accel_counts_s2,
@@ -266,7 +265,6 @@ impl FullCycle {
     }
 
     /// The present status.
-    #[must_use]
     pub fn status(&self) -> Status {
         let mut axes = [AxisStatus::default(); MAX_AXES];
         for (status, axis) in axes.iter_mut().zip(&self.axes) {

@@ -120,7 +120,6 @@ impl Default for Network {
 impl Network {
     /// Another machine of the same build.
     /// Each property has a factor of its own, drawn from `factor`.
-    #[must_use]
     pub fn drawn(factor: &mut impl FnMut() -> f64) -> Self {
         let mut drawn = Self::default();
         let Self { capacity, conductance, wet, watt } = &mut drawn;
@@ -153,7 +152,6 @@ const STEP_S: f64 = 1.0;
 impl Heat {
     /// A machine that has stood overnight in a hall of this temperature.
     /// Its sensors have noise of `noise_k`, K.
-    #[must_use]
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
         let mut heat = Self {
             network: Network::default(),
@@ -226,13 +224,11 @@ impl Heat {
     }
 
     /// Readings of the sensors, °C, in the order of [`SENSORS`].
-    #[must_use]
     pub fn readings_degc(&self) -> &[f64] {
         &self.readings
     }
 
     /// Temperature of a mass, °C.
-    #[must_use]
     pub fn degc(&self, node: Node) -> f64 {
         self.temperature[node as usize]
     }

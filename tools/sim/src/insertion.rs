@@ -16,26 +16,26 @@ use rtec_rt::event::{AxisStatus, Event, Request};
 /// The MTC's decoder, with the time of each change.
 /// Changes at one instant are one change to it: A and B at once are an illegal transition, in either order.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct MtcDecoder {
+pub struct MtcDecoder {
     now: Decoder,
     /// The decoder before the changes of the last instant.
     before: Decoder,
     last_ns: Option<u64>,
     /// Shortest time between two changes, ns.
     /// `u64::MAX` before the second change.
-    pub(crate) min_separation_ns: u64,
+    pub min_separation_ns: u64,
 }
 
 impl MtcDecoder {
     /// A decoder at rest in this state.
-    pub(crate) const fn new(state: State) -> Self {
+    pub const fn new(state: State) -> Self {
         let now = Decoder::new(state);
         Self { now, before: now, last_ns: None, min_separation_ns: u64::MAX }
     }
 
     /// Takes a change of A and B to this state.
     #[inline]
-    pub(crate) fn update(&mut self, t_ns: u64, state: State) {
+    pub fn update(&mut self, t_ns: u64, state: State) {
         if let Some(last_ns) = self.last_ns.replace(t_ns) {
             self.min_separation_ns = self.min_separation_ns.min(t_ns - last_ns);
             if t_ns == last_ns {
@@ -47,7 +47,7 @@ impl MtcDecoder {
     }
 
     /// The decoder with its count.
-    pub(crate) const fn decoder(&self) -> &Decoder {
+    pub const fn decoder(&self) -> &Decoder {
         &self.now
     }
 }
@@ -147,7 +147,6 @@ pub enum GateDesign {
 
 impl GateDesign {
     /// Counts of one insertion.
-    #[must_use]
     pub const fn increment_counts(self) -> i64 {
         match self {
             Self::Original | Self::A => 4,

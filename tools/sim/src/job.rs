@@ -236,7 +236,6 @@ pub fn run(
 
 /// Pairs the trips of axis 0 (Z) and 1 (X) by their time.
 /// Positions are of the scale's edges: a whole number is the boundary below a count.
-#[must_use]
 pub fn captured(events: &[Event]) -> Captured {
     struct Open {
         trip_ns: (u64, u64),

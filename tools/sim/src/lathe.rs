@@ -175,7 +175,6 @@ pub struct Move {
 }
 
 /// The probe's path as moves of the machine.
-#[must_use]
 pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
     records
         .windows(2)
@@ -196,7 +195,6 @@ pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
 pub const BEYOND_RAD: f64 = 0.025;
 
 /// One pass around the nose with a single arc, as by `G02`.
-#[must_use]
 pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
     let segment =
         Segment::Arc { centre, radius_mm, start_rad: -BEYOND_RAD, sweep_rad: FRAC_PI_2 + 2.0 * BEYOND_RAD };
@@ -442,7 +440,6 @@ pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: 
 }
 
 /// The design of this name, if it can correct the lathe: `original`, `a` or `c`.
-#[must_use]
 pub fn design(name: &str) -> Option<GateDesign> {
     match name {
         "original" => Some(GateDesign::Original),
@@ -453,7 +450,6 @@ pub fn design(name: &str) -> Option<GateDesign> {
 }
 
 /// Counts of Z and of X on this bench, for a design's increment.
-#[must_use]
 pub fn axes(bench: &Bench, design: GateDesign) -> [AxisCounts; 2] {
     [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]
 }

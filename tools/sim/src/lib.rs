@@ -7,7 +7,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
-//! | [`ecc`], [`ecc_board`] | the Error Correction Circuit of CMTI (2014); two of them behind one controller |
+//! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
 //! | [`mod@bench`] | one axis in motion with any design on any computer, and the count at the MTC |
 //! | [`insertion`] | the interface of every insertion design, and the designs for a whole machine |
 //! | [`full_cycle`] | the Original RTEC and Design A: four counts an insertion |
@@ -43,7 +43,6 @@ pub mod described;
 pub mod designs;
 pub mod duty;
 pub mod ecc;
-pub mod ecc_board;
 mod errors;
 #[cfg(feature = "experiments")]
 pub mod example;

@@ -135,7 +135,6 @@ impl std::fmt::Debug for SimMachine {
 impl SimMachine {
     /// A machine at rest at `at_mm` (X, Y, Z).
     /// Its axes are `x`, `y` or `z`, in any order.
-    #[must_use]
     pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
         let place: Vec<usize> =
             axes.iter().map(|a| ["x", "y", "z"].iter().position(|n| *n == a.name).unwrap_or(0)).collect();
@@ -181,26 +180,22 @@ impl SimMachine {
     }
 
     /// Highest count rate of its scales, counts/s.
-    #[must_use]
     pub fn fastest_counts_s(&self) -> f64 {
         let speeds = self.axes.iter().map(|a| a.spec.speed_mm_s * 1000.0 / a.spec.count_um);
         speeds.fold(1.0, f64::max)
     }
 
     /// Number of axes.
-    #[must_use]
     pub fn axis_count(&self) -> usize {
         self.axes.len()
     }
 
     /// The card's lines of every axis, with A' and B' read back.
-    #[must_use]
     pub fn lines(&self) -> &[AxisLines] {
         &self.lines
     }
 
     /// The machine's own lines.
-    #[must_use]
     pub const fn machine_lines(&self) -> MachineLines {
         MachineLines::standard()
     }
@@ -216,128 +211,107 @@ impl SimMachine {
     }
 
     /// Number of blocks begun so far.
-    #[must_use]
     pub const fn blocks_begun(&self) -> usize {
         self.begun
     }
 
     /// Whether no block is under way or waiting.
-    #[must_use]
     pub fn finished(&self) -> bool {
         self.program.is_empty() && self.jog.is_none() && self.job == Job::Idle
     }
 
     /// The controller's axis (0 X, 1 Y, 2 Z) of the machine's n-th axis.
-    #[must_use]
     pub fn place(&self, axis: usize) -> usize {
         self.place[axis]
     }
 
     /// Size of one count of an axis, µm.
-    #[must_use]
     pub fn count_um(&self, axis: usize) -> f64 {
         self.axes[axis].spec.count_um
     }
 
     /// Time of the simulation, ns.
-    #[must_use]
     pub const fn now_ns(&self) -> u64 {
         self.t_ns
     }
 
     /// Edges of all scales so far.
-    #[must_use]
     pub const fn edges(&self) -> u64 {
         self.edges
     }
 
     /// Reason why the controller stopped, if it did.
-    #[must_use]
     pub const fn fault(&self) -> Option<ServoFault> {
         self.fault
     }
 
     /// The controller's present command.
-    #[must_use]
     pub const fn command(&self) -> Command {
         self.command
     }
 
     /// Spindle speed, rpm.
-    #[must_use]
     pub const fn rpm(&self) -> f64 {
         self.rpm
     }
 
     /// Whether coolant is on.
-    #[must_use]
     pub const fn coolant(&self) -> bool {
         self.coolant
     }
 
     /// Position of an axis's table by its scale, not quantised, mm.
-    #[must_use]
     pub fn position_mm(&self, axis: usize) -> f64 {
         self.axes[axis].position_mm(self.t_ns)
     }
 
     /// Velocity of the table of an axis, mm/s.
-    #[must_use]
     pub fn velocity_mm_s(&self, axis: usize) -> f64 {
         self.axes[axis].velocity_mm_s()
     }
 
     /// Acceleration of the table of an axis, mm/s².
-    #[must_use]
     pub fn acceleration_mm_s2(&self, axis: usize) -> f64 {
         self.axes[axis].accel_mm_s2
     }
 
     /// Force of an axis's drive, N.
-    #[must_use]
     pub fn force_n(&self, axis: usize) -> f64 {
         self.axes[axis].force_n
     }
 
     /// Direction of an axis's last motion of more than three counts.
-    #[must_use]
     pub fn direction(&self, axis: usize) -> f64 {
         self.axes[axis].direction
     }
 
     /// Position of an axis by the controller's count, mm.
-    #[must_use]
     pub fn counted_mm(&self, axis: usize) -> f64 {
         self.axes[axis].counted_mm()
     }
 
     /// Counts to the MTC minus counts of the scale, since the start.
-    #[must_use]
     pub fn mtc_minus_scale(&self, axis: usize) -> i64 {
         self.axes[axis].mtc.count() - self.axes[axis].scale_count()
     }
 
     /// The MTC's count since the start.
-    #[must_use]
     pub fn mtc_counts(&self, axis: usize) -> i64 {
         self.axes[axis].mtc.count()
     }
 
     /// Illegal transitions that the MTC has seen.
-    #[must_use]
     pub fn illegal(&self, axis: usize) -> u64 {
         self.axes[axis].mtc.illegal()
     }
 
     /// Shortest time between two edges at the MTC so far, ns.
-    #[must_use]
     pub fn min_separation_ns(&self, axis: usize) -> u64 {
         self.axes[axis].min_separation_ns
     }
 
     /// Scale count at the machine's zero at the start.
     /// Position in counts minus this is the count since the start.
-    #[must_use]
     pub fn origin_counts(&self, axis: usize) -> i64 {
         self.axes[axis].origin
     }
@@ -349,12 +323,6 @@ impl SimMachine {
     /// Sets the tool's deviation from the scales' position, mm.
     pub fn set_tool_offset_mm(&mut self, offset_mm: [f64; AXES]) {
         self.tool_offset_mm = offset_mm;
-    }
-
-    /// Time from contact to the probe's line, ns.
-    #[must_use]
-    pub const fn probe_delay_ns(&self) -> u64 {
-        self.probe_delay_ns
     }
 
     /// Sets the part that the probe may touch, and the delay from contact to line, ns.
@@ -375,13 +343,11 @@ impl SimMachine {
 
     /// Number of the probe's trips, and the axes' positions at the last trip.
     /// Positions are X, Y, Z by the scales, mm.
-    #[must_use]
     pub const fn trips(&self) -> (usize, [f64; AXES]) {
         self.trips
     }
 
     /// Position of the tool (or the probe's tip) at the present time, X, Y, Z, mm.
-    #[must_use]
     pub fn tool_mm(&self) -> [f64; AXES] {
         self.tool_at(self.t_ns)
     }
@@ -395,7 +361,6 @@ impl SimMachine {
     }
 
     /// Whether the engine's line requests feed hold.
-    #[must_use]
     pub const fn held(&self) -> bool {
         self.hold
     }
@@ -665,7 +630,6 @@ impl SimMachine {
     }
 
     /// Present levels of the input lines.
-    #[must_use]
     pub const fn inputs(&self) -> u64 {
         self.inputs
     }

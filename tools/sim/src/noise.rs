@@ -9,7 +9,6 @@ pub struct Noise(Xoshiro256PlusPlus);
 
 impl Noise {
     /// The stream of a seed; `stream` separates several uses of one seed.
-    #[must_use]
     pub fn new(seed: u64, stream: u64) -> Self {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15)))
     }

@@ -83,7 +83,6 @@ pub struct FeedProfile {
 
 impl FeedProfile {
     /// The fastest motion within the limits.
-    #[must_use]
     pub fn new(length_mm: f64, limits: Limits) -> Self {
         let jerk_mm_s3 = limits.jerk_mm_s3;
         let ramps = |v: f64| [limits.accel_mm_s2, limits.decel_mm_s2].map(|a| Ramp::new(v, a, jerk_mm_s3));
@@ -104,13 +103,11 @@ impl FeedProfile {
     }
 
     /// Time from rest to rest, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.up.whole_s + self.cruise_s + self.down.whole_s
     }
 
     /// State of the motion `t_s` after its start.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> Along {
         let total_s = self.duration_s();
         let up_s = self.up.whole_s;
@@ -173,7 +170,6 @@ pub enum MoveShape {
 
 impl MoveShape {
     /// Length of the path, mm.
-    #[must_use]
     pub fn length_mm(&self) -> f64 {
         match self {
             Self::Line { from, to } => {
@@ -187,7 +183,6 @@ impl MoveShape {
     }
 
     /// Speed at which an arc's centripetal acceleration is at a limit, mm/s.
-    #[must_use]
     pub fn speed_limit_mm_s(&self, accel_mm_s2: f64) -> f64 {
         match self {
             Self::Line { .. } => f64::INFINITY,
@@ -196,7 +191,6 @@ impl MoveShape {
     }
 
     /// State of all axes at a position along the path.
-    #[must_use]
     pub fn at(&self, along: Along) -> Command {
         let length = self.length_mm();
         let Along { s_mm: s, v_mm_s: v, a_mm_s2: a } = along;

@@ -49,7 +49,6 @@ pub struct ReplayOutcome {
 
 impl ReplayOutcome {
     /// Whether the MTC's count minus the scale's equals the completed total.
-    #[must_use]
     pub fn balanced(&self) -> bool {
         self.counts_out - self.counts_in == self.completed
     }

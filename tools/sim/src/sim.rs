@@ -7,7 +7,7 @@ use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
 use crate::heat::{Heat, Network};
 use crate::insertion::GateDesign;
-use crate::machine::{ControllerSpec, ServoFault, SimMachine, Surface};
+use crate::machine::{ControllerSpec, ServoFault, SimMachine};
 use crate::path::{AXES, Command};
 use rtec_correct::AxisSetup;
 use rtec_driver::card::CardError;
@@ -17,7 +17,7 @@ use rtec_model::live::Live;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
-use rtec_rt::event::{Capture, Event, EventKind, Fault, Request, Status};
+use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
 
 pub use crate::control::CONTROL_NS;
 
@@ -44,19 +44,16 @@ pub struct Spec {
 
 impl Spec {
     /// The machining centre of WO 97/43703: X 24 in, Y 28 in, Z 60 in.
-    #[must_use]
     pub fn machining_centre() -> Self {
         Self::new(vec![AxisSpec::new("x", 609.6), AxisSpec::new("y", 711.2), AxisSpec::new("z", 1524.0)])
     }
 
     /// The turning centre of NISTIR 4832: X and Z, 1 µm scales.
-    #[must_use]
     pub fn turning_centre() -> Self {
         Self::new(vec![AxisSpec::new("x", 400.0), AxisSpec::new("z", 1000.0)])
     }
 
     /// A machine with these axes, corrected by Design C, also at rest.
-    #[must_use]
     pub fn new(axes: Vec<AxisSpec>) -> Self {
         Self {
             axes,
@@ -148,16 +145,6 @@ pub enum SimError {
     },
 }
 
-/// Captured position at a trip of the probe.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CapturedPosition {
-    /// Position of X, Y, Z by the scales, mm.
-    /// It is interpolated between the edges before and after the trip.
-    pub position_mm: [f64; AXES],
-    /// Half width of its interval, mm.
-    pub within_mm: [f64; AXES],
-}
-
 /// State of the machine at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
@@ -192,7 +179,6 @@ pub struct Moment {
 impl Moment {
     /// The tool's deviation from its position by the controller, µm.
     /// It is the machine's error minus the inserted correction.
-    #[must_use]
     pub fn off_um(&self, axis: usize) -> f64 {
         self.error_um[axis] - self.inserted_um[axis]
     }
@@ -209,10 +195,8 @@ pub struct Sim {
     control_ns: u64,
     next_control_ns: u64,
     events: Vec<Event>,
-    trips: [Option<Capture>; AXES],
     /// Load on X, Y, Z, N, set by the simulated cut.
     pub load_n: [f64; AXES],
-    probing: bool,
 }
 
 impl Sim {
@@ -250,9 +234,7 @@ impl Sim {
             control_ns: CONTROL_NS,
             next_control_ns: CONTROL_NS,
             events: Vec::new(),
-            trips: [None; AXES],
             load_n: [0.0; AXES],
-            probing: false,
         };
         sim.act();
         Ok(sim)
@@ -270,27 +252,18 @@ impl Sim {
     }
 
     /// Names of the logged channels.
-    #[must_use]
     pub fn channel_names(&self) -> &[String] {
         self.errors.channel_names()
     }
 
     /// Values of the logged channels.
-    #[must_use]
     pub fn channels(&self) -> &[f64] {
         self.errors.channels()
     }
 
     /// Readings of the temperature sensors, °C, ordered as [`crate::heat::SENSORS`].
-    #[must_use]
     pub fn temperatures_degc(&self) -> &[f64] {
         self.errors.heat.readings_degc()
-    }
-
-    /// The heat in the machine.
-    #[must_use]
-    pub fn heat(&self) -> &Heat {
-        &self.errors.heat
     }
 
     /// Sets the temperature of the hall, at once, °C.
@@ -299,13 +272,11 @@ impl Sim {
     }
 
     /// Reasons why axes do not follow the model now; empty if all follow.
-    #[must_use]
     pub fn holding(&self) -> Vec<String> {
         self.control.as_ref().map_or_else(Vec::new, Control::holding)
     }
 
     /// The engine's status at this moment.
-    #[must_use]
     pub fn status(&self) -> Status {
         self.corrected.status()
     }
@@ -366,17 +337,11 @@ impl Sim {
         self.finish()
     }
 
-    /// Turns events into trips and errors.
+    /// Turns events into errors.
     fn digest(&mut self) -> Result<(), SimError> {
         for event in self.events.drain(..) {
-            match (event.kind, event.axis) {
-                (EventKind::Fault(fault), _) => {
-                    return Err(SimError::Engine { t_s: event.t_ns as f64 * 1e-9, fault });
-                }
-                (EventKind::Trip(capture), Some(axis)) => {
-                    self.trips[self.machine.place(usize::from(axis))] = Some(capture);
-                }
-                _ => {}
+            if let EventKind::Fault(fault) = event.kind {
+                return Err(SimError::Engine { t_s: event.t_ns as f64 * 1e-9, fault });
             }
         }
         match self.machine.fault() {
@@ -452,26 +417,6 @@ impl Sim {
         now
     }
 
-    /// Switches probing mode on or off.
-    /// While it is on, nothing is inserted, and the engine captures positions at the probe's trip. `surface`
-    /// is the part that can be touched.
-    ///
-    /// # Errors
-    /// The simulated card failed.
-    pub fn probe(&mut self, surface: Option<Surface>) -> Result<(), SimError> {
-        self.probing = surface.is_some();
-        let events = &mut self.events;
-        let mut report = |e: Event| {
-            events.push(e);
-            true
-        };
-        self.corrected.take(Request::Probe(self.probing), &mut self.machine, &mut report)?;
-        let delay_ns = self.machine.probe_delay_ns();
-        self.machine.set_surface(surface, delay_ns);
-        self.trips = [None; AXES];
-        Ok(())
-    }
-
     /// Switches feed hold on or off, as an operator's request to the engine.
     ///
     /// # Errors
@@ -484,33 +429,5 @@ impl Sim {
         };
         self.corrected.take(Request::Hold { on, by: 0 }, &mut self.machine, &mut report)?;
         Ok(())
-    }
-
-    /// Runs blocks in probing mode; returns their first trip, if there was one.
-    ///
-    /// # Errors
-    /// As [`Sim::advance`].
-    pub fn touch(
-        &mut self,
-        blocks: impl IntoIterator<Item = Block>,
-    ) -> Result<Option<CapturedPosition>, SimError> {
-        self.trips = [None; AXES];
-        self.machine.load(blocks);
-        while !self.machine.finished() {
-            self.advance_by_ns(CONTROL_NS)?;
-        }
-        // A capture is complete at the next edge, or once the axis has been at rest for a tenth of a second.
-        self.advance_by_ns(12 * CONTROL_NS)?;
-        let mut trip = CapturedPosition { position_mm: self.machine.command().p_mm, within_mm: [0.0; AXES] };
-        for n in 0..self.machine.axis_count() {
-            let (p, count_um) = (self.machine.place(n), self.machine.count_um(n));
-            let Some(capture) = self.trips[p] else { return Ok(None) };
-            let (counts, within) = capture.position_counts();
-            // Edges are half a count from the positions of the counts.
-            let position = counts - 0.5;
-            trip.position_mm[p] = position * count_um / 1000.0;
-            trip.within_mm[p] = within * count_um / 1000.0;
-        }
-        Ok(Some(trip))
     }
 }

@@ -162,7 +162,6 @@ impl StrokeMotion {
 
 /// Axes on these lines, at rest at zero until cycle start.
 /// A probe is in the middle of the first axis's stroke.
-#[must_use]
 pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (MovingAxes, Operator) {
     // Such a controller accepts any feedback, at any rate and with any deviation.
     let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };

@@ -68,7 +68,6 @@ impl DesignB {
     }
 
     /// The speed gate: time for edge, separation, step and its separation.
-    #[must_use]
     pub fn gate(config: &AxisConfig) -> Option<Gate> {
         let step_ns = config.write_ns + config.min_separation_ns;
         Gate::new(GateInput {

@@ -213,7 +213,6 @@ pub struct TurningOutcome {
 
 impl TurningOutcome {
     /// Whether the controller's count minus the scales' equals the completed totals.
-    #[must_use]
     pub fn balanced(&self) -> bool {
         self.mtc_minus_scale == self.completed
     }
@@ -230,13 +229,11 @@ impl Setup {
     }
 
     /// The cut to a radius.
-    #[must_use]
     pub fn cut(&self, radius_mm: f64) -> FinishCut {
         FinishCut { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
     }
 
     /// A part before the semi-finish cut.
-    #[must_use]
     pub fn raw(&self) -> Workpiece {
         Workpiece::raw(self.centre, self.radius_mm + self.allowance_mm + 1.0)
     }
@@ -290,7 +287,6 @@ impl Setup {
     }
 
     /// The plan of a probing session on the nose.
-    #[must_use]
     pub fn plan(&self, radius_mm: f64) -> Plan {
         let contour = nose(self.centre, radius_mm);
         let mut plan = Plan::new(Probe {

@@ -65,7 +65,6 @@ impl<A: Attended> Station<A> {
 impl<A: Attended> MachineWires<A> {
     /// Machines, each with the card's lines of its axes.
     /// Feed hold and probe are common to all.
-    #[must_use]
     pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {
         let stations: Vec<_> =
             machines.into_iter().map(|(attended, lines)| Station { attended, lines }).collect();

@@ -34,13 +34,11 @@ const STEPS: usize = 3263;
 
 impl Workpiece {
     /// A raw part: a circle around `centre` (part coordinates) with this radius, mm.
-    #[must_use]
     pub fn raw(centre: Zx, radius_mm: f64) -> Self {
         Self { centre, radius_mm: vec![radius_mm; STEPS] }
     }
 
     /// Radius at an angle.
-    #[must_use]
     pub fn radius_mm(&self, angle_rad: f64) -> f64 {
         let at = ((angle_rad - LOW_RAD) / STEP_RAD - 0.5).clamp(0.0, (STEPS - 2) as f64);
         let (k, part) = (at as usize, at.fract());
@@ -48,14 +46,12 @@ impl Workpiece {
     }
 
     /// Distance of a position (part coordinates) from the surface, mm; negative inside.
-    #[must_use]
     pub fn distance_mm(&self, at: Zx) -> f64 {
         let p = at - self.centre;
         p.norm() - self.radius_mm(p.angle_rad())
     }
 
     /// Errors of the surface from the nominal circle, as by a measuring machine.
-    #[must_use]
     pub fn truth(&self, radius_mm: f64, number: usize) -> Vec<PointError> {
         (0..number)
             .map(|k| {
@@ -70,7 +66,6 @@ impl Workpiece {
     }
 
     /// The workpiece as CSV: radii at even steps of angle around one centre.
-    #[must_use]
     pub fn to_csv(&self) -> String {
         let mut text = "centre_z_mm,centre_x_mm,radius_mm\n".to_owned();
         for r in &self.radius_mm {
@@ -94,7 +89,6 @@ impl Workpiece {
     }
 
     /// A workpiece from stored radii; `None` if their number is wrong.
-    #[must_use]
     pub fn from_radii(centre: Zx, radius_mm: Vec<f64>) -> Option<Self> {
         (radius_mm.len() == STEPS && radius_mm.iter().all(|r| r.is_finite()))
             .then_some(Self { centre, radius_mm })

@@ -9,6 +9,7 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, BenchRun, constant, insert_at_rest};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{safe_at, served_at_rest};
+use rtec_sim::ecc::Pll;
 use rtec_sim::experiment::one_metre;
 use rtec_sim::gcode::Block;
 use rtec_sim::sim::Sim;
@@ -143,7 +144,8 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         "to pass the signals alone a pass within the 2.5 µs between two transitions is enough, and the 8051's pass is taken as \
          ten instructions of a microsecond; corrections need more, see the next row",
     );
-    let corrects = |c: &Computer| safe_at(AnyDesign::B, c, AxisConfig::default(), 100_000.0, 1);
+    let corrects =
+        |c: &Computer| safe_at(AnyDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1);
     let corrected = slowest(&corrects);
     rows.number(
         (place, "the same with corrections inserted between two transitions", "times"),
@@ -152,7 +154,8 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         Agreement::AtLeast,
         "edge, insertion and the MTC's separations within 2.5 µs",
     );
-    let serves = |c: &Computer, hz: f64| safe_at(AnyDesign::B, c, AxisConfig::default(), hz, 1);
+    let serves =
+        |c: &Computer, hz: f64| safe_at(AnyDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1);
     rows.holds(
         (place, "the 8051 is not fast enough"),
         "not at 100 kHz",

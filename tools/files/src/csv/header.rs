@@ -39,11 +39,6 @@ impl Header {
         &self.file
     }
 
-    /// Line of the file, from 1.
-    pub fn line(&self) -> usize {
-        self.line
-    }
-
     /// The row as the file has it.
     pub fn text(&self) -> &str {
         &self.text

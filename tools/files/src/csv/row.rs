@@ -158,16 +158,11 @@ pub struct Cell<'a> {
     pub(super) text: Cow<'a, str>,
 }
 
-impl<'a> Cell<'a> {
+impl Cell<'_> {
     /// The cell's text.
     #[inline]
     pub fn text(&self) -> &str {
         &self.text
-    }
-
-    /// The cell's row.
-    pub fn row(&self) -> Row<'a> {
-        self.row
     }
 
     /// A finding at this cell: it shows the cell's text as what was found.
@@ -183,15 +178,6 @@ impl<'a> Cell<'a> {
     /// Column of the cell's first character, from 1.
     pub fn column(&self) -> usize {
         self.said("", "").column
-    }
-
-    /// The cell's number.
-    ///
-    /// # Errors
-    /// It is not a number.
-    #[inline]
-    pub fn number<T: std::str::FromStr>(&self, expected: &str) -> Result<T, InputError> {
-        self.text.parse().map_err(|_| self.finding(expected))
     }
 
     /// The cell's finite number.

@@ -5,7 +5,7 @@
 //! Gauss–Newton, with the autocorrelation of the residual. Structure that no effect explains is fitted beside them and widens the intervals
 //! (`structure`). Intervals hold 95 %.
 
-use super::structure::{self, Structure, Told};
+use super::structure::{self, Structure, StructureVariance};
 use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
@@ -214,7 +214,7 @@ pub(super) struct Shown {
     /// Whether the runs tell it at all.
     resolved: Vec<bool>,
     /// What the harmonics say of what has no law.
-    beside: Option<Told>,
+    beside: Option<StructureVariance>,
 }
 
 /// Fits one plane.
@@ -1003,7 +1003,7 @@ impl<'t> Fit<'t> {
     }
 
     /// What the harmonics say of those orders that the terms take.
-    fn told(&self, left: &DVector<f64>, variance: f64) -> Option<Told> {
+    fn told(&self, left: &DVector<f64>, variance: f64) -> Option<StructureVariance> {
         let harmonics = &self.structure.columns;
         if harmonics.ncols() == 0 {
             return None;

@@ -40,7 +40,7 @@ pub(super) struct Structure {
 
 /// How far structure may move the laws' orders, µm², from how many values.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Told {
+pub(super) struct StructureVariance {
     /// Variance of the amplitude of a scale's order, µm², from even cosines above.
     pub(super) variance: [f64; 5],
     /// Number of values behind each.
@@ -109,7 +109,11 @@ impl Structure {
 
     /// Estimates the variance of orders that could not be fitted.
     /// From the fitted amplitudes and their variances.
-    pub(super) fn told(&self, amplitude: &DVector<f64>, variance: &DVector<f64>) -> Option<Told> {
+    pub(super) fn told(
+        &self,
+        amplitude: &DVector<f64>,
+        variance: &DVector<f64>,
+    ) -> Option<StructureVariance> {
         if self.highest < TELLING[TELLING.len() - 1] {
             return None;
         }
@@ -117,7 +121,11 @@ impl Structure {
             // No order is seen by itself: each of those that the laws take may be as large as all that was fitted.
             let power: f64 = amplitude.iter().zip(variance).map(|(a, v)| a * a - v).sum::<f64>().max(0.0);
             let freedom = amplitude.len().clamp(1, TELLING.len()) as f64;
-            return Some(Told { variance: [power; 5], freedom: [freedom; 5], rms_um: (power / 2.0).sqrt() });
+            return Some(StructureVariance {
+                variance: [power; 5],
+                freedom: [freedom; 5],
+                rms_um: (power / 2.0).sqrt(),
+            });
         }
         let at = |k: usize, sine: usize| 2 * (k - TAKEN - 1) + sine;
         let mean = |which: &[(usize, usize)]| {
@@ -134,7 +142,11 @@ impl Structure {
         let each = [mean(&all(0)), mean(&odd), mean(&odd), mean(&all(0)), mean(&all(1))];
         let fitted = 2 * (self.highest - TAKEN);
         let power: f64 = (0..fitted).map(|i| (amplitude[i].powi(2) - variance[i]) / 2.0).sum();
-        Some(Told { variance: each.map(|e| e.0), freedom: each.map(|e| e.1), rms_um: power.max(0.0).sqrt() })
+        Some(StructureVariance {
+            variance: each.map(|e| e.0),
+            freedom: each.map(|e| e.1),
+            rms_um: power.max(0.0).sqrt(),
+        })
     }
 }
 

@@ -22,8 +22,10 @@ pub enum Unit {
 }
 
 impl Unit {
+    /// All of them: name, unit, and no more to say.
+    pub const ALL: [(&'static str, Self, &'static str); 2] = [("mm", Self::Mm, ""), ("inch", Self::Inch, "")];
+
     /// What one of it is, mm.
-    #[must_use]
     pub fn mm(self) -> f64 {
         match self {
             Self::Mm => 1.0,

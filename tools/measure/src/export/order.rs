@@ -1,8 +1,8 @@
 //! An ordered table: format, axis, and messages about what was written.
 
 use super::linuxcnc::{LinuxCnc, Unit};
-use super::own::Own;
-use super::{Csv, Errors, Format, Lookup, Rules, Table, Wanted, beckhoff, siemens, siemens_cec, usage};
+use super::own::OwnForm;
+use super::{Csv, Errors, Format, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// The formats, as they are called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Name {
+pub enum ExportFormat {
     /// `COMP_FILE` of type 0.
     Linuxcnc,
     /// `COMP_FILE` of type 1.
@@ -29,32 +29,40 @@ pub enum Name {
     Own,
 }
 
-impl Name {
-    /// All of them, with the names that people write.
-    pub const ALL: [(&'static str, Self); 7] = [
-        ("linuxcnc", Self::Linuxcnc),
-        ("linuxcnc-type1", Self::LinuxcncType1),
-        ("ssfk", Self::Ssfk),
-        ("siemens", Self::Siemens),
-        ("siemens-cec", Self::SiemensCec),
-        ("csv", Self::Csv),
-        ("own", Self::Own),
+impl ExportFormat {
+    /// All of them: the name that people write, the format, and its meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 7] = [
+        ("linuxcnc", Self::Linuxcnc, "`COMP_FILE` of type 0: nominal, forward and reverse position"),
+        ("linuxcnc-type1", Self::LinuxcncType1, "`COMP_FILE` of type 1: nominal, forward and reverse trim"),
+        (
+            "ssfk",
+            Self::Ssfk,
+            "Beckhoff TF5200 and ISG kernel: leadscrew error compensation `kw.ssfk.*`, both directions",
+        ),
+        ("siemens", Self::Siemens, "SINUMERIK: `$AA_ENC_COMP`, the mean of both directions"),
+        (
+            "siemens-cec",
+            Self::SiemensCec,
+            "SINUMERIK: `$AN_CEC`, what the position of --along does to --axis",
+        ),
+        ("csv", Self::Csv, "`position_mm,error_up_um,error_down_um`"),
+        ("own", Self::Own, "A form of your own: --form"),
     ];
 }
 
 /// What is ordered.
 #[derive(Debug, Clone)]
-pub struct Order {
+pub struct TableOrder {
     /// The axis.
     pub axis: String,
     /// From where to where, and how close.
-    pub wanted: Wanted,
+    pub wanted: TableRange,
     /// Temperatures that the table holds for; others stand at 20 °C.
     pub temperatures_degc: Vec<(String, f64)>,
     /// Where the other axes stand, mm; others at 0.
     pub at_mm: Vec<(String, f64)>,
     /// What to write.
-    pub format: Name,
+    pub format: ExportFormat,
     /// LinuxCNC: the machine's unit.
     pub unit: Unit,
     /// The axis that the table goes along, where it is not its own: a cross table.
@@ -90,9 +98,9 @@ pub struct Exported {
     pub notes: Vec<String>,
 }
 
-impl Order {
+impl TableOrder {
     fn format(&self) -> Result<Box<dyn Format>, InputError> {
-        let linuxcnc = matches!(self.format, Name::Linuxcnc | Name::LinuxcncType1);
+        let linuxcnc = matches!(self.format, ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1);
         if self.unit == Unit::Inch && !linuxcnc {
             return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
         }
@@ -107,12 +115,12 @@ impl Order {
         let most = self.wanted.most;
         if let Some(along) = &self.along {
             let cannot = match self.format {
-                Name::Linuxcnc | Name::LinuxcncType1 => {
+                ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
                     "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one"
                 }
-                Name::Ssfk => "kw.ssfk is looked up at the axis' own position",
-                Name::Siemens => "$AA_ENC_COMP is looked up at the axis' own position",
-                Name::SiemensCec | Name::Csv | Name::Own => "",
+                ExportFormat::Ssfk => "kw.ssfk is looked up at the axis' own position",
+                ExportFormat::Siemens => "$AA_ENC_COMP is looked up at the axis' own position",
+                ExportFormat::SiemensCec | ExportFormat::Csv | ExportFormat::Own => "",
             };
             if !cannot.is_empty() {
                 let expected = format!("--format siemens-cec, csv or own, or no --along: {cannot}");
@@ -120,17 +128,17 @@ impl Order {
             }
         }
         Ok(match self.format {
-            Name::Linuxcnc | Name::LinuxcncType1 => {
-                Box::new(LinuxCnc { trims: self.format == Name::LinuxcncType1, unit: self.unit })
+            ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
+                Box::new(LinuxCnc { trims: self.format == ExportFormat::LinuxcncType1, unit: self.unit })
             }
-            Name::Ssfk => {
+            ExportFormat::Ssfk => {
                 needs(self.axis_number.is_some(), "axis-number")?;
                 Box::new(beckhoff::Ssfk {
                     axis_number: self.axis_number.unwrap_or_default(),
                     most: most.unwrap_or(beckhoff::MOST),
                 })
             }
-            Name::Siemens => {
+            ExportFormat::Siemens => {
                 needs(self.axis_name.is_some(), "axis-name")?;
                 needs(self.reference_mm.is_some(), "reference-mm")?;
                 Box::new(siemens::EncComp {
@@ -140,7 +148,7 @@ impl Order {
                     most: most.unwrap_or(siemens::MOST),
                 })
             }
-            Name::SiemensCec => {
+            ExportFormat::SiemensCec => {
                 needs(self.along.is_some(), "along")?;
                 needs(self.axis_name.is_some(), "axis-name")?;
                 needs(self.along_name.is_some(), "along-name")?;
@@ -159,11 +167,11 @@ impl Order {
                     positive_moves_up,
                 })
             }
-            Name::Csv => Box::new(Csv),
-            Name::Own => {
+            ExportFormat::Csv => Box::new(Csv),
+            ExportFormat::Own => {
                 needs(self.form.is_some(), "form")?;
                 let form = self.form.as_deref().unwrap_or(Path::new(""));
-                Box::new(Own::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
+                Box::new(OwnForm::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
             }
         })
     }

@@ -42,7 +42,7 @@ enum Piece {
 
 /// A form read from a file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Own {
+pub struct OwnForm {
     header: Vec<Piece>,
     line: Vec<Piece>,
     footer: Vec<Piece>,
@@ -90,7 +90,7 @@ fn has(pieces: &[Piece], name: &str) -> bool {
     pieces.iter().any(|p| matches!(p, Piece::Place(n) if *n == name))
 }
 
-impl Own {
+impl OwnForm {
     /// Reads a form; `reference_mm` is the reference point, where it asks for one.
     ///
     /// # Errors
@@ -205,7 +205,7 @@ impl Own {
     }
 }
 
-impl Format for Own {
+impl Format for OwnForm {
     fn rules(&self) -> Rules {
         let resolution = |(mm, decimals): (f64, usize)| mm * 10f64.powi(-(decimals as i32));
         Rules {
@@ -278,7 +278,7 @@ mod tests {
                  value_decimals = 1\nmax_points = 128\nfirst_index = {first}\n"
             )
         };
-        let parse = |first| Own::parse(Path::new("f.toml"), &form(first), 0.0);
+        let parse = |first| OwnForm::parse(Path::new("f.toml"), &form(first), 0.0);
         assert!(parse(1).is_ok() && parse(-5).is_ok());
         let e = parse(i64::MAX).unwrap_err();
         assert_eq!((e.line, e.found.as_str()), (7, "first_index = 9223372036854775807"));

@@ -22,13 +22,13 @@ use std::path::Path;
 
 /// A description of a table, read from a file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Own {
+pub struct OwnTable {
     form: Form,
     columns: Vec<ImportColumn>,
     kind: Kind,
 }
 
-impl Own {
+impl OwnTable {
     /// Reads a description.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use super::{add_note, column, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
-use rtec_files::{InputError, Marks, Numbers, units};
+use rtec_files::{InputError, Numbers, TableMarks, units};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -191,21 +191,6 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
         out.push('\n');
     }
     Cow::Owned(out)
-}
-
-/// Reads the wanted columns of a CSV with a header line.
-/// Fields are parted by commas, by semicolons (numbers may then have a decimal comma) or by tabs, whichever the header has.
-///
-/// # Errors
-/// As [`table`].
-pub fn csv(
-    from: &Path,
-    text: &str,
-    wanted: &[ImportColumn],
-    kind: Kind,
-    to: &Path,
-) -> Result<Record, InputError> {
-    table(from, text, wanted, &Form::default(), kind, to)
 }
 
 /// What a table begins with.
@@ -562,7 +547,7 @@ fn numbers(
         return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
     }
     let (mut reader, _) = opened(from, text, wanted, form)?;
-    let marks = Marks::of(&mut reader)?;
+    let marks = TableMarks::of(&mut reader)?;
     let written = if form.by.is_none() { marks.written(from) } else { marks.questions(from) };
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }

@@ -30,7 +30,6 @@ pub struct AirState {
 
 impl AirState {
     /// Refractive index minus one for this vacuum wavelength.
-    #[must_use]
     pub fn refractivity(&self, wavelength_nm: f64) -> f64 {
         let (t, p) = (self.degc, 1000.0 * self.kpa);
         let per_square_um = (1000.0 / wavelength_nm).powi(2);

@@ -158,21 +158,18 @@ impl Conditions {
 
     /// Expanded uncertainties (k = 2) of a positioning test.
     /// Over this length, with this number of approaches from each side.
-    #[must_use]
     pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
         (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
     }
 
     /// Uncertainty of the figures of a circle, if any is stated.
     /// `scatter_um` is the standard deviation of one reading. Without a radius no length has an uncertainty.
-    #[must_use]
     pub fn circle_budget(&self, radius_mm: Option<f64>, scatter_um: f64) -> Option<Budget> {
         self.budget(|key| key != NOT_OF_CIRCLES, radius_mm, 0.0, scatter_um)
     }
 
     /// What contributes to the figures of a drift test, where anything is stated.
     /// `scatter_um` is the standard deviation of one reading.
-    #[must_use]
     pub fn drift_budget(&self, scatter_um: f64) -> Option<Budget> {
         self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), scatter_um)
     }
@@ -404,7 +401,6 @@ impl Uncertainty {
     }
 
     /// The uncertainty of a figure by its symbol.
-    #[must_use]
     pub fn of(&self, symbol: &str) -> Option<f64> {
         Some(match symbol {
             "A" | "A_up" | "A_down" => self.A,

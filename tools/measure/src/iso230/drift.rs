@@ -232,7 +232,6 @@ fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usi
 }
 
 /// Displacements and temperatures over time, the phases marked where they begin.
-#[must_use]
 pub fn drift_charts(record: &Record) -> Vec<Chart> {
     let t = record.time_s();
     let start = t[0];

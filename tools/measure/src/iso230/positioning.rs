@@ -119,7 +119,6 @@ pub struct Resolution {
 }
 
 /// Whether a record holds an error (or tilt) along an axis beside its position.
-#[must_use]
 pub fn has_positioning(record: &Record) -> bool {
     record.columns.iter().any(|c| match &c.role {
         Role::Error(axis) | Role::AngleError(axis, _) => record.data(&Role::Position(axis.clone())).is_some(),
@@ -479,20 +478,17 @@ pub(crate) fn fewest_targets(span_mm: f64) -> usize {
 
 impl Positioning {
     /// What the approaches show beyond repeatability, `drift` or `step`, where they do.
-    #[must_use]
     pub fn changes_by(&self) -> Option<&'static str> {
         self.drift.map(|_| "drift").or(self.step.map(|_| "step"))
     }
 
     /// A figure of the standard's as it is without the drift or step; `None` for those that are not looked at.
-    #[must_use]
     pub fn without_change(&self, symbol: &str) -> Option<f64> {
         let place = UNCHANGED.iter().position(|s| *s == symbol)?;
         self.drift.map(|d| d.without).or(self.step.map(|s| s.without))?[place]
     }
 
     /// The figures in the standard's order.
-    #[must_use]
     pub fn figures(&self) -> [(&'static str, Option<f64>); 12] {
         [
             ("A", self.A),
@@ -512,7 +508,6 @@ impl Positioning {
 
     /// The standard's diagram.
     /// Mean deviations with ±2s, upwards and downwards each in its colour.
-    #[must_use]
     pub fn chart(&self) -> Chart {
         type Of = fn(&Target) -> Option<f64>;
         let (unit, what) = if self.unit == "urad" { ("µrad", "tilt") } else { ("µm", "deviation") };

@@ -81,7 +81,6 @@ fn pairs(record: &Record) -> Vec<(Axis, Axis)> {
 }
 
 /// Whether a record holds an error across the one axis that moves.
-#[must_use]
 pub fn has_straightness(record: &Record) -> bool {
     !pairs(record).is_empty()
 }
@@ -187,7 +186,6 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
 
 impl Straightness {
     /// Deviation from the line along the travel.
-    #[must_use]
     pub fn chart(&self) -> Chart {
         type Of = fn(&StraightPlace) -> Option<f64>;
         let title = format!("Straightness {}: {} while {} moves", self.symbol, self.across, self.axis);

@@ -8,7 +8,6 @@ use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
 /// Records that hold the very rows of an earlier one.
 /// The earlier one's number, and its own.
-#[must_use]
 pub fn repeated(records: &[&Record]) -> Vec<(usize, usize)> {
     let same = |a: &Record, b: &Record| {
         let twin =

@@ -43,7 +43,7 @@ mod units;
 
 pub use between::repeated;
 pub use motion::agreement;
-pub use pieces::Pieces;
+pub use pieces::PieceSuspicions;
 pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
@@ -89,7 +89,6 @@ pub enum What {
 
 impl What {
     /// As the document writes it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Unit => "unit",
@@ -142,7 +141,6 @@ pub struct Suspicion {
 
 impl Suspicion {
     /// A suspicion against a column; no rows (of this record, from 0) stand for all.
-    #[must_use]
     pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
         let sensor = record.columns.iter().any(|c| c.name == column && is_sensor(c));
         let (of, path) = (record.rows(), record.path.display().to_string());
@@ -151,7 +149,6 @@ impl Suspicion {
     }
 
     /// A record that holds the rows of another one, whatever its name.
-    #[must_use]
     pub fn again(first: &Record, record: &Record) -> Self {
         let text = format!("holds the same rows as {}: it says nothing more", first.path.display());
         Self::new(record, "", What::Doubled, &[], text)
@@ -159,7 +156,6 @@ impl Suspicion {
 
     /// It is about few of its record's rows.
     /// They can be spared, and the column is good without them.
-    #[must_use]
     pub fn is_few(&self) -> bool {
         !self.rows.is_empty()
             && self.row_list().len() as f64 <= FEW * self.of as f64
@@ -167,13 +163,11 @@ impl Suspicion {
     }
 
     /// It is about a temperature or a channel.
-    #[must_use]
     pub fn is_of_sensor(&self) -> bool {
         self.sensor
     }
 
     /// Its rows, from 0; empty for all.
-    #[must_use]
     pub fn row_list(&self) -> Vec<usize> {
         let range = |part: &str| {
             let (a, b) = part.split_once('-').unwrap_or((part, part));
@@ -218,7 +212,6 @@ fn rows_text(rows: &[usize]) -> String {
 }
 
 /// What these records, given together, show of mistakes; none for clean data.
-#[must_use]
 pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     let mut found = Vec::new();
     for record in records {
@@ -296,7 +289,6 @@ pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<(), InputError> 
 
 /// The records that no earlier one of these repeats.
 /// Those to learn from, and those to judge by.
-#[must_use]
 pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Record>) {
     let all: Vec<&Record> = train.iter().chain(&holdout).collect();
     let again: Vec<usize> = repeated(&all).into_iter().map(|(_, k)| k).collect();
@@ -332,7 +324,6 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
 /// The records as figures and plots may hold them, after these suspicions.
 /// Without the rows that look misread or stand twice, and without the sensors that took no reading. A single reading that a sensor did not
 /// take is no number.
-#[must_use]
 pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = every_row(records, doubts);
     let of_rows = Unusable { rows: rows_left_out(doubts), ..Unusable::default() };
@@ -346,7 +337,6 @@ pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [R
 
 /// As [`in_figures`], with every row.
 /// What a figure would be if no row had been left out. Sensors that change places are put back.
-#[must_use]
 pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = Cow::Borrowed(records);
     for [one, other] in exchanged(doubts) {
@@ -472,7 +462,6 @@ impl Suspicion {
     }
 
     /// It is about whole rows: of a response, a position or the row itself, not of one sensor. Such rows are in no figure.
-    #[must_use]
     pub fn is_of_rows(&self) -> bool {
         self.misreads_rows() && !self.sensor
     }
@@ -500,7 +489,6 @@ pub struct Unusable {
 /// What a fit should leave out after these suspicions.
 /// Sensors that are no predictors in any record, and rows (those of a few bad readings among them). A unit, a sign or a direction is left
 /// as it stands: what is right there only who measured can say.
-#[must_use]
 pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     let mut out = Unusable::default();
     for s in suspicions {
@@ -525,13 +513,11 @@ pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
 
 impl Unusable {
     /// A temperature or channel of this name is no predictor.
-    #[must_use]
     pub fn sensor(&self, name: &str) -> bool {
         self.sensors.contains(name)
     }
 
     /// The rows of a record that should be left out, from 0.
-    #[must_use]
     pub fn rows(&self, record: &Record) -> Vec<usize> {
         let rows = self.rows.get(&record.path.display().to_string());
         rows.map(|r| r.iter().copied().filter(|i| *i < record.rows()).collect()).unwrap_or_default()
@@ -539,7 +525,6 @@ impl Unusable {
 
     /// The record without its unusable rows, temperatures and channels.
     /// As it is where that would leave nothing.
-    #[must_use]
     pub fn without(&self, record: &Record) -> Record {
         let out = self.rows(record);
         let keep: Vec<usize> = (0..record.rows()).filter(|i| out.binary_search(i).is_err()).collect();

@@ -158,7 +158,6 @@ pub(super) fn moves(p: &[f64]) -> Vec<Option<f64>> {
 }
 
 /// Share of the rows whose movement has the sign of `way`, and how many can be asked.
-#[must_use]
 pub fn agreement(p: &[f64], way: &[f64]) -> (f64, usize) {
     let asked: Vec<bool> = moves(p)
         .iter()

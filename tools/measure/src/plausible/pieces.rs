@@ -7,14 +7,14 @@ use rtec_model::record::Record;
 
 /// What the pieces of a record show so far.
 #[derive(Debug, Default)]
-pub struct Pieces {
+pub struct PieceSuspicions {
     /// Of each: its rows as a suspicion writes them, and what was found.
     found: Vec<(String, Vec<Suspicion>)>,
     steps: Vec<String>,
     rows: usize,
 }
 
-impl Pieces {
+impl PieceSuspicions {
     /// The next piece.
     pub fn see(&mut self, piece: &Record) {
         let one = std::slice::from_ref(piece);
@@ -22,12 +22,6 @@ impl Pieces {
         self.found.push((rows, suspicions(one)));
         self.steps.extend(steps_of(one));
         self.rows += piece.rows();
-    }
-
-    /// How many pieces there were.
-    #[must_use]
-    pub fn count(&self) -> usize {
-        self.found.len()
     }
 
     /// As [`super::said`], of all of them.

@@ -15,7 +15,6 @@ const SIDE: usize = 6;
 
 /// Steps in the errors of drift tests, a line each.
 /// Lost counts, or a gauge or tool that was moved.
-#[must_use]
 pub fn steps_of(records: &[Record]) -> Vec<String> {
     let drifts = records.iter().filter(|r| r.kind == Kind::Drift);
     let of = |r: &Record| {

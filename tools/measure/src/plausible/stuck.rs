@@ -1,7 +1,7 @@
 //! A sensor that stands still: beside its own noise and movement at other times, in other records, and beside the others.
 
 use super::stats::{quantum, range, steps};
-use super::told::{Told, told};
+use super::told::{SensorRegression, told};
 use super::{Suspicion, What};
 use rtec_model::effect::sign;
 use rtec_model::record::{Column, Record, Role};
@@ -233,7 +233,13 @@ fn rows_beside(record: &Record, (start, end): (usize, usize)) -> Vec<usize> {
 }
 
 /// How wrong what was learned elsewhere is of a sensor next to the run in which it stands still, K.
-fn wrong_beside(record: &Record, c: &Column, run: (usize, usize), told: &Told, rest: &[&str]) -> f64 {
+fn wrong_beside(
+    record: &Record,
+    c: &Column,
+    run: (usize, usize),
+    told: &SensorRegression,
+    rest: &[&str],
+) -> f64 {
     let rows = rows_beside(record, run);
     let off: Vec<f64> =
         rows.iter().zip(told.says(&record.select(&rows), rest)).map(|(i, s)| c.data[*i] - s).collect();

@@ -38,14 +38,14 @@ fn lagged(v: &[f64], t: &[f64], tau_s: f64) -> Vec<f64> {
 }
 
 /// What sensors of a record say of another one, or of an error.
-pub(super) struct Told {
+pub(super) struct SensorRegression {
     constant: f64,
     slopes: Vec<f64>,
     /// Standard deviation of what is left where it was learned.
     pub(super) left: f64,
 }
 
-impl Told {
+impl SensorRegression {
     pub(super) fn says(&self, record: &Record, rest: &[&str]) -> Vec<f64> {
         let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
         let of = |i: usize| {
@@ -55,7 +55,7 @@ impl Told {
     }
 }
 
-pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> Told {
+pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegression {
     let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
     let n = y.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
@@ -77,5 +77,5 @@ pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> Told {
     }
     let left = (dot(&rest, &rest) / n).sqrt();
     let constant = my - slopes.iter().zip(&means).map(|(s, m)| s * m).sum::<f64>();
-    Told { constant, slopes, left }
+    SensorRegression { constant, slopes, left }
 }

@@ -39,7 +39,6 @@ fn dash(series: &Series, place: usize) -> String {
 
 impl Polar {
     /// The plot as an SVG document.
-    #[must_use]
     pub fn svg(&self) -> String {
         let deviations = self.series.iter().flat_map(|s| &s.points).map(|p| p.1.abs());
         let largest = deviations.filter(|d| d.is_finite()).fold(0.0, f64::max).max(1e-3);

@@ -24,7 +24,6 @@ const TOP_PX: f64 = 45.0;
 
 impl Vectors {
     /// The plot as an SVG document.
-    #[must_use]
     pub fn svg(&self) -> String {
         let bounds = |n: usize| span(self.at.iter().map(|(p, _)| p[n]).filter(|v| v.is_finite()));
         let (x, y) = (bounds(0), bounds(1));

@@ -4,7 +4,7 @@
 
 use crate::circles::{Noise, Run, one};
 use rtec_builders::column;
-use rtec_measure::evaluation::{self, Asked};
+use rtec_measure::evaluation::{self, EvaluationRequest};
 use rtec_measure::iso230::{self, Conditions};
 use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;
@@ -41,7 +41,7 @@ fn a_circle_without_radius_says_what_has_no_uncertainty() {
     let bare = Record::new(&full.path, Kind::Ballbar, full.columns.clone()).unwrap();
     let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
     let of = |record: Record| {
-        let asked = Asked { conditions: conditions.clone(), ..Asked::default() };
+        let asked = EvaluationRequest { conditions: conditions.clone(), ..EvaluationRequest::default() };
         let found = evaluation::evaluate(&[record], &asked, &mut |_| ()).unwrap();
         let said = found.report.warnings().iter().any(|w| w.contains("no uncertainty of F and D"));
         (found.document["uncertainty"].clone(), said)
@@ -159,7 +159,7 @@ fn a_drifts_scatter_is_its_noise() {
             column("e", "error.z", e),
         ];
         let record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
-        let asked = Asked { conditions: conditions.clone(), ..Asked::default() };
+        let asked = EvaluationRequest { conditions: conditions.clone(), ..EvaluationRequest::default() };
         let found = evaluation::evaluate(&[record], &asked, &mut |_| ()).unwrap().document;
         let scatter = found["scatter"].as_f64().unwrap();
         let expected = f64::max(noise_um, step_um / 12.0_f64.sqrt());

@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_files::Said;
-use rtec_measure::evaluation::{Asked, Evaluation, Standard, evaluate_files};
-use rtec_measure::export::Wanted;
+use rtec_measure::evaluation::{Evaluation, EvaluationRequest, Standard, evaluate_files};
+use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::order::{Name, Order};
+use rtec_measure::export::order::{ExportFormat, TableOrder};
 use rtec_measure::import;
 use rtec_measure::iso230::{self, Returns};
 use rtec_measure::plausible;
@@ -21,7 +21,8 @@ fn field(name: &str) -> PathBuf {
 }
 
 fn evaluated(name: &str, standard: Standard) -> (Evaluation, Vec<String>) {
-    let (asked, mut said) = (Asked { standard: Some(standard), ..Asked::default() }, Vec::new());
+    let (asked, mut said) =
+        (EvaluationRequest { standard: Some(standard), ..EvaluationRequest::default() }, Vec::new());
     let found = evaluate_files(&[field(name)], &asked, &mut |s: Said| said.push(s.to_string())).unwrap();
     (found, said)
 }
@@ -130,9 +131,9 @@ fn every_format_states_what_its_table_leaves_applied() {
     let written = "line = \"{position};{forward};{reverse}\"\nvalue = \"error\"\nposition_unit = \"mm\"\nvalue_unit = \"mm\"\n\
                    position_decimals = 4\nvalue_decimals = 5\nmax_points = 400\n";
     std::fs::write(&form, written).unwrap();
-    let order = |format: Name, unit: Unit| Order {
+    let order = |format: ExportFormat, unit: Unit| TableOrder {
         axis: "x".to_owned(),
-        wanted: Wanted { from_mm: -254.0, to_mm: 0.0, step_mm: None, limit_um: 0.5, most: None },
+        wanted: TableRange { from_mm: -254.0, to_mm: 0.0, step_mm: None, limit_um: 0.5, most: None },
         temperatures_degc: Vec::new(),
         at_mm: Vec::new(),
         format,
@@ -149,13 +150,13 @@ fn every_format_states_what_its_table_leaves_applied() {
     };
     // A controller that adds the value to what its encoder reads meets the error of that place; others look it up where they
     // were told to go, and drive elsewhere by it.
-    let cases: [(Name, Unit, bool, Reader); 6] = [
-        (Name::Linuxcnc, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, false))),
-        (Name::Linuxcnc, Unit::Inch, false, Box::new(|t| linuxcnc(t, 25.4, false))),
-        (Name::LinuxcncType1, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, true))),
-        (Name::Siemens, Unit::Mm, true, Box::new(siemens)),
-        (Name::Ssfk, Unit::Mm, false, Box::new(beckhoff)),
-        (Name::Own, Unit::Mm, false, Box::new(own)),
+    let cases: [(ExportFormat, Unit, bool, Reader); 6] = [
+        (ExportFormat::Linuxcnc, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, false))),
+        (ExportFormat::Linuxcnc, Unit::Inch, false, Box::new(|t| linuxcnc(t, 25.4, false))),
+        (ExportFormat::LinuxcncType1, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, true))),
+        (ExportFormat::Siemens, Unit::Mm, true, Box::new(siemens)),
+        (ExportFormat::Ssfk, Unit::Mm, false, Box::new(beckhoff)),
+        (ExportFormat::Own, Unit::Mm, false, Box::new(own)),
     ];
     for (format, unit, by_encoder, read) in cases {
         let exported = order(format, unit).of(&machine).unwrap();
@@ -171,7 +172,7 @@ fn every_format_states_what_its_table_leaves_applied() {
             let stated = exported.document[key].as_f64().unwrap();
             assert!((most - stated).abs() < 0.06, "{format:?} {unit:?} {key}: {most} left, {stated} stated");
         }
-        if (format, unit) == (Name::Linuxcnc, Unit::Inch) {
+        if (format, unit) == (ExportFormat::Linuxcnc, Unit::Inch) {
             assert!((exported.document["max_up_um"].as_f64().unwrap() - 4.08).abs() < 0.05);
             let says = |w: &String| w.contains("moves the drive by up to");
             assert!(exported.warnings.iter().any(says), "{:?}", exported.warnings);
@@ -457,9 +458,9 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
                  knots_mm = [0.0, 100.0, 250.0, 400.0]\num = [0.0, 6.0, -4.0, 2.0]\n[[effect]]\nname = \"scale.y\"\nppm = 30.0\n\
                  [[effect]]\nname = \"reversal.y\"\num = 5.0\n[[effect]]\nname = \"scale.x\"\nppm = -20.0\n";
     let machine = Machine::parse(Path::new("m.toml"), model).unwrap();
-    let order = |positive_moves_up: Option<bool>, format: Name| Order {
+    let order = |positive_moves_up: Option<bool>, format: ExportFormat| TableOrder {
         axis: "y".to_owned(),
-        wanted: Wanted { from_mm: 0.0, to_mm: 400.0, step_mm: None, limit_um: 0.3, most: None },
+        wanted: TableRange { from_mm: 0.0, to_mm: 400.0, step_mm: None, limit_um: 0.3, most: None },
         temperatures_degc: Vec::new(),
         at_mm: vec![("y".to_owned(), 120.0)],
         format,
@@ -482,7 +483,7 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
     };
     let error = |p: f64| 0.04 * p + bow(p);
     for up in [true, false] {
-        let done = order(Some(up), Name::SiemensCec).of(&machine).unwrap();
+        let done = order(Some(up), ExportFormat::SiemensCec).of(&machine).unwrap();
         let value = cec(&done.text);
         assert!(value(50.0).abs() < 1e-6, "zero at the reference point");
         for k in 0..=4000 {
@@ -494,13 +495,15 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
         assert!(done.notes.iter().any(|n| n.contains("measure once more")), "{:?}", done.notes);
     }
     // Which way a positive value moves the axis nobody says in public.
-    let e = order(None, Name::SiemensCec).of(&machine).unwrap_err().to_string();
+    let e = order(None, ExportFormat::SiemensCec).of(&machine).unwrap_err().to_string();
     assert!(e.contains("--positive-moves up or down"), "{e}");
-    for format in [Name::Linuxcnc, Name::LinuxcncType1, Name::Siemens, Name::Ssfk] {
+    for format in
+        [ExportFormat::Linuxcnc, ExportFormat::LinuxcncType1, ExportFormat::Siemens, ExportFormat::Ssfk]
+    {
         let e = order(None, format).of(&machine).unwrap_err().to_string();
         assert!(e.contains("own position"), "{e}");
     }
-    let none = Order { along: Some("z".to_owned()), ..order(Some(true), Name::SiemensCec) };
+    let none = TableOrder { along: Some("z".to_owned()), ..order(Some(true), ExportFormat::SiemensCec) };
     let e = none.of(&machine).unwrap_err().to_string();
     assert!(e.contains("an axis that an error of y depends on: x"), "{e}");
 }

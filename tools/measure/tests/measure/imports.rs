@@ -5,7 +5,7 @@
 
 use rtec_files::InputError;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, Own, Sampling};
+use rtec_measure::import::{self, Form, ImportColumn, OwnTable, Sampling};
 use rtec_model::record::{Axis, Kind, Record, Role};
 use std::path::Path;
 
@@ -37,7 +37,8 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
         columns.iter().map(|c| import::ImportColumn::parse(c).unwrap()).collect::<Vec<_>>()
     };
     let read = |text: &str, columns: &[&str]| {
-        import::csv(Path::new("g.csv"), text, &wanted(columns), Kind::Drift, Path::new("g.run.toml"))
+        let (file, to) = (Path::new("g.csv"), Path::new("g.run.toml"));
+        import::table(file, text, &wanted(columns), &Form::default(), Kind::Drift, to)
     };
     let all = ["Zeit=time:min", "T1=temperature", "Luft=temperature:degF", "Weg=error.z:mm"];
     let record = read(text, &all).unwrap();
@@ -385,7 +386,8 @@ fn a_table_is_read_as_a_file_of_ones_own_describes_it() {
                 e = { column = \"U / V\", role = \"error.z\", factor = 12.5, add = -3.0, unit = \"um\" }\n";
     let table = "Messung 3\n; ; ;\nZeit;T1;U / V;x\n0;68,0;0,24;\n1;69,8;1,0;a // so\n";
     let read = |form: &str, table: &str| {
-        Own::parse(Path::new("f.toml"), form).and_then(|f| f.read(Path::new("m.txt"), table, Path::new(TO)))
+        OwnTable::parse(Path::new("f.toml"), form)
+            .and_then(|f| f.read(Path::new("m.txt"), table, Path::new(TO)))
     };
     let record = read(form, table).unwrap();
     assert_eq!(data(&record, "time"), [0.0, 60.0]);

@@ -89,7 +89,7 @@ impl Machine {
     /// Where a record leaves the ranges that the model was fitted on, by effect.
     /// There the temperature differences are held at the bound.
     pub fn out_of_range(&self, record: &Record) -> Vec<String> {
-        let mut asked = Asked::of(self);
+        let mut asked = FitRangeCheck::of(self);
         asked.see(record);
         asked.out_of_range()
     }
@@ -109,7 +109,7 @@ impl Machine {
 
 /// Collects where a record leaves what a model was fitted on, piece by piece.
 #[derive(Debug)]
-pub struct Asked<'m> {
+pub struct FitRangeCheck<'m> {
     machine: &'m Machine,
     rows: usize,
     /// Per effect: the number of rows outside its fitted range, and its lag's state.
@@ -120,7 +120,7 @@ pub struct Asked<'m> {
     farthest: Vec<Vec<Option<Farthest>>>,
 }
 
-impl<'m> Asked<'m> {
+impl<'m> FitRangeCheck<'m> {
     /// The state before the first piece.
     pub fn of(machine: &'m Machine) -> Self {
         let effects = machine.effects().count();

@@ -44,17 +44,11 @@ impl Machine {
         Ok(left)
     }
 
-    /// Half width of a response's 95 % prediction interval, µm, if a fit states it.
-    pub fn half_width_um(&self, response: &str) -> Option<f64> {
-        self.fits.iter().find(|f| f.response == response).map(|f| f.half_width_um)
-    }
-
     /// Reversal that a correction at rest may leave in a response, µm.
     ///
     /// Such a correction moves the table. Where it takes the table back by some counts only, nobody knows
     /// whether the tool came with it. Where the tool leads the scale (`um` above zero), neither direction's
     /// total fits before the table has come back by the whole reversal.
-    #[must_use]
     pub fn turned_back_um(&self, response: &str) -> f64 {
         let of = |axis: &str| format!("{}.{axis}", reversal::NAME);
         let Some(name) = response.strip_prefix("error.").map(of) else { return 0.0 };
@@ -65,7 +59,6 @@ impl Machine {
     ///
     /// It holds where temperatures are in the range of the fit. A reversal is no scatter but stays as it is,
     /// so it is added to the interval.
-    #[must_use]
     pub fn promised_um(&self, fit: &FitNote) -> f64 {
         fit.half_width_um + self.turned_back_um(&fit.response)
     }

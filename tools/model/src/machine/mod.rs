@@ -20,7 +20,7 @@ mod read;
 mod relative_paths;
 mod write;
 
-pub use check::Asked;
+pub use check::FitRangeCheck;
 pub use evaluate::{HalfWidths, Prediction, Running};
 pub use fit_note::{FitNote, Listed, NORMAL_95, Provenance, Reach, Source, Validity, unknown_um};
 

@@ -424,7 +424,6 @@ mod tests {
         });
         let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();
         assert_eq!(again.fits(), m.fits());
-        assert_eq!(again.half_width_um("error.x"), Some(0.8));
         write("own.toml", &law.replace("quill_droop", "scale"));
         let e = Machine::read(&dir.path().join("m.toml")).unwrap_err();
         assert!(e.file.ends_with("own.toml") && e.line == 2, "{e}");

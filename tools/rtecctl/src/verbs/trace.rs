@@ -11,7 +11,7 @@ use rtec_files::clock::{self, Moments};
 use rtec_files::csv::{Header, Reader};
 use rtec_files::text::open_regular;
 use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
-use rtec_files::{InputError, Marks, units};
+use rtec_files::{InputError, TableMarks, units};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -521,7 +521,7 @@ impl Scale {
 struct Record {
     rows: Reader<std::fs::File>,
     /// Number format; `None` for decimal points and commas as separators.
-    marks: Option<Marks>,
+    marks: Option<TableMarks>,
     header: Header,
     /// Line of the present row.
     line: usize,
@@ -632,7 +632,7 @@ impl Record {
         let names = || [time, position].into_iter().filter_map(|place| header.names().nth(place)).collect();
         let named: Vec<&str> = if named.is_empty() { names() } else { named };
         let marks = if args.input.is_file() {
-            Marks::find(&args.input, &mut open_regular(&args.input)?, &named)?
+            TableMarks::find(&args.input, &mut open_regular(&args.input)?, &named)?
         } else {
             None
         };

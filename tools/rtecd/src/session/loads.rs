@@ -34,7 +34,7 @@ const AGAIN: &str = "the model was unloaded: `rtecctl model again` takes it up a
 const KEPT: &str = "model.kept";
 
 /// Purpose of a model's load.
-pub(crate) struct Wanted {
+pub(crate) struct ModelLoad {
     /// Take the model if it has this hash; otherwise show what it changes.
     pub(crate) take: Option<String>,
     /// Take it even if its validity has ended.
@@ -43,7 +43,7 @@ pub(crate) struct Wanted {
 
 /// Purpose of a load.
 pub(crate) enum LoadPurpose {
-    Model(Wanted),
+    Model(ModelLoad),
     Table,
     Keep,
 }
@@ -108,7 +108,7 @@ impl Session {
         };
         let source =
             if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
-        let why = match loader::work(self.model_job(file.clone(), source), &loader::Told::default()) {
+        let why = match loader::work(self.model_job(file.clone(), source), &loader::LoadFlags::default()) {
             Err(error) => error.to_string(),
             Ok(Loaded::Table { .. } | Loaded::Kept(_)) => return,
             Ok(Loaded::Model { prepared, .. }) => {
@@ -160,7 +160,7 @@ impl Session {
         }
         self.corrector.day_is((self.today)());
         let job = self.model_job(file, Source::Kept(kept));
-        self.begin(job, LoadPurpose::Model(Wanted { take: Some(model.sha256), expired: model.meant }))
+        self.begin(job, LoadPurpose::Model(ModelLoad { take: Some(model.sha256), expired: model.meant }))
     }
 
     /// Why no model runs, and what to load.
@@ -190,7 +190,7 @@ impl Session {
         &mut self,
         file: Option<&str>,
         names: &[String],
-        wanted: Wanted,
+        wanted: ModelLoad,
         beside: RequestContext,
     ) -> Answer {
         let bad = |text: String| Answer::Now(Response::Bad { text });
@@ -333,7 +333,7 @@ impl Session {
         prepared: Prepared,
         mut warnings: Vec<String>,
         files: &BTreeMap<PathBuf, String>,
-        wanted: &Wanted,
+        wanted: &ModelLoad,
         control: &mut ControlEnd,
         log: &mut Log,
     ) -> Response {

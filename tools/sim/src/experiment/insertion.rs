@@ -11,7 +11,6 @@ use rtec_rt::axis::{AxisConfig, RestPolicy};
 use serde_json::json;
 
 /// The report's machine: one axis of a metre, corrected by the Original RTEC.
-#[must_use]
 pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
     let mut spec = Spec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
     spec.design = GateDesign::Original;

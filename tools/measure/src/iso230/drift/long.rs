@@ -7,7 +7,7 @@ use super::spans::{Span, Spans, State, TURNS_RPM};
 use super::{Drift, Figures, Phase, charts_of, displaced, temperatures};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
-use crate::record::Pieces;
+use crate::record::RecordPieces;
 use rtec_files::InputError;
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role};
@@ -21,7 +21,7 @@ const PIECE_ROWS: usize = 4096;
 /// What the next look has to know of all its rows.
 pub struct LongDrift {
     path: PathBuf,
-    pieces: Pieces,
+    pieces: RecordPieces,
     /// The record with its first rows.
     head: Record,
     rows: usize,
@@ -74,7 +74,7 @@ impl LongDrift {
     /// # Errors
     /// What [`crate::record::read`] finds.
     pub fn of(path: &Path, more_than: usize) -> Result<Option<Self>, InputError> {
-        let Some(mut pieces) = Pieces::of(path)?.filter(|p| p.most_rows() > more_than as u64) else {
+        let Some(mut pieces) = RecordPieces::of(path)?.filter(|p| p.most_rows() > more_than as u64) else {
             return Ok(None);
         };
         let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
@@ -139,13 +139,11 @@ impl LongDrift {
     }
 
     /// Its rows.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.rows
     }
 
     /// The record with its first rows: its columns, its day and note.
-    #[must_use]
     pub fn head(&self) -> &Record {
         &self.head
     }
@@ -248,7 +246,6 @@ impl LongDrift {
 
     /// The charts of [`super::drift_charts`] from fewer points.
     /// They touch the same pixels, except for some at the edge between two.
-    #[must_use]
     pub fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
         let line = |name: &str, of: &Outline| Series::new(name, Style::Line, of.points(start_s));

@@ -3,8 +3,8 @@
 
 use crate::document::{pretty, write};
 use crate::say;
-use crate::verbs::suspicions;
-use rtec_measure::evaluation::{self, Asked, evaluate_files};
+use crate::verbs::{one_of, suspicions};
+use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ pub(crate) struct Args {
     #[arg(value_name = "NAME.run.toml", required = true)]
     records: Vec<PathBuf>,
     /// The evaluation; by the record's kind where it is left out
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(&Standard::ALL, &[Standard::CIRCULAR]))]
     standard: Option<Standard>,
     /// What the test was done under: machine, instrument, sensors and coefficients for 20 °C, contributors of the
     /// uncertainty
@@ -38,45 +38,9 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Standard {
-    /// Positioning: accuracy and repeatability; tilts too
-    #[value(name = "iso230-2")]
-    Iso230_2,
-    /// Straightness of an axis's motion: the error across it, about a least-squares line (ISO 230-1)
-    Straightness,
-    /// Thermal effects, phase by phase
-    #[value(name = "iso230-3")]
-    Iso230_3,
-    /// Body or face diagonals
-    #[value(name = "iso230-6")]
-    Iso230_6,
-    /// Circular test, ISO 230-4
-    #[value(alias = "iso230-4")]
-    Ballbar,
-    /// Plate of holes: offset, scale, rotation, quadrupole
-    Plate,
-    /// Returning to one position: standard deviation and range per axis
-    Repeatability,
-}
-
-impl From<Standard> for evaluation::Standard {
-    fn from(asked: Standard) -> Self {
-        match asked {
-            Standard::Iso230_2 => Self::Iso230_2,
-            Standard::Straightness => Self::Straightness,
-            Standard::Iso230_3 => Self::Iso230_3,
-            Standard::Iso230_6 => Self::Iso230_6,
-            Standard::Ballbar => Self::Ballbar,
-            Standard::Plate => Self::Plate,
-            Standard::Repeatability => Self::Repeatability,
-        }
-    }
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let asked = Asked {
-        standard: args.standard.map(Into::into),
+    let asked = EvaluationRequest {
+        standard: args.standard,
         conditions: args.conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
         one_way: args.one_way,
         fourth_powers: args.norm != 2,

@@ -1,10 +1,11 @@
 //! `rtecctl characterise import`: turns other tools' files into run records.
 
-use crate::verbs::suspicions;
+use crate::verbs::{one_of, suspicions};
 use anyhow::Context;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_files::Said;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::asked::{Asked, Name};
+use rtec_measure::import::request::{ImportFormat, ImportRequest};
 use rtec_measure::record;
 use std::path::PathBuf;
 
@@ -14,8 +15,8 @@ pub(crate) struct Args {
     /// The file to import
     file: PathBuf,
     /// What it is
-    #[arg(long, value_enum)]
-    format: Format,
+    #[arg(long, value_parser = one_of(&ImportFormat::ALL, &[]))]
+    format: ImportFormat,
     /// The axis that was measured (not for plates and tables)
     #[arg(long)]
     axis: Option<String>,
@@ -32,8 +33,8 @@ pub(crate) struct Args {
     #[arg(long, default_value = "drift")]
     kind: String,
     /// csv: how numbers are written [default: a point; either where semicolons part the columns]
-    #[arg(long, value_enum)]
-    decimal: Option<Decimal>,
+    #[arg(long, value_parser = PossibleValuesParser::new(["point", "comma"]).map(|way| way == "comma"))]
+    decimal: Option<bool>,
     /// csv, halsampler, shdr: a log, which need not have a response
     #[arg(long)]
     log: bool,
@@ -44,8 +45,8 @@ pub(crate) struct Args {
     #[arg(long)]
     numbered: bool,
     /// linuxcnc-comp: the machine's `LINEAR_UNITS`
-    #[arg(long, value_enum, default_value = "mm")]
-    unit: UnitName,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
+    unit: Unit,
     /// own: the file that describes the table
     #[arg(long, value_name = "FORM.toml", required_if_eq("format", "own"))]
     form: Option<PathBuf>,
@@ -59,68 +60,18 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
-    /// ecmc's ISO 230-2 data: `TGT_DATA`, `REF_DATA_FWD`, `REF_DATA_BWD`
-    EcmcDat,
-    /// LinuxCNC compensation file of type 0: nominal, forward, backward position
-    LinuxcncComp0,
-    /// LinuxCNC compensation file of type 1: nominal, forward, backward correction
-    LinuxcncComp1,
-    /// A table with a header line, parted by commas, semicolons or tabs; --columns says what is in it
-    Csv,
-    /// A table as a file of your own describes it: --form
-    Own,
-    /// Coordinate measuring machine's table of holes: Meas X, Meas Y, Nom X, Nom Y, Nom D
-    CmmPlate,
-    /// Renishaw .rtl of linear targets, as other programs read it
-    Rtl,
-    /// Etalon exchange format: `[EXX] Gridpoints = { … }`
-    Etalon,
-    /// What LinuxCNC's halsampler prints
-    Halsampler,
-    /// A log of `MTConnect`'s SHDR lines: TIME|KEY|VALUE
-    Shdr,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Decimal {
-    Point,
-    Comma,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum UnitName {
-    Mm,
-    Inch,
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let asked = Asked {
+    let asked = ImportRequest {
         file: args.file.clone(),
-        format: match args.format {
-            Format::EcmcDat => Name::EcmcDat,
-            Format::LinuxcncComp0 => Name::LinuxcncComp0,
-            Format::LinuxcncComp1 => Name::LinuxcncComp1,
-            Format::Csv => Name::Csv,
-            Format::Own => Name::Own,
-            Format::CmmPlate => Name::CmmPlate,
-            Format::Rtl => Name::Rtl,
-            Format::Etalon => Name::Etalon,
-            Format::Halsampler => Name::Halsampler,
-            Format::Shdr => Name::Shdr,
-        },
+        format: args.format,
         axis: args.axis.clone(),
         columns: args.columns.clone(),
         kind: args.kind.clone(),
-        decimal_comma: args.decimal.map(|d| d == Decimal::Comma),
+        decimal_comma: args.decimal,
         log: args.log,
         period_s: args.period_s,
         numbered: args.numbered,
-        unit: match args.unit {
-            UnitName::Mm => Unit::Mm,
-            UnitName::Inch => Unit::Inch,
-        },
+        unit: args.unit,
         form: args.form.clone(),
         derive: args.derive,
         circle: args.circle.circle()?,

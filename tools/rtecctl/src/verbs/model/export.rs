@@ -3,10 +3,12 @@
 
 use crate::document::pretty;
 use crate::say;
+use crate::verbs::one_of;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_files::InputError;
-use rtec_measure::export::Wanted;
+use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::order::{Name, Order};
+use rtec_measure::export::order::{ExportFormat, TableOrder};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
@@ -42,11 +44,11 @@ pub(crate) struct Args {
     #[arg(long, value_delimiter = ',', value_name = "AXIS=mm", allow_negative_numbers = true)]
     at: Vec<String>,
     /// What to write
-    #[arg(long, value_enum, default_value = "linuxcnc")]
-    format: Format,
+    #[arg(long, value_parser = one_of(&ExportFormat::ALL, &[]), default_value = "linuxcnc")]
+    format: ExportFormat,
     /// linuxcnc: the machine's `LINEAR_UNITS`
-    #[arg(long, value_enum, default_value = "mm")]
-    unit: UnitName,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
+    unit: Unit,
     /// The axis that the table goes along, where it is another: what squareness, straightness and sag make of `--axis`
     #[arg(long)]
     along: Option<String>,
@@ -57,8 +59,8 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 0)]
     table: u16,
     /// siemens-cec: which way a positive value moves the axis, as tried on the machine
-    #[arg(long, value_enum)]
-    positive_moves: Option<TableDirection>,
+    #[arg(long, value_parser = PossibleValuesParser::new(["up", "down"]).map(|way| way == "up"))]
+    positive_moves: Option<bool>,
     /// siemens, siemens-cec: the machine axis as the controller names it, as X1
     #[arg(long, required_if_eq("format", "siemens"))]
     axis_name: Option<String>,
@@ -82,37 +84,6 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
-    /// `COMP_FILE` of type 0: nominal, forward and reverse position
-    Linuxcnc,
-    /// `COMP_FILE` of type 1: nominal, forward and reverse trim
-    #[value(name = "linuxcnc-type1")]
-    LinuxcncType1,
-    /// Beckhoff TF5200 and ISG kernel: leadscrew error compensation `kw.ssfk.*`, both directions
-    Ssfk,
-    /// SINUMERIK: `$AA_ENC_COMP`, the mean of both directions
-    Siemens,
-    /// SINUMERIK: `$AN_CEC`, what the position of --along does to --axis
-    SiemensCec,
-    /// `position_mm,error_up_um,error_down_um`
-    Csv,
-    /// A form of your own: --form
-    Own,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum TableDirection {
-    Up,
-    Down,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum UnitName {
-    Mm,
-    Inch,
-}
-
 fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
     InputError::whole(Path::new("model export"), found, expected)
 }
@@ -130,9 +101,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         given.iter().map(pair).collect::<Result<Vec<_>, _>>()
     };
-    let order = Order {
+    let order = TableOrder {
         axis: args.axis.clone(),
-        wanted: Wanted {
+        wanted: TableRange {
             from_mm: args.from,
             to_mm: args.to,
             step_mm: args.step,
@@ -141,23 +112,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         },
         temperatures_degc: pairs("--temperatures", &args.temperatures, "SENSOR=degC, as T8=31.5")?,
         at_mm: pairs("--at", &args.at, "AXIS=mm, as z=100")?,
-        format: match args.format {
-            Format::Linuxcnc => Name::Linuxcnc,
-            Format::LinuxcncType1 => Name::LinuxcncType1,
-            Format::Ssfk => Name::Ssfk,
-            Format::Siemens => Name::Siemens,
-            Format::SiemensCec => Name::SiemensCec,
-            Format::Csv => Name::Csv,
-            Format::Own => Name::Own,
-        },
-        unit: match args.unit {
-            UnitName::Mm => Unit::Mm,
-            UnitName::Inch => Unit::Inch,
-        },
+        format: args.format,
+        unit: args.unit,
         along: args.along.clone(),
         along_name: args.along_name.clone(),
         table: args.table,
-        positive_moves_up: args.positive_moves.map(|way| way == TableDirection::Up),
+        positive_moves_up: args.positive_moves,
         axis_name: args.axis_name.clone(),
         encoder: args.encoder,
         reference_mm: args.reference_mm,

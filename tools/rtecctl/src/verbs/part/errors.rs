@@ -1,12 +1,13 @@
 //! `rtecctl part errors`: part errors, `error.cor` and whiskers from probed points.
 
-use super::features::Units;
 use super::{print, write_all};
 use crate::document::pretty;
+use crate::verbs::one_of;
 use crate::verbs::suspicions;
-use rtec_part::determine::{self, ErrorRequest};
+use rtec_part::determine::{self, ErrorRequest, Feature};
 use rtec_part::errors::ErrorReport;
 use rtec_part::fit;
+use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -26,7 +27,7 @@ pub(crate) struct Args {
     #[arg(long)]
     tip_mm: Option<f64>,
     /// What was probed [default: recognised from the points]
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(&Feature::ALL, &[]))]
     feature: Option<Feature>,
     /// Nominal inclination of a taper to the part's axis, in degrees: the difference is shown, error.cor does not take it out
     #[arg(long, allow_negative_numbers = true)]
@@ -44,8 +45,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PATHFIN.CDL")]
     path: Option<PathBuf>,
     /// Unit of the expected trips and of the path
-    #[arg(long, value_enum, default_value_t = Units::Mm)]
-    path_units: Units,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
+    path_units: Unit,
     /// How near a trip must be to its expected place, in mm
     #[arg(long, default_value_t = 1.0)]
     trip_window_mm: f64,
@@ -60,30 +61,19 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Feature {
-    /// A sphere or a fillet
-    Circle,
-    /// A cylinder, a face or a taper
-    Line,
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let asked = ErrorRequest {
         points: args.points.clone(),
         columns: args.columns.clone(),
         radius_mm: args.radius_mm,
         tip_mm: args.tip_mm,
-        feature: args.feature.map(|f| match f {
-            Feature::Circle => determine::Feature::Circle,
-            Feature::Line => determine::Feature::Line,
-        }),
+        feature: args.feature,
         taper_deg: args.taper_deg,
         machine: args.machine.clone(),
         origin_mm: args.origin_mm.clone(),
         expected: args.expected.clone(),
         path: args.path.clone(),
-        path_units: args.path_units.unit(),
+        path_units: args.path_units,
         trip_window_mm: args.trip_window_mm,
         with_size: args.with_size,
     };

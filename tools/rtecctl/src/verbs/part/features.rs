@@ -2,6 +2,7 @@
 
 use super::{print, write_all};
 use crate::document::pretty;
+use crate::verbs::one_of;
 use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{self, Options};
 use rtec_part::svg::Svg;
@@ -23,32 +24,14 @@ pub(crate) struct DrawingArgs {
 #[derive(Debug, clap::Args)]
 pub(crate) struct DrawingOptions {
     /// The drawing's unit, where its header does not say
-    #[arg(long, value_enum)]
-    pub(crate) units: Option<Units>,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]))]
+    pub(crate) units: Option<Unit>,
     /// Take the contour from this layer only
     #[arg(long)]
     pub(crate) layer: Option<String>,
     /// Ends closer than this are one point, in mm
     #[arg(long, default_value_t = 1e-3)]
     tolerance_mm: f64,
-}
-
-/// A unit of length
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Units {
-    /// Millimetres
-    Mm,
-    /// Inches
-    Inch,
-}
-
-impl Units {
-    pub(crate) fn unit(self) -> Unit {
-        match self {
-            Self::Mm => Unit::MM,
-            Self::Inch => Unit::INCH,
-        }
-    }
 }
 
 impl DrawingArgs {
@@ -59,7 +42,7 @@ impl DrawingArgs {
 
 impl DrawingOptions {
     pub(crate) fn read(&self, drawing: &Path) -> anyhow::Result<(Contour, Unit)> {
-        let unit = self.units.map(Units::unit);
+        let unit = self.units;
         let options = Options { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
         let read = drawing::read(drawing, &options)?;
         if let (Some(asked), Some(header)) = (unit, drawing::header_unit(drawing)?)

@@ -2,12 +2,12 @@
 //! The engine captures the positions.
 
 use super::bench::BenchArgs;
-use super::features::Units;
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use crate::daemon::{self, Daemon, unreachable};
 use crate::document::pretty;
+use crate::verbs::one_of;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
 use rtec_measure::record::{to_csv, to_sidecar};
@@ -15,6 +15,7 @@ use rtec_model::record::Record;
 use rtec_part::fit::Zx;
 use rtec_part::path::{approaches, read_expected, read_pathfin};
 use rtec_part::probe::{Captured, Trip, TripFault, assign, probed_csv, run_record};
+use rtec_part::unit::Unit;
 use rtec_sim::workpiece::Workpiece;
 use std::fmt::Write as _;
 use std::io::ErrorKind;
@@ -42,8 +43,8 @@ pub(crate) struct Args {
     #[arg(long)]
     expected: PathBuf,
     /// Unit of both files
-    #[arg(long, value_enum, default_value_t = Units::Mm)]
-    path_units: Units,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
+    path_units: Unit,
     #[command(flatten)]
     bench: BenchArgs,
     /// Folder for probed.csv and the run record probing.run.toml
@@ -79,7 +80,7 @@ struct LiveArgs {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let setup = args.bench.setup()?;
-    let unit = args.path_units.unit();
+    let unit = args.path_units;
     let records = read_pathfin(&args.path, unit)?;
     let expected = read_expected(&args.expected, unit)?;
     let approach = approaches(&records);

@@ -1,12 +1,13 @@
 //! `rtecctl part program`: the NC probing program from the path and a template.
 
 use super::download::{DownloadArgs, warn_of_dialect};
-use super::features::Units;
 use super::points::positive;
 use super::{print, usage, write_all};
 use crate::document::pretty;
+use crate::verbs::one_of;
 use rtec_part::path::{PathRole, read_pathfin};
 use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
+use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -18,11 +19,11 @@ pub(crate) struct Args {
     #[arg(long, required_unless_present = "parameters")]
     path: Option<PathBuf>,
     /// Unit of the path file
-    #[arg(long, value_enum, default_value_t = Units::Mm)]
-    path_units: Units,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
+    path_units: Unit,
     /// Unit of the program; by default that of the path
-    #[arg(long, value_enum)]
-    units: Option<Units>,
+    #[arg(long, value_parser = one_of(&Unit::ALL, &[]))]
+    units: Option<Unit>,
     /// Controller: report, linuxcnc or fanuc
     #[arg(long, default_value = "report")]
     dialect: String,
@@ -70,8 +71,8 @@ enum Comments {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let Some(path) = args.path.as_deref().filter(|_| !args.parameters) else { return list() };
-    let path_unit = args.path_units.unit();
-    let unit = args.units.map_or(path_unit, Units::unit);
+    let path_unit = args.path_units;
+    let unit = args.units.unwrap_or(path_unit);
     let records = read_pathfin(path, path_unit)?;
     let mut controller = match (&args.dialect_file, Controller::built_in(&args.dialect)) {
         (Some(dialect), _) => Controller::read(dialect, args.template.as_deref().unwrap_or(dialect))?,

@@ -1,6 +1,6 @@
 //! A file to import, as somebody names it: what it is, and what stands in it.
 
-use super::{Form, ImportColumn, Own, Sampling, add_note};
+use super::{Form, ImportColumn, OwnTable, Sampling, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// The formats, as they are called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Name {
+pub enum ImportFormat {
     /// ecmc's ISO 230-2 data.
     EcmcDat,
     /// LinuxCNC's compensation file of type 0.
@@ -35,23 +35,39 @@ pub enum Name {
     Shdr,
 }
 
-impl Name {
-    /// All of them, with the names that people write.
-    pub const ALL: [(&'static str, Self); 10] = [
-        ("ecmc-dat", Self::EcmcDat),
-        ("linuxcnc-comp0", Self::LinuxcncComp0),
-        ("linuxcnc-comp1", Self::LinuxcncComp1),
-        ("csv", Self::Csv),
-        ("own", Self::Own),
-        ("cmm-plate", Self::CmmPlate),
-        ("rtl", Self::Rtl),
-        ("etalon", Self::Etalon),
-        ("halsampler", Self::Halsampler),
-        ("shdr", Self::Shdr),
+impl ImportFormat {
+    /// All of them: the name that people write, the format, and its meaning.
+    pub const ALL: [(&'static str, Self, &'static str); 10] = [
+        ("ecmc-dat", Self::EcmcDat, "ecmc's ISO 230-2 data: `TGT_DATA`, `REF_DATA_FWD`, `REF_DATA_BWD`"),
+        (
+            "linuxcnc-comp0",
+            Self::LinuxcncComp0,
+            "LinuxCNC compensation file of type 0: nominal, forward, backward position",
+        ),
+        (
+            "linuxcnc-comp1",
+            Self::LinuxcncComp1,
+            "LinuxCNC compensation file of type 1: nominal, forward, backward correction",
+        ),
+        (
+            "csv",
+            Self::Csv,
+            "A table with a header line, parted by commas, semicolons or tabs; --columns says what is in it",
+        ),
+        ("own", Self::Own, "A table as a file of your own describes it: --form"),
+        (
+            "cmm-plate",
+            Self::CmmPlate,
+            "Coordinate measuring machine's table of holes: Meas X, Meas Y, Nom X, Nom Y, Nom D",
+        ),
+        ("rtl", Self::Rtl, "Renishaw .rtl of linear targets, as other programs read it"),
+        ("etalon", Self::Etalon, "Etalon exchange format: `[EXX] Gridpoints = { … }`"),
+        ("halsampler", Self::Halsampler, "What LinuxCNC's halsampler prints"),
+        ("shdr", Self::Shdr, "A log of `MTConnect`'s SHDR lines: TIME|KEY|VALUE"),
     ];
 }
 
-impl Name {
+impl ImportFormat {
     /// What such a file says that it is.
     fn kind(self) -> Option<FileKind> {
         match self {
@@ -69,11 +85,11 @@ impl Name {
 
 /// What is to be imported.
 #[derive(Debug, Clone)]
-pub struct Asked {
+pub struct ImportRequest {
     /// The file.
     pub file: PathBuf,
     /// What it is.
-    pub format: Name,
+    pub format: ImportFormat,
     /// The axis that was measured, where the file does not say.
     pub axis: Option<String>,
     /// Columns with their roles, as `t=time:min`.
@@ -100,7 +116,7 @@ pub struct Asked {
     pub out: PathBuf,
 }
 
-impl Asked {
+impl ImportRequest {
     /// Reads the file as a record, which is not written yet.
     ///
     /// # Errors
@@ -108,7 +124,7 @@ impl Asked {
     pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record, InputError> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let bytes = rtec_files::text::bytes(file)?;
-        let text = if self.format == Name::Rtl {
+        let text = if self.format == ImportFormat::Rtl {
             any_text(file, &bytes)?
         } else {
             let (text, encoding) = rtec_files::text::decode_western(file, &bytes)?;
@@ -128,7 +144,7 @@ impl Asked {
         if let Some(written) = record.written.take() {
             say(Said::Note(written));
         }
-        if matches!(self.format, Name::LinuxcncComp0 | Name::LinuxcncComp1) {
+        if matches!(self.format, ImportFormat::LinuxcncComp0 | ImportFormat::LinuxcncComp1) {
             let unit = if self.unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
             let text = format!("positions and corrections were read in {unit}: --unit states another");
             say(Said::Note(text));
@@ -178,25 +194,25 @@ impl Asked {
         };
         let form = Form { decimal_comma: self.decimal_comma, log: self.log, ..Form::default() };
         Ok(match self.format {
-            Name::EcmcDat => ecmc_dat(file, text, &axis()?, out)?,
-            Name::LinuxcncComp0 | Name::LinuxcncComp1 => {
-                let trims = self.format == Name::LinuxcncComp1;
+            ImportFormat::EcmcDat => ecmc_dat(file, text, &axis()?, out)?,
+            ImportFormat::LinuxcncComp0 | ImportFormat::LinuxcncComp1 => {
+                let trims = self.format == ImportFormat::LinuxcncComp1;
                 linuxcnc_comp(file, text, &axis()?, trims, self.unit, out)?
             }
-            Name::Csv => table(file, text, &columns()?, &form, kind()?, out)?,
-            Name::Own => {
+            ImportFormat::Csv => table(file, text, &columns()?, &form, kind()?, out)?,
+            ImportFormat::Own => {
                 let path = self.form.as_deref().unwrap_or(Path::new("--form"));
-                Own::parse(path, &rtec_files::text::read(path)?)?.read(file, text, out)?
+                OwnTable::parse(path, &rtec_files::text::read(path)?)?.read(file, text, out)?
             }
-            Name::CmmPlate => cmm_plate(file, text, out)?,
-            Name::Rtl => rtl(file, text, &axis()?, out)?,
-            Name::Etalon => etalon(file, text, &axis()?, out)?,
-            Name::Halsampler => {
+            ImportFormat::CmmPlate => cmm_plate(file, text, out)?,
+            ImportFormat::Rtl => rtl(file, text, &axis()?, out)?,
+            ImportFormat::Etalon => etalon(file, text, &axis()?, out)?,
+            ImportFormat::Halsampler => {
                 let sampling =
                     Sampling { period_s: self.period_s.unwrap_or_default(), numbered: self.numbered };
                 halsampler(file, text, &columns()?, &sampling, &form, kind()?, out)?
             }
-            Name::Shdr => shdr(file, text, &columns()?, kind()?, self.log, out)?,
+            ImportFormat::Shdr => shdr(file, text, &columns()?, kind()?, self.log, out)?,
         })
     }
 }

@@ -2,12 +2,12 @@
 //! X/Z selects the axis, S1 and S0 give the operation, and four bits give its number. A short acknowledgement
 //! ends it (CMTI 2014, section 2).
 
-use crate::bench::Edge;
-use crate::designs::trace;
-use crate::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
-use crate::insertion::{CorrectedAxis, MtcDecoder};
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
+use rtec_sim::bench::Edge;
+use rtec_sim::designs::trace;
+use rtec_sim::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
+use rtec_sim::insertion::{CorrectedAxis, MtcDecoder};
 use std::fmt::Write as _;
 
 /// A compensation that the embedded controller requests, one after another.
