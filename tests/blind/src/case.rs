@@ -195,6 +195,10 @@ pub(crate) fn write_run(
     if let Some(zero) = &run.zero {
         writeln!(side, "zero = \"{zero}\"")?;
     }
+    if run.kind == "positioning" {
+        // These runs turn where they read. One that does not say so shows no spike at its first target.
+        side += "turns = \"at_target\"\n";
+    }
     if let Some((length, [a, b])) = &run.bar {
         writeln!(side, "radius_mm = {length:?}\nplane = [\"{a}\", \"{b}\"]")?;
     }

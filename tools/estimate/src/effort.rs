@@ -77,6 +77,8 @@ pub const PLANE_RANK: usize = 5;
 pub const CHANGING: usize = 8;
 /// Largest number of harmonics of a shape that repeats in time.
 pub const HARMONICS: usize = 5;
+/// Number of moments tried at which a saw-tooth falls back, per period.
+pub const SAW_PHASES: i32 = 24;
 /// Times at which creep begins, as shares of a run.
 pub const CREEPS: [f64; 3] = [3e-3, 0.02, 0.1];
 /// Grid of positions, per mm: positions closer together count as one.

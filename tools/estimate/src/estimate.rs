@@ -15,7 +15,7 @@ use crate::wander::{self, Wander, wanders};
 use last::Last;
 use place::place;
 use rtec_least_squares::dot;
-use rtec_model::effect::{Dictionary, Difference, Effect, Search as How};
+use rtec_model::effect::{Dictionary, Difference, Effect};
 use rtec_model::record::{Record, Role};
 
 /// An alternative explanation of the same errors.
@@ -398,18 +398,6 @@ impl Found {
             moments: None,
             rivals: Vec::new(),
         }
-    }
-
-    /// Whether its size is known: the interval of one coefficient excludes zero.
-    #[must_use]
-    pub fn has_size(&self) -> bool {
-        let Some(effect) = &self.effect else { return true };
-        let width = effect.width();
-        let parameters = effect.description().parameters.iter().enumerate();
-        parameters.filter(|(_, p)| matches!(p.search, How::Linear | How::Amplitude)).any(|(i, _)| {
-            let half = self.half.iter().skip(i * width);
-            effect.get(i).iter().zip(half).any(|(v, h)| v.abs() > *h)
-        })
     }
 }
 

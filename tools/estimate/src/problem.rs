@@ -56,9 +56,37 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
                 }
             }
         }
+        // Over many turns the digits of a period leave an error. The phase in the middle stays.
+        if let (Some(t), Some(phase)) = (Turns::of(rows, effect), law.place(Search::Phase)) {
+            let sd = PERIOD_SHARE * effect.scalar(0);
+            let turned = std::f64::consts::TAU * PERIOD_SHARE * t.to_middle;
+            let mut column = vec![0.0; rows.n];
+            add(&mut column, sd, &slopes[0]);
+            add(&mut column, turned, &slopes[phase]);
+            out.push(Known { effect: e, along: vec![(0, sd), (phase, turned)], column });
+        }
     }
     out.retain(|k| k.column.iter().any(|x| *x != 0.0));
     out
+}
+
+/// Turns of a wave over the positions of the rows.
+struct Turns {
+    /// Over the whole travel.
+    over_travel: f64,
+    /// From the axis's zero to the middle of the travel.
+    to_middle: f64,
+}
+
+impl Turns {
+    /// The turns of a wave of the model.
+    fn of(rows: &Rows<'_>, wave: &Effect) -> Option<Self> {
+        let facts = wave.description().searched.wave?;
+        let places = rtec_model::effect::Extent::places_mm(rows, wave.axes().first()?);
+        let (lo, hi) = (places.first()?, places.last()?);
+        let period_mm = wave.scalar(0) * facts.unit_mm;
+        Some(Self { over_travel: (hi - lo) / period_mm, to_middle: 0.5 * (lo + hi) / period_mm })
+    }
 }
 
 /// Waves of the model with their periods corrected by the rows.
@@ -68,14 +96,8 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
     let mut model = model.to_vec();
     for e in 0..model.len() {
         let effect = &model[e];
-        let (Some(facts), Some(axis)) = (effect.description().searched.wave, effect.axes().first()) else {
-            continue;
-        };
-        let places = rtec_model::effect::Extent::places_mm(rows, axis);
-        let (Some(lo), Some(hi)) = (places.first(), places.last()) else { continue };
-        let period = effect.scalar(0);
-        let turns = (hi - lo) / (period * facts.unit_mm);
-        let off = turns * PERIOD_SHARE;
+        let Some(turns) = Turns::of(rows, effect) else { continue };
+        let (period, off) = (effect.scalar(0), turns.over_travel * PERIOD_SHARE);
         if off < OUT_OF_STEP {
             continue;
         }

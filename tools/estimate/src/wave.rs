@@ -98,6 +98,16 @@ impl Along {
         out
     }
 
+    /// A function of the position at all of `n` rows.
+    #[must_use]
+    pub fn over(&self, n: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
+        let mut out = vec![0.0; n];
+        for (row, place, share) in &self.rows {
+            out[*row] = share * f(*place);
+        }
+        out
+    }
+
     /// Position of each of `n` rows; zero if a row shows nothing.
     #[must_use]
     pub fn places(&self, n: usize) -> Vec<f64> {

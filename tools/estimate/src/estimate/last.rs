@@ -316,7 +316,7 @@ impl<'s, 'p> Last<'s, 'p> {
             .filter_map(|place| {
                 let effect = &self.model[place];
                 let mut values = effect.values().to_vec();
-                let mut half = vec![0.0; values.len()];
+                let mut half = vec![0.0_f64; values.len()];
                 let own: Vec<usize> =
                     (0..problem.known.len()).filter(|i| problem.known[*i].effect == place).collect();
                 let at: Vec<usize> = own.iter().map(|i| from + i).collect();
@@ -325,7 +325,7 @@ impl<'s, 'p> Last<'s, 'p> {
                     let sd = self.covariance(from + i, from + i).sqrt();
                     for (v, by) in &k.along {
                         values[*v] += by * self.beta[from + i];
-                        half[*v] = NORMAL_95 * (by * sd).abs();
+                        half[*v] = half[*v].hypot(NORMAL_95 * by * sd);
                     }
                 }
                 let replaced = found.iter().position(|f| f.replaces == Some(place));

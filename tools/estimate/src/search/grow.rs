@@ -5,6 +5,7 @@ use super::{Member, Search, Seed, Set};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
 use crate::family::{Family, Scan};
+use rtec_model::effect::Effect;
 use rtec_model::record::Axis;
 
 impl Search<'_> {
@@ -273,9 +274,27 @@ impl Search<'_> {
         set
     }
 
+    /// Exchanges a law and its companion for the law alone, with another reference.
+    /// For example, an expansion and a scale error may be one expansion from another temperature.
+    fn one_for_two(&self, set: &Set) -> Set {
+        let mut best = set.clone();
+        for (i, m) in set.members.iter().enumerate() {
+            let Some(companion) = m.cause.effect().and_then(Effect::companion) else { continue };
+            let same = |o: &Member| o.cause.effect().is_some_and(|e| e.name() == companion.name());
+            let Some(j) = set.members.iter().position(same) else { continue };
+            let others = self.without(&self.without(set, i.max(j)), i.min(j));
+            let own = self.family(m.family);
+            best = self
+                .grown_by(&others, 1, false, |f| std::ptr::eq(f, own))
+                .into_iter()
+                .fold(best, |best, one| if one.score > best.score { one } else { best });
+        }
+        best
+    }
+
     /// A set without one of its weaker members; the others on its axis are re-selected.
     pub(super) fn simpler(&self, set: &Set) -> Set {
-        let mut best = set.clone();
+        let mut best = self.one_for_two(set);
         for i in 0..set.members.len() {
             let Some(axis) = axis_of(&set.members[i]) else { continue };
             let without = self.without(set, i);

@@ -2,8 +2,8 @@
 
 use super::{Columns, Member, Search, Seed, Set, difference, gain, gain_of_one, log_sum};
 use crate::bank::Look;
-use crate::cause::Cause;
-use crate::effort::{DIFFERENCES, HARMONICS, PEAKS, TRIED, USUAL_TRIED, WAVES_KEPT};
+use crate::cause::{Cause, Shape};
+use crate::effort::{DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT};
 use crate::family::{Families, Family, Scan};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
 use crate::rows::Rows;
@@ -128,14 +128,22 @@ impl Search<'_> {
             }
             seeds.push(Seed { family: number, cause, weight, score });
         }
-        // A wave without a name need not be a sine.
+        // A wave without a name need not be a sine. What was seen less than twice does not repeat.
         if family.effect.is_none()
-            && best.1 > 0.0
+            && best.1 * along.span() >= 2.0
             && let Some(cause) = self.wave(family, best.1, HARMONICS)
         {
             let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
             let gain = self.gain(&set.factor, &self.columns(&cause)).total;
             seeds.push(Seed { family: number, cause, weight, score: prior + weight + gain });
+            let weight = weight - f64::from(SAW_PHASES).ln();
+            let of = |k| {
+                let cause =
+                    saw_tooth(family, best.1, f64::from(k) / f64::from(SAW_PHASES), self.problem.rows.n)?;
+                let gain = self.gain(&set.factor, &self.columns(&cause)).total;
+                Some(Seed { family: number, cause, weight, score: prior + weight + gain })
+            };
+            seeds.extend((0..SAW_PHASES).filter_map(of).max_by(|a, b| a.score.total_cmp(&b.score)));
         }
         seeds
     }
@@ -367,7 +375,7 @@ impl Search<'_> {
     pub(super) fn changing(&self, seed: &Seed) -> Option<Seed> {
         let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
         let effect = seed.cause.effect()?;
-        let shape = crate::cause::Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
+        let shape = Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
         let family = self
             .families
             .list
@@ -381,6 +389,15 @@ impl Search<'_> {
         let cause = Cause::Shape(Arc::new((shape, columns)));
         Some(Seed { family, cause, weight: seed.weight, score: seed.score })
     }
+}
+
+/// A saw-tooth of this frequency that falls back at a phase, in turns.
+/// Chillers, pumps and thermostats that switch leave one over time.
+fn saw_tooth(family: &Family, frequency: f64, phase: f64, n: usize) -> Option<Cause> {
+    let Scan::Wave { along, .. } = &family.scan else { return None };
+    let shape = Shape { manner: "saw-tooth".to_owned(), ..family.shape.clone()? };
+    let column = along.over(n, |at| 2.0 * CONTRIBUTION * ((frequency * at - phase).rem_euclid(1.0) - 0.5));
+    Some(Cause::Shape(Arc::new((shape, vec![column]))))
 }
 
 /// Whether a growth changes sign within the measured temperatures.
@@ -413,7 +430,9 @@ pub(super) fn wave_weight(
     let period_mm = 1.0 / (frequency * unit) * facts.unit_mm;
     let usual: Vec<f64> = facts.usual_mm.iter().flat_map(|p| [*p, 0.5 * p]).collect();
     let near = usual.iter().any(|u| (period_mm / u - 1.0).abs() < USUAL_WITHIN);
-    let usual = if near { USUAL_SHARE / usual.len() as f64 } else { 0.0 };
+    // The mode takes its part of the band around a usual period.
+    let part = (0.5 * cell / USUAL_WITHIN).min(1.0);
+    let usual = if near { USUAL_SHARE / usual.len() as f64 * part } else { 0.0 };
     ((1.0 - USUAL_SHARE) * even + usual).ln()
 }
 

@@ -45,6 +45,20 @@ fn what_swings_in_time_need_not_be_a_sine() {
     }
 }
 
+/// A chiller that switches: the error creeps and falls back, seven times in a run.
+#[test]
+fn a_saw_over_time_is_missing() {
+    for seed in 1..4 {
+        let mut d = Dice::new(seed);
+        let t: Vec<f64> = (0..72).map(|i| 20.0 * f64::from(i)).collect();
+        let saw = |t: f64| 10.0 * ((t / 198.0 + 0.3).rem_euclid(1.0) - 0.5);
+        let e = t.iter().map(|t| saw(*t) + 0.4 * d.normal()).collect();
+        let said = answer("", &[record("a", Kind::Drift, vec![("t", "time", t), ("e", "error.x", e)])], &[]);
+        let manners: Vec<&str> = said.unexplained.iter().map(|s| s.manner.as_str()).collect();
+        assert_eq!((said.verdict, manners), (Verdict::UnknownEffect, vec!["saw-tooth"]));
+    }
+}
+
 /// A line to and fro at which each place has its own level.
 /// The level depends on the direction of approach and is the same in all cycles.
 #[test]

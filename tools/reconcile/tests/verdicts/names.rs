@@ -346,3 +346,52 @@ fn a_wave_beside_a_known_one_has_an_uncertain_period() {
     let (period_mm, half) = (r.effects[0].0.effect.scalar(0), r.effects[0].1[0]);
     assert!(half > 0.0 && (period_mm - 12.0).abs() < 2.0 * half, "{period_mm} ± {half}");
 }
+
+/// A spindle that is off or at one speed shows its error.
+/// It does not show whether the error grows with the square of the speed.
+#[test]
+fn a_spindle_of_one_speed_has_its_name() {
+    let mut normal = noise(4);
+    let t: Vec<f64> = (0..120).map(|i| 20.0 * f64::from(i)).collect();
+    let rpm: Vec<f64> = (0..120).map(|i| if i / 15 % 2 == 0 { 0.0 } else { 6000.0 }).collect();
+    let e = rpm.iter().map(|n| 0.35 * n / 1000.0 + 0.5 * normal()).collect();
+    let r =
+        answer(record(Kind::Drift, vec![("t", "time", t), ("n", "spindle_speed", rpm), ("e", "error.z", e)]));
+    assert_eq!((names(&r), r.verdict), (vec!["spindle_speed.z".to_owned()], Verdict::Named));
+}
+
+/// The model has a screw's period as people write it.
+/// The wave is corrected. It is not accompanied by another one.
+#[test]
+fn a_period_written_short_is_no_second_wave() {
+    for (seed, period_mm) in [(1, 4.0115), (2, 4.0101), (3, 3.8937)] {
+        let mut normal = noise(seed);
+        let p: Vec<f64> = (0..1500).map(|i| -150.0 + 0.2 * f64::from(i) + 0.05 * normal()).collect();
+        let e = p.iter().map(|p| 17.5 * (TAU * p / period_mm + 0.8).sin() + 0.8 * normal()).collect();
+        let r = record(Kind::Positioning, vec![("p", "position.x", p), ("e", "error.x", e)]);
+        let written = period_mm * (1.0 + 0.9e-4);
+        let wave = format!("period_mm = {written}\num = 18.1\nphase_rad = 0.8\n");
+        let model = format!("name = \"m\"\n[[effect]]\nname = \"screw_periodic.x\"\n{wave}");
+        let model = Machine::parse(Path::new("m.toml"), &model).unwrap();
+        let r = reconcile(&[r], &[], &model, &Options::default()).unwrap();
+        assert_eq!((names(&r), r.verdict), (Vec::new(), Verdict::NothingMissing), "{period_mm}");
+        let [of] = &r.refined[..] else { panic!("{:?}", r.refined) };
+        let (period, half) = (of.after.0.scalar(0), of.after.1[0]);
+        assert!((period - period_mm).abs() <= 1.5 * half, "{period} ± {half}");
+    }
+}
+
+/// An expansion from a workshop's 24 °C is one effect, not two.
+#[test]
+fn an_expansion_from_another_temperature_needs_no_scale() {
+    let mut normal = noise(6);
+    let p: Vec<f64> = (0..240).map(|i| 25.0 * f64::from(i % 20)).collect();
+    let warm: Vec<f64> = (0..240).map(|i| 20.0 + 0.006 * f64::from(i)).collect();
+    let e = p.iter().zip(&warm).map(|(p, w)| 0.04 * (w - 24.0) * p + 0.6 * normal()).collect();
+    let t = (0..240).map(|i| 10.0 * f64::from(i)).collect();
+    let r = answer(record(
+        Kind::Positioning,
+        vec![("t", "time", t), ("p", "position.x", p), ("T", "temperature", warm), ("e", "error.x", e)],
+    ));
+    assert_eq!(names(&r), ["thermal_expansion.x"], "{}", r.verdict);
+}
