@@ -64,6 +64,8 @@ pub struct Found {
     pub shape_mass: f64,
     /// For a step in time: the 95 % interval of its moment.
     pub moments: Option<[f64; 2]>,
+    /// Whether its size is known: the joint 95 % region of its coefficients excludes zero.
+    pub has_size: bool,
     /// Alternative explanations, likeliest first.
     pub rivals: Vec<Rival>,
 }
@@ -396,6 +398,7 @@ impl Found {
             mode_mass: 1.0,
             shape_mass: 1.0,
             moments: None,
+            has_size: true,
             rivals: Vec::new(),
         }
     }

@@ -154,11 +154,17 @@ fn columns_gain(factor: &Factor, columns: &[Vec<f64>], freedom: f64) -> f64 {
     0.5 * freedom * (factor.left() / with.left().max(1e-300)).ln()
 }
 
+/// Probability that chance alone puts several parameters so far from zero.
+/// The squared distance is in standard deviations.
+#[must_use]
+pub fn chance_of(distance: f64, parameters: usize) -> f64 {
+    ChiSquared::new(parameters as f64).map_or(1.0, |chance| chance.sf(distance.max(0.0)))
+}
+
 /// Whether a squared distance of several parameters is beyond chance.
-/// The distance is in standard deviations.
 #[must_use]
 pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
-    ChiSquared::new(parameters as f64).is_ok_and(|chance| chance.sf(distance.max(0.0)) < CHANCE)
+    chance_of(distance, parameters) < CHANCE
 }
 
 /// Whether the unit of a response is in question.

@@ -65,8 +65,8 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
     let mut unexplained = Vec::new();
     for f in estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level) {
         match (&f.effect, &f.shape) {
-            // A name is accepted if shapes hold less than half of its posterior.
-            (Some(effect), _) if f.shape_mass < rtec_estimate::priors::THERE => {
+            // A name is accepted if shapes hold less than half of its posterior and its size is not zero.
+            (Some(effect), _) if f.shape_mass < rtec_estimate::priors::THERE && f.has_size => {
                 findings.push((finding(f, effect), f.half.clone()));
             }
             (Some(effect), _) => {

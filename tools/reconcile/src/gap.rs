@@ -65,9 +65,15 @@ impl Gap {
     #[must_use]
     pub fn confirmed(&self) -> Option<bool> {
         let [before, after] = self.holdout?;
-        let chance = 1.0 + 2.0 * (2.0 / self.held_rows.max(1) as f64).sqrt();
-        Some(after * after <= (before * before).max(self.floor * self.floor) * chance)
+        let most = (before * before).max(self.floor * self.floor);
+        Some(after * after <= most * chance(self.held_rows as f64))
     }
+}
+
+/// Factor by which chance may change a mean square of so many independent rows.
+/// It is two standard errors.
+pub(crate) fn chance(rows: f64) -> f64 {
+    1.0 + 2.0 * (2.0 / rows.max(1.0)).sqrt()
 }
 
 /// The residuals of one response of one record, its set-up removed.

@@ -362,13 +362,14 @@ fn headline(r: &Reconciliation) -> String {
         Verdict::UnknownEffect => r
             .unexplained
             .iter()
-            .map(|s| {
-                format!(
-                    "{} has structure against {} ({}) that no known effect explains",
-                    s.response,
-                    s.against.join(" and "),
-                    s.manner
-                )
+            .map(|s| match (&s.response, s.against.join(" and "), &s.manner) {
+                // Nothing was judged.
+                (response, against, why) if against.is_empty() => format!("{response}: {why}"),
+                (response, against, manner) => {
+                    format!(
+                        "{response} has structure against {against} ({manner}) that no known effect explains"
+                    )
+                }
             })
             .chain(r.curve.iter().map(|(e, _)| {
                 format!("the model has {} in its place: a bounded curve, marked as unexplained", e.name())

@@ -1,7 +1,7 @@
 //! The whole answer of a reconciliation.
 
 use crate::answer::Finding;
-use crate::gap::{Gap, Trace, unit_of};
+use crate::gap::{Gap, Trace, chance, unit_of};
 use crate::where_found::Place;
 use rtec_estimate::priors::HELD;
 use rtec_estimate::setup::What;
@@ -179,14 +179,13 @@ impl fmt::Display for Unsaid {
 
 impl Reconciliation {
     /// Whether more is left of the training rows than their noise.
-    /// Chance is two standard errors of a mean square, of as many rows as the noise's memory leaves independent.
+    /// Of the rows count as many as the noise's memory leaves independent.
     #[must_use]
     pub fn is_above_floor(&self, gap: &Gap) -> bool {
         let own = self.traces.iter().filter(|t| !t.holdout && unit_of(&t.response) == gap.unit);
         let rows: usize = own.map(|t| t.before.len()).sum();
         let independent = rows as f64 * (1.0 - self.phi) / (1.0 + self.phi);
-        let chance = 1.0 + 2.0 * (2.0 / independent.max(1.0)).sqrt();
-        gap.train[0].powi(2) > gap.floor.powi(2) * chance
+        gap.train[0].powi(2) > gap.floor.powi(2) * chance(independent)
     }
 
     /// What the verdict does not cover, for its headline; empty if it covers all.

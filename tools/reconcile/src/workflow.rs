@@ -145,10 +145,10 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         where_found::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
-    let mut advice = work.advice(verdict, &effects, &answer.unexplained);
-    if why_nothing.is_some() {
-        advice.clear();
-    }
+    let advice = match why_nothing {
+        None => work.advice(verdict, &effects, &answer.unexplained),
+        Some(_) => String::new(),
+    };
     // If every record is doubted, that is the reason for the empty answer.
     let mend = if rows == 0 { Vec::new() } else { to_mend(&unsaid) };
     let parts =
@@ -186,7 +186,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
 fn not_told(used: &[Record], why: &str) -> Shape {
     let response =
         used.iter().flat_map(Record::responses).next().map_or(String::new(), |c| c.role.to_string());
-    Shape { response, against: vec!["time".to_owned()], manner: why.to_owned() }
+    Shape { response, against: Vec::new(), manner: why.to_owned() }
 }
 
 /// What to do about the records that the verdict does not cover.
@@ -319,7 +319,11 @@ impl Work<'_> {
                 [given.min(named), with]
             };
             let [without, with] = unseen;
-            if with >= without {
+            let own: Vec<&Record> =
+                if held.is_empty() { self.used.iter().collect() } else { held.iter().collect() };
+            let seen = own.iter().filter(|r| r.responses().any(|c| c.role.to_string() == shape.response));
+            let n: usize = seen.map(|r| r.rows()).sum();
+            if with * with * gap::chance(n as f64) >= without * without {
                 let of = if held.is_empty() { "blocks of rows left out in turn" } else { "the hold-outs" };
                 why = format!("{of} are no better with it: {without:.3} -> {with:.3} {unit}");
                 continue;

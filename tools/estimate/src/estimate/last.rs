@@ -5,7 +5,8 @@ use super::{Found, Moved, SetUp};
 use crate::cause::Cause;
 use crate::effort::LAST_STEPS;
 use crate::family::Scan;
-use crate::problem::is_beyond_chance;
+use crate::priors::HELD;
+use crate::problem::{chance_of, is_beyond_chance};
 use crate::search::{Search, Set};
 use crate::setup;
 use rtec_least_squares::dot;
@@ -172,7 +173,7 @@ impl<'s, 'p> Last<'s, 'p> {
             let cause = cause.clone();
             members.push(Solved { cause, level: m.level, at, width, bent: own, left_out: Vec::new() });
         }
-        let beta = factor.solve();
+        let mut beta = factor.solve();
         let left = factor.left();
         // Values are less certain if further effects may exist, and if all rows of one reading share an
         // error.
@@ -187,6 +188,7 @@ impl<'s, 'p> Last<'s, 'p> {
                 factor.push(&c);
             }
         }
+        beta.resize(factor.len(), 0.0);
         for t in &search.rounding {
             let mut c: Vec<f64> = t.column.iter().map(|x| x * t.sd).collect();
             search.base.noise.whiten(rows, &mut c);
@@ -285,6 +287,10 @@ impl<'s, 'p> Last<'s, 'p> {
                 half[p] = 0.5 * (to - from);
                 effect = effect.with(&[(p, f64::midpoint(from, to))]).unwrap_or(effect);
             }
+            // Two coefficients that the rows do not tell apart may each be zero, but not both.
+            let own: Vec<usize> =
+                (m.at..m.at + m.width).chain(m.left_out.iter().map(|(_, at, _)| *at)).collect();
+            f.has_size = chance_of(self.distance(&own), own.len()) < 1.0 - HELD;
             let held = (0..n).filter(|v| half[*v] <= 0.0).collect();
             (f.effect, f.half, f.held) = (Some(effect), half, held);
         }

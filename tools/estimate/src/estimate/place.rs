@@ -155,6 +155,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         name_mass,
         mode_mass: (mode / name_mass.max(1e-300)).min(1.0),
         shape_mass,
+        has_size: true,
         rivals,
     };
     Place { found, tried: all_tried, nothing: evidence < 0.0, better }

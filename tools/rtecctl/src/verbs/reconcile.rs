@@ -259,13 +259,13 @@ fn summary(r: &Reconciliation) -> String {
         }
     }
     for u in &r.unexplained {
-        let _ = writeln!(
-            s,
-            "  {} against {}: {}, no effect explains it",
-            u.response,
-            u.against.join(" and "),
-            u.manner
-        );
+        // Nothing was judged.
+        let _ = if u.against.is_empty() {
+            writeln!(s, "  {}: {}", u.response, u.manner)
+        } else {
+            let against = u.against.join(" and ");
+            writeln!(s, "  {} against {against}: {}, no effect explains it", u.response, u.manner)
+        };
     }
     if let Some((curve, _)) = &r.curve {
         let _ =
