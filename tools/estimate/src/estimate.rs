@@ -64,7 +64,8 @@ pub struct Found {
     pub shape_mass: f64,
     /// For a step in time: the 95 % interval of its moment.
     pub moments: Option<[f64; 2]>,
-    /// Whether its size is known: the joint 95 % region of its coefficients excludes zero.
+    /// Whether its size is known.
+    /// The joint 95 % region of its coefficients then excludes zero.
     pub has_size: bool,
     /// Alternative explanations, likeliest first.
     pub rivals: Vec<Rival>,
