@@ -55,17 +55,24 @@ fn right_and_everything_that_can_be_wrong_is_named() {
     }
 }
 
+/// A daemon with its simulated axis homed and corrections on.
+/// Its socket is `s` in the directory.
+fn enabled() -> (tempfile::TempDir, Daemon) {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("rtec.toml");
+    std::fs::write(&file, config("")).unwrap();
+    let daemon = Daemon::start(&directory.path().join("s"), Some(&file));
+    daemon.expect(0, &["home"]);
+    daemon.expect(0, &["enable"]);
+    (directory, daemon)
+}
+
 /// `--by-hand` asks at a simulated axis that nobody stops.
 #[test]
 fn says_what_it_waits_for_by_hand() {
     let _room = among_others();
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("rtec.toml");
-    std::fs::write(&file, config("")).unwrap();
+    let (directory, _daemon) = enabled();
     let socket = directory.path().join("s");
-    let daemon = Daemon::start(&socket, Some(&file));
-    daemon.expect(0, &["home"]);
-    daemon.expect(0, &["enable"]);
     let mut guided = Command::new(program("rtecctl"))
         .args(["commission", "x", "--by-hand", "--socket"])
         .arg(&socket)
@@ -126,13 +133,8 @@ fn jog(socket: &Path, to_mm: f64) -> [f64; 2] {
 #[test]
 fn whoever_leaves_in_the_middle_leaves_nothing_requested() {
     let _room = among_others();
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("rtec.toml");
-    std::fs::write(&file, config("")).unwrap();
+    let (directory, daemon) = enabled();
     let socket = directory.path().join("s");
-    let daemon = Daemon::start(&socket, Some(&file));
-    daemon.expect(0, &["home"]);
-    daemon.expect(0, &["enable"]);
     let places = [5.0, 6.0, 9.0, 5.0, 6.0, 5.0, 6.0, 5.0];
     for (answers, leaves) in [(8, "proved"), (1, "TERM"), (5, "INT"), (5, "nobody")] {
         jog(&socket, 5.0);

@@ -319,10 +319,9 @@ impl Work<'_> {
                 [given.min(named), with]
             };
             let [without, with] = unseen;
-            let own: Vec<&Record> =
-                if held.is_empty() { self.used.iter().collect() } else { held.iter().collect() };
+            let own = if held.is_empty() { self.used } else { held };
             let seen = own.iter().filter(|r| r.responses().any(|c| c.role.to_string() == shape.response));
-            let n: usize = seen.map(|r| r.rows()).sum();
+            let n: usize = seen.map(Record::rows).sum();
             if with * with * gap::chance(n as f64) >= without * without {
                 let of = if held.is_empty() { "blocks of rows left out in turn" } else { "the hold-outs" };
                 why = format!("{of} are no better with it: {without:.3} -> {with:.3} {unit}");

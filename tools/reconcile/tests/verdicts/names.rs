@@ -377,6 +377,7 @@ fn a_period_written_short_is_no_second_wave() {
         assert_eq!((names(&r), r.verdict), (Vec::new(), Verdict::NothingMissing), "{period_mm}");
         let [of] = &r.refined[..] else { panic!("{:?}", r.refined) };
         let (period, half) = (of.after.0.scalar(0), of.after.1[0]);
+        // Three standard deviations: the half width is two.
         assert!((period - period_mm).abs() <= 1.5 * half, "{period} ± {half}");
     }
 }
