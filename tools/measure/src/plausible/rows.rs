@@ -109,10 +109,12 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     if n < 4 {
         return;
     }
-    let whole: Vec<&Column> = record.columns.iter().collect();
+    // What is derived from positions and times differs in a copy, because its neighbours do.
+    let is_derived = |c: &&Column| matches!(c.role, Role::Velocity(_) | Role::Acceleration(_));
+    let whole: Vec<&Column> = record.columns.iter().filter(|c| !is_derived(c)).collect();
     // The clock and the cycle's number are counted, not measured: what is pasted gets its own.
     let counted = |c: &&Column| matches!(c.role, Role::Time | Role::Cycle);
-    let measured: Vec<&Column> = record.columns.iter().filter(|c| !counted(c)).collect();
+    let measured: Vec<&Column> = whole.iter().copied().filter(|c| !counted(c)).collect();
     let same =
         |of: &[&Column], i: usize, j: usize| of.iter().all(|c| c.data[i].to_bits() == c.data[j].to_bits());
     // The next row, or the one after where pairs were doubled: without time neighbours must be alike far more often than

@@ -6,6 +6,7 @@
 
 use crate::names;
 use rtec_measure::plausible::What;
+use rtec_model::circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
@@ -51,6 +52,26 @@ fn spoil(record: &mut Record, column: &str, f: impl Fn(usize, f64) -> f64) {
 fn answer(train: &[Record], holdout: &[Record]) -> Reconciliation {
     let model = Machine::parse(Path::new("m.toml"), MODEL).unwrap();
     reconcile(train, holdout, &model, &Options::default()).unwrap()
+}
+
+/// Rows that stand twice in a file are said, though velocities are derived from them.
+#[test]
+fn doubled_rows_of_a_circle_are_said() {
+    let mut d = Dice::new(1);
+    let rows: Vec<usize> =
+        (0..200).flat_map(|i| vec![i; if (40..80).contains(&i) { 2 } else { 1 }]).collect();
+    let once: Vec<[f64; 3]> = (0..200)
+        .map(f64::from)
+        .map(|i| [0.1 * i + 0.01 * (i % 3.0), 0.03 * i, (0.06 * i).cos() + 0.2 * d.normal()])
+        .collect();
+    let column = |k: usize| rows.iter().map(|i| once[*i][k]).collect();
+    let columns = vec![("t", "time", column(0)), ("a", "angle", column(1)), ("e", "error.r", column(2))];
+    let [x, y] = ["x", "y"].map(|a| Axis::new(a).unwrap());
+    let circle = Circle { radius_mm: 100.0, plane: [x, y], centre_mm: Some([0.0, 0.0]) };
+    let record = crate::record("a", Kind::Ballbar, columns).with_circle(circle).unwrap();
+    let said = crate::answer("", &[record], &[]);
+    let [s] = &said.suspicions[..] else { panic!("{:?}", said.suspicions) };
+    assert!(s.what == What::Doubled && s.text.starts_with("40 of 240 rows"), "{s:?}");
 }
 
 #[test]
