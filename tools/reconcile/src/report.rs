@@ -38,7 +38,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
             Verdict::UnknownEffect => "#a33",
         },
         r.verdict.name().replace('_', " "),
-        escaped(&[Some(headline(r)), r.unsaid()].into_iter().flatten().collect::<Vec<_>>().join("; ")),
+        escaped(&[Some(headline(r)), r.reservation()].into_iter().flatten().collect::<Vec<_>>().join("; ")),
     );
     facts(&mut h, r);
     gap(&mut h, r);

@@ -188,11 +188,14 @@ impl Reconciliation {
         gap.train[0].powi(2) > gap.floor.powi(2) * chance(independent)
     }
 
-    /// What the verdict does not cover, for its headline; empty if it covers all.
+    /// What limits the verdict, for its headline: hold-outs that got worse, records that it does not cover.
     #[must_use]
-    pub fn unsaid(&self) -> Option<String> {
+    pub fn reservation(&self) -> Option<String> {
         let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();
-        (!records.is_empty()).then(|| format!("nothing is said of {}: left out", records.join(", ")))
+        let unsaid = format!("nothing is said of {}: left out", records.join(", "));
+        let worse = (self.confirmed == Some(false)).then(|| "not confirmed by the hold-out".to_owned());
+        let parts: Vec<String> = worse.into_iter().chain((!records.is_empty()).then_some(unsaid)).collect();
+        (!parts.is_empty()).then(|| parts.join("; "))
     }
 }
 

@@ -122,23 +122,36 @@ fn errors_in_thousandths_of_an_inch_are_said() {
     }
 }
 
+/// A hold-out that gets worse is said in the headline, and does not change the verdict.
+#[test]
+fn a_headline_says_what_the_hold_out_does_not_confirm() {
+    let model = "[[effect]]\nname = \"scale.x\"\nppm = 23.0\n";
+    let [train, alike, mut mended] = [1, 2, 3].map(|seed| strokes("a", seed, RIGHT, 1.0));
+    let way = mended.columns[1].data.clone();
+    mended.columns[2].data.iter_mut().zip(way).for_each(|(e, way)| *e -= 3.0 * way);
+    for (later, want) in [(alike, None), (mended, Some("not confirmed by the hold-out".to_owned()))] {
+        let r = answer(model, std::slice::from_ref(&train), &[later]);
+        assert_eq!((r.verdict, r.reservation()), (Verdict::Named, want), "{}", r.to_json());
+    }
+}
+
 /// A record that was left out appears as not covered everywhere.
 /// The headline, the advice and the document all say so.
 #[test]
 fn nothing_is_said_of_a_record_that_was_left_out() {
     let [good, mut bad] = [strokes("good", 1, RIGHT, 1.0), strokes("bad", 2, RIGHT, 1.0)];
     let r = answer(STROKES, std::slice::from_ref(&good), &[]);
-    assert_eq!((r.verdict, r.unsaid()), (Verdict::NothingMissing, None), "{}", r.to_json());
+    assert_eq!((r.verdict, r.reservation()), (Verdict::NothingMissing, None), "{}", r.to_json());
     bad.columns[2].data.iter_mut().for_each(|e| *e = -*e);
     let r = answer(STROKES, &[good.clone(), bad.clone()], &[]);
     assert_eq!(r.verdict, Verdict::NothingMissing, "{}", r.to_json());
-    let headline = r.unsaid().unwrap();
+    let headline = r.reservation().unwrap();
     assert!(headline.contains("bad.run.toml (sign)") && !headline.contains("good"), "{headline}");
     assert!(r.advice.starts_with("bad.run.toml (sign): nothing is said of it"), "{}", r.advice);
     assert_eq!(r.to_json()["nothing_said_of"], serde_json::json!(["bad.run.toml"]));
     // The same for a hold-out.
     let r = answer(STROKES, &[good], &[bad]);
-    assert!(r.gap[0].holdout.is_none() && r.unsaid().is_some(), "{}", r.to_json());
+    assert!(r.gap[0].holdout.is_none() && r.reservation().is_some(), "{}", r.to_json());
 }
 
 /// One of two hold-outs differs.

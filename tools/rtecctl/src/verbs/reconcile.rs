@@ -246,8 +246,8 @@ fn values(x: &Refined) -> String {
 fn summary(r: &Reconciliation) -> String {
     use std::fmt::Write as _;
     let mut s = found(r);
-    let unsaid = r.unsaid().map_or_else(String::new, |unsaid| format!("; {unsaid}"));
-    let _ = writeln!(s, "Verdict: {}{unsaid}", r.verdict);
+    let but = r.reservation().map_or_else(String::new, |reservation| format!("; {reservation}"));
+    let _ = writeln!(s, "Verdict: {}{but}", r.verdict);
     for (f, half) in &r.effects {
         let sensor = f.effect.delta.as_ref().map_or_else(String::new, |d| format!(" ({d})"));
         let _ = writeln!(s, "  {}{sensor}, p {}", f.effect.name(), chance(f.p_value));
