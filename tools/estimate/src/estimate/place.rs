@@ -114,12 +114,13 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     all[1..].sort_by(|a, b| b.3.total_cmp(&a.3));
     // All within fair odds are listed, and as many as the credible set needs in addition to the accepted
     // name.
-    let mut held = mode;
+    let whole = log_sum(all.iter().map(|a| a.3));
+    let mut held = (set.score - whole).exp();
     for (family, label, effect, score) in all.iter().skip(1) {
         let margin = set.score - score;
         all_tried.push(tried(label, -margin, false));
         let listed = margin < LISTED || held < HELD;
-        held += (score - total).exp();
+        held += (score - whole).exp();
         let Some(effect) = effect.as_ref().filter(|_| listed && families[*family].replaces.is_none()) else {
             continue;
         };
