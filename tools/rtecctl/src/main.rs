@@ -36,8 +36,6 @@ mod full_screen;
 mod help;
 mod http;
 mod progress;
-#[cfg(test)]
-mod reference;
 mod rounding;
 mod terminal;
 mod verbs;
@@ -325,7 +323,7 @@ mod tests {
             };
             (understood(alone), understood(command()))
         };
-        for (name, example) in crate::help::examples() {
+        for (name, example) in crate::help::tests::examples() {
             let (alone, among) = both(example);
             assert!(name == "help" || alone.is_ok(), "{example}: {alone:?}");
             assert_eq!(alone.ok(), among.ok(), "{example}");
