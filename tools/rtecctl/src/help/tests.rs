@@ -4,12 +4,12 @@ use super::*;
 
 /// Verbs and their examples.
 pub(crate) fn examples() -> impl Iterator<Item = (&'static str, &'static str)> {
-    VERBS.iter().filter(|v| v.0 != "help").map(|v| (v.0, v.2))
+    VERBS.iter().map(|v| (v.0, v.2))
 }
 
 /// Roles: name, description, verbs.
 pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
-    let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
+    let verbs = |n: usize| all().filter(|v| v.1 == n).map(|v| v.0).collect();
     ROLES.iter().enumerate().map(|(n, (role, who))| (*role, *who, verbs(n))).collect()
 }
 
@@ -19,10 +19,10 @@ fn every_verb_has_its_door_and_its_example_is_its_own() {
     for verb in command.get_subcommands().map(Command::get_name) {
         assert_eq!(VERBS.iter().filter(|v| v.0 == verb).count(), usize::from(verb != "help"), "{verb}");
     }
-    for (verb, _, example, _) in VERBS {
+    for (verb, _, example, _) in all() {
         assert!(example.starts_with(&format!("rtecctl {verb}")), "{verb}: {example}");
     }
-    for example in VERBS.iter().map(|v| v.2).chain(BELOW) {
+    for example in all().map(|v| v.2).chain(BELOW) {
         let words = example.split(' ');
         if let Err(error) = super::command().try_get_matches_from(words)
             && error.exit_code() != 0
