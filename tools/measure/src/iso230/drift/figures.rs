@@ -11,7 +11,7 @@ const HOUR_S: f64 = 3600.0;
 pub(super) type Row<'d> = (f64, f64, &'d [&'d [f64]], usize);
 
 /// The first look: what the second has to know of all rows before it.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Sums {
     rows: usize,
     first_s: f64,
@@ -47,9 +47,14 @@ impl Sums {
 #[derive(Debug, Clone, Copy)]
 struct Span([f64; 2]);
 
-impl Span {
-    const NONE: Self = Self([f64::INFINITY, f64::NEG_INFINITY]);
+/// Of no values.
+impl Default for Span {
+    fn default() -> Self {
+        Self([f64::INFINITY, f64::NEG_INFINITY])
+    }
+}
 
+impl Span {
     fn see(&mut self, v: f64) {
         self.0 = [self.0[0].min(v), self.0[1].max(v)];
     }
@@ -67,7 +72,7 @@ struct Ends {
 }
 
 /// A sensor beside the displacement.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Beside {
     mean: f64,
     /// Its readings.
@@ -91,21 +96,7 @@ struct Beside {
 
 impl Beside {
     fn of((sum, rows): (f64, usize)) -> Self {
-        Self {
-            mean: sum / rows as f64,
-            rows,
-            span: Span::NONE,
-            ends: Ends::default(),
-            early_rows: 0,
-            late_rows: 0,
-            first: None,
-            last: 0.0,
-            tv: 0.0,
-            vv: 0.0,
-            ve: 0.0,
-            t: [0.0; 2],
-            e: [0.0; 2],
-        }
+        Self { mean: sum / rows as f64, rows, ..Self::default() }
     }
 
     fn see(&mut self, v: f64, [about_t, about_e]: [f64; 2], [early, late]: [bool; 2]) {
@@ -150,7 +141,7 @@ impl Beside {
 }
 
 /// The second look, at the same rows in the same order.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Look {
     of: Sums,
     seen: usize,
@@ -175,21 +166,12 @@ impl Look {
     pub(super) fn at(of: Sums) -> Self {
         let n = of.rows as f64;
         Self {
-            seen: 0,
             few: (of.rows / 100).max(1),
             mean_t: of.t / n,
             mean_e: of.e / n,
-            first_hour: Span::NONE,
-            all: Span::NONE,
-            last_hour: Span::NONE,
-            ends: Ends::default(),
-            tt: 0.0,
-            te: 0.0,
-            ee: 0.0,
-            window: VecDeque::new(),
-            max_rate_per_h: None,
             sensors: of.degc.iter().copied().map(Beside::of).collect(),
             of,
+            ..Self::default()
         }
     }
 
