@@ -66,19 +66,19 @@ impl Span {
 
 /// Sums of the first and of the last hundredth of the rows.
 #[derive(Debug, Clone, Copy, Default)]
-struct Ends {
+struct EndSums {
     early: f64,
     late: f64,
 }
 
 /// A sensor beside the displacement.
 #[derive(Debug, Clone, Default)]
-struct Beside {
+struct SensorSums {
     mean: f64,
     /// Its readings.
     rows: usize,
     span: Span,
-    ends: Ends,
+    ends: EndSums,
     /// Readings in the first and in the last hundredth of the rows, and the first and the last of all.
     early_rows: usize,
     late_rows: usize,
@@ -94,7 +94,7 @@ struct Beside {
     e: [f64; 2],
 }
 
-impl Beside {
+impl SensorSums {
     fn of((sum, rows): (f64, usize)) -> Self {
         Self { mean: sum / rows as f64, rows, ..Self::default() }
     }
@@ -152,14 +152,14 @@ pub(super) struct Look {
     first_hour: Span,
     all: Span,
     last_hour: Span,
-    ends: Ends,
+    ends: EndSums,
     tt: f64,
     te: f64,
     ee: f64,
     /// The rows of the last hour.
     window: VecDeque<(f64, f64)>,
     max_rate_per_h: Option<f64>,
-    sensors: Vec<Beside>,
+    sensors: Vec<SensorSums>,
 }
 
 impl Look {
@@ -169,7 +169,7 @@ impl Look {
             few: (of.rows / 100).max(1),
             mean_t: of.t / n,
             mean_e: of.e / n,
-            sensors: of.degc.iter().copied().map(Beside::of).collect(),
+            sensors: of.degc.iter().copied().map(SensorSums::of).collect(),
             of,
             ..Self::default()
         }
@@ -178,7 +178,7 @@ impl Look {
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
         let (early, late) = (self.seen < self.few, self.seen >= self.of.rows - self.few);
         self.seen += 1;
-        let at_ends = |ends: &mut Ends, v: f64| {
+        let at_ends = |ends: &mut EndSums, v: f64| {
             ends.early += if early { v } else { 0.0 };
             ends.late += if late { v } else { 0.0 };
         };
@@ -219,7 +219,7 @@ impl Look {
     /// What was seen; the sensors have these names.
     pub(super) fn figures<'n>(&self, names: impl Iterator<Item = &'n str>) -> Figures {
         let few = self.few as f64;
-        let change = |ends: Ends| ends.late / few - ends.early / few;
+        let change = |ends: EndSums| ends.late / few - ends.early / few;
         // The slope of the straight line through the rows.
         let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
         Figures {
