@@ -49,7 +49,7 @@ const NOTHING: &str = "000000000000000000000000000000000000000000000000000000000
 const LONGEST_LINE: u64 = 64 << 10;
 
 /// One line of the record, without its hash.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
     /// Its number, from 1.
     #[serde(default)]
@@ -98,21 +98,7 @@ pub struct Entry {
 impl Entry {
     /// An entry for something that happened now.
     pub fn now(what: &str) -> Self {
-        Self {
-            n: 0,
-            t: stamp(SystemTime::now()),
-            what: what.to_owned(),
-            axis: None,
-            by: None,
-            request: None,
-            result: String::new(),
-            text: String::new(),
-            times: None,
-            before: BTreeMap::new(),
-            after: BTreeMap::new(),
-            model: None,
-            prev: String::new(),
-        }
+        Self { t: stamp(SystemTime::now()), what: what.to_owned(), ..Self::default() }
     }
 
     /// Whether this is a command that was not done.
@@ -258,7 +244,8 @@ mod tests {
     fn written(lines: i64, full: u64) -> (tempfile::TempDir, PathBuf) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("audit.log");
-        let mut writer = Writer::new(&path).full_at(full);
+        let mut writer = Writer::new(&path);
+        writer.full = full;
         for n in 0..lines {
             writer.append(entry("x", n)).unwrap();
         }
@@ -385,7 +372,8 @@ mod tests {
         // The state after each of the renames but the last.
         for renamed in 0..FILES - 1 {
             let (_directory, path) = written(300, 4096);
-            let mut writer = Writer::new(&path).full_at(4096);
+            let mut writer = Writer::new(&path);
+            writer.full = 4096;
             writer.append(Entry::now("start")).unwrap();
             writer.begin_rotation().unwrap();
             for n in (0..FILES - 1).rev().take(renamed) {
@@ -394,7 +382,8 @@ mod tests {
             }
             drop(writer);
             assert_eq!(verify(&path, &[]).unwrap().broken, [], "{renamed}");
-            let mut writer = Writer::new(&path).full_at(4096);
+            let mut writer = Writer::new(&path);
+            writer.full = 4096;
             for n in 0..40 {
                 writer.append(entry("x", n)).unwrap();
             }
@@ -422,7 +411,8 @@ mod tests {
         let going = std::sync::atomic::AtomicBool::new(true);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                let mut writer = Writer::new(&path).full_at(64 << 10);
+                let mut writer = Writer::new(&path);
+                writer.full = 64 << 10;
                 for n in 0.. {
                     if !going.load(std::sync::atomic::Ordering::Relaxed) {
                         break;

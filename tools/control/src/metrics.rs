@@ -5,7 +5,7 @@
 //! rule thus needs no text. The two formats differ in the names of counters' families, in the type `info` and
 //! in the last line.
 
-use crate::protocol::{DaemonStatus, LogState, Observed, word};
+use crate::protocol::{AxisReport, DaemonStatus, LogState, Observed, RtStatus, word};
 use rtec_rt::event::Fault;
 use std::fmt::Write as _;
 
@@ -94,38 +94,30 @@ fn machine(out: &mut Out, s: &DaemonStatus) {
     );
 }
 
+/// A metric of `T`: kind, name, help, value.
+type Metric<T> = (&'static str, &'static str, &'static str, fn(&T) -> f64);
+
+#[rustfmt::skip] // a metric a line
+const AXIS: [Metric<AxisReport>; 13] = [
+    ("gauge", "rtec_axis_homed", "1 when the axis is homed", |a| flag(a.homed)),
+    ("gauge", "rtec_position_meters", "Position by the scale since homing", |a| a.position_mm / 1000.0),
+    ("gauge", "rtec_requested_counts", "Total correction that was accepted, counts since homing", |a| a.requested as f64),
+    ("gauge", "rtec_completed_counts", "Inserted, counts since homing; in shadow mode what would have been", |a| a.completed as f64),
+    ("gauge", "rtec_in_effect_counts", "What is really in the controller's count, counts", |a| a.in_effect as f64),
+    ("gauge", "rtec_max_correction_counts", "Largest total that is accepted, counts", |a| a.max_correction_counts as f64),
+    ("gauge", "rtec_edge_rate_hertz", "Edges of the scale a second", |a| a.edge_rate_hz),
+    ("counter", "rtec_insertions_total", "Insertions since the daemon's start", |a| a.insertions as f64),
+    ("counter", "rtec_gate_waits_total", "Edges at which a correction was pending and the speed gate shut", |a| a.waited_for_gate as f64),
+    ("counter", "rtec_overlaps_total", "Edges that fell into an insertion, with a certain outcome", |a| a.overlaps as f64),
+    ("counter", "rtec_late_total", "Insertions given up because the process looked too late", |a| a.late as f64),
+    ("counter", "rtec_illegal_transitions_total", "Illegal transitions of the scale", |a| a.illegal as f64),
+    ("counter", "rtec_beyond_limits_total", "Edges that came sooner than the axis's limits allow, on a polled card", |a| a.beyond_limits as f64),
+];
+
 fn axes(out: &mut Out, s: &DaemonStatus) {
-    let mut each =
-        |kind: &str, name: &str, help: &str, value: &dyn Fn(&crate::protocol::AxisReport) -> f64| {
-            let samples: Vec<_> =
-                s.axes.iter().map(|a| (vec![("axis", a.name.as_str())], value(a))).collect();
-            out.family(kind, name, help, samples);
-        };
-    let gauge = "gauge";
-    each(gauge, "rtec_axis_homed", "1 when the axis is homed", &|a| flag(a.homed));
-    each(gauge, "rtec_position_meters", "Position by the scale since homing", &|a| a.position_mm / 1000.0);
-    let help = "Total correction that was accepted, counts since homing";
-    each(gauge, "rtec_requested_counts", help, &|a| a.requested as f64);
-    let help = "Inserted, counts since homing; in shadow mode what would have been";
-    each(gauge, "rtec_completed_counts", help, &|a| a.completed as f64);
-    let help = "What is really in the controller's count, counts";
-    each(gauge, "rtec_in_effect_counts", help, &|a| a.in_effect as f64);
-    let help = "Largest total that is accepted, counts";
-    each(gauge, "rtec_max_correction_counts", help, &|a| a.max_correction_counts as f64);
-    each(gauge, "rtec_edge_rate_hertz", "Edges of the scale a second", &|a| a.edge_rate_hz);
-    let counter = "counter";
-    let help = "Insertions since the daemon's start";
-    each(counter, "rtec_insertions_total", help, &|a| a.insertions as f64);
-    let help = "Edges at which a correction was pending and the speed gate shut";
-    each(counter, "rtec_gate_waits_total", help, &|a| a.waited_for_gate as f64);
-    let help = "Edges that fell into an insertion, with a certain outcome";
-    each(counter, "rtec_overlaps_total", help, &|a| a.overlaps as f64);
-    let help = "Insertions given up because the process looked too late";
-    each(counter, "rtec_late_total", help, &|a| a.late as f64);
-    let help = "Illegal transitions of the scale";
-    each(counter, "rtec_illegal_transitions_total", help, &|a| a.illegal as f64);
-    let help = "Edges that came sooner than the axis's limits allow, on a polled card";
-    each(counter, "rtec_beyond_limits_total", help, &|a| a.beyond_limits as f64);
+    for (kind, name, help, value) in AXIS {
+        out.family(kind, name, help, s.axes.iter().map(|a| (vec![("axis", a.name.as_str())], value(a))));
+    }
 }
 
 fn faults(out: &mut Out, s: &DaemonStatus) {
@@ -146,31 +138,22 @@ fn faults(out: &mut Out, s: &DaemonStatus) {
     out.family("counter", "rtec_faults_total", help, counts);
 }
 
+#[rustfmt::skip] // a metric a line
+const THREAD: [Metric<RtStatus>; 8] = [
+    ("gauge", "rtec_thread_alive", "1 while the real-time thread runs", |rt| flag(rt.alive)),
+    ("gauge", "rtec_may_arm", "1 when corrections may be enabled on this card with this set-up", |rt| flag(rt.may_arm)),
+    ("gauge", "rtec_control_stale", "1 while the control side is silent and corrections are frozen", |rt| flag(rt.control_stale)),
+    ("gauge", "rtec_disable_switch", "1 while the hardware disable switch is on", |rt| flag(rt.disable_switch)),
+    ("gauge", "rtec_settings_missing", "Real-time settings that are not as they should be", |rt| rt.missing.len() as f64),
+    ("counter", "rtec_looks_total", "Looks at the card", |rt| rt.polls as f64),
+    ("counter", "rtec_events_lost_total", "Events that found the ring full", |rt| rt.events_lost as f64),
+    ("gauge", "rtec_poll_gap_max_seconds", "Longest time between two looks", |rt| rt.poll_gap_ns.max as f64 * 1e-9),
+];
+
 fn thread(out: &mut Out, s: &DaemonStatus) {
-    let rt = &s.rt;
-    for (name, help, is) in [
-        ("rtec_thread_alive", "1 while the real-time thread runs", rt.alive),
-        ("rtec_may_arm", "1 when corrections may be enabled on this card with this set-up", rt.may_arm),
-        (
-            "rtec_control_stale",
-            "1 while the control side is silent and corrections are frozen",
-            rt.control_stale,
-        ),
-        ("rtec_disable_switch", "1 while the hardware disable switch is on", rt.disable_switch),
-    ] {
-        out.gauge(name, help, [(vec![], flag(is))]);
+    for (kind, name, help, value) in THREAD {
+        out.family(kind, name, help, [(vec![], value(&s.rt))]);
     }
-    let missing = rt.missing.len() as f64;
-    out.gauge(
-        "rtec_settings_missing",
-        "Real-time settings that are not as they should be",
-        [(vec![], missing)],
-    );
-    out.family("counter", "rtec_looks_total", "Looks at the card", [(vec![], rt.polls as f64)]);
-    let help = "Events that found the ring full";
-    out.family("counter", "rtec_events_lost_total", help, [(vec![], rt.events_lost as f64)]);
-    let max = rt.poll_gap_ns.max as f64 * 1e-9;
-    out.gauge("rtec_poll_gap_max_seconds", "Longest time between two looks", [(vec![], max)]);
 }
 
 fn times(out: &mut Out, seen: &Observed) {

@@ -27,7 +27,7 @@ pub type Past<'p> = &'p dyn Fn(&[String]) -> Vec<(f64, Vec<f64>)>;
 const LONGEST_S: f64 = 1.0;
 
 /// The corrector's state of one axis.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct AxisState {
     /// Its index in the model's layout; none if a model cannot name the axis.
     place: Option<usize>,
@@ -142,13 +142,8 @@ impl Corrector {
             });
             axes.push(AxisState {
                 place,
-                model_um: 0.0,
-                slow_um: 0.0,
-                turning_um: 0.0,
-                table_um: 0.0,
                 total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
-                holds: None,
-                stands: None,
+                ..AxisState::default()
             });
         }
         Self {

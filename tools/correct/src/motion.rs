@@ -171,8 +171,9 @@ fn mm_s(from: Option<&Status>, to: Option<&Status>, axis: usize, count_um: f64) 
 }
 
 #[cfg(test)]
-#[allow(clippy::float_cmp)] // rest and a direction are exact
 mod tests {
+    #![allow(clippy::float_cmp)] // rest and a direction are exact
+
     use super::*;
 
     const COUNT_UM: f64 = 0.5;

@@ -17,7 +17,7 @@ const DEAD: f64 = 0.25;
 const MOST_INCREMENTS: f64 = 1e9;
 
 /// Total of one axis and its state.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Total {
     count_um: f64,
     increment_counts: i64,
@@ -61,14 +61,7 @@ impl Total {
             increment_counts,
             window_counts,
             max_counts: max_counts / increment_counts * increment_counts,
-            offset_um: 0.0,
-            out_um: 0.0,
-            counts: 0,
-            operator_counts: 0,
-            slow_um: 0.0,
-            slow_left: false,
-            following: false,
-            limited: false,
+            ..Self::default()
         }
     }
 

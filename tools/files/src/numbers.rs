@@ -110,7 +110,7 @@ impl Numbers {
 }
 
 /// The format of a table: its separator, and the decimal mark of each column.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TableMarks {
     columns: Vec<Option<char>>,
     table: Option<char>,
@@ -130,17 +130,7 @@ pub struct TableMarks {
 impl TableMarks {
     /// The format of a table before its first row.
     pub fn new<R: Read>(reader: &Reader<R>) -> Self {
-        let mut marks = Self {
-            columns: Vec::new(),
-            table: None,
-            by: reader.separator(),
-            encoding: None,
-            open: None,
-            is_grouped: false,
-            commented: None,
-            beyond: Beyond::default(),
-            preamble: 0,
-        };
+        let mut marks = Self { by: reader.separator(), ..Self::default() };
         marks.read_so_far(reader);
         marks
     }

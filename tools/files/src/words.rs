@@ -90,6 +90,25 @@ pub fn whole(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// Declares an enum whose values people name on a command line.
+/// Each value has its written name and its meaning. `ALL` lists name, value and meaning in this order.
+#[macro_export]
+macro_rules! choice {
+    ($(#[$about:meta])* pub enum $name:ident { $($value:ident = $written:literal, $meaning:literal;)+ }) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum $name {
+            $(#[doc = $meaning] $value,)+
+        }
+
+        impl $name {
+            /// All of them: the name that people write, the value, and its meaning.
+            pub const ALL: [(&'static str, Self, &'static str); [$($written),+].len()] =
+                [$(($written, Self::$value, $meaning)),+];
+        }
+    };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

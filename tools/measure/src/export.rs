@@ -73,6 +73,26 @@ pub struct Rules {
     pub lookup: Lookup,
 }
 
+impl Rules {
+    /// Values for both directions, looked up at the commanded position.
+    fn both_directions(most: usize, position_mm: f64, value_um: f64) -> Self {
+        Self { most, position_mm, value_um, both: true, zero_at_mm: None, lookup: Lookup::Commanded }
+    }
+
+    /// SINUMERIK: one value for both directions, zero at a reference point.
+    fn siemens(most: usize, reference_mm: f64) -> Self {
+        let (position_mm, value_um) = (1e-4, 1e-3);
+        Self {
+            most,
+            position_mm,
+            value_um,
+            both: false,
+            zero_at_mm: Some(reference_mm),
+            lookup: Lookup::Encoder,
+        }
+    }
+}
+
 /// Where a controller looks a table's value up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lookup {
@@ -105,14 +125,7 @@ pub struct Csv;
 
 impl Format for Csv {
     fn rules(&self) -> Rules {
-        Rules {
-            most: MANY,
-            position_mm: 1e-6,
-            value_um: 1e-6,
-            both: true,
-            zero_at_mm: None,
-            lookup: Lookup::Commanded,
-        }
+        Rules::both_directions(MANY, 1e-6, 1e-6)
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
@@ -319,7 +332,8 @@ impl<'m> Errors<'m> {
     }
 
     fn live(&self) -> Result<Live, InputError> {
-        Live::of(self.machine, self.layout.clone()).map_err(|e| usage(e.to_string(), "sensors and axes only"))
+        Live::at_work(self.machine, self.layout.clone())
+            .map_err(|e| usage(e.to_string(), "sensors and axes only"))
     }
 
     fn at(&self, live: &mut Live, position_mm: f64, direction: f64) -> f64 {
@@ -365,25 +379,32 @@ impl<'m> Errors<'m> {
             let others = self.unstated.join(", ");
             doubts.push(format!("the table holds with {others} at 0 mm; --at states another place"));
         }
+        let angular = |e: &&Effect| e.description().needs.contains(&Need::Angle) && self.is_in_table(e);
+        for effect in self.machine.effects().filter(angular) {
+            doubts.push(format!(
+                "{}: is over the angle of a circle, which a table of positions does not have: it is not in the table",
+                effect.name()
+            ));
+        }
         let along = &self.layout.axes[self.moving];
         for part in live.parts().filter(|p| self.is_in_table(p.effect)) {
             let own = part.effect.axes().first() == Some(along);
-            let cause = |need: &Need| match need {
+            let held = |need: &Need| match need {
                 Need::Position(n) if part.effect.axes()[*n] != *along => {
-                    Some("the other axes where --at has them, or at 0")
+                    Some("with the other axes where --at puts them, otherwise at 0 mm")
                 }
-                Need::Direction if !own => Some("the other axes at rest"),
-                Need::Position(_) | Need::Direction | Need::Delta => None,
-                Need::Time => Some("time 0"),
+                Need::Direction if !own => Some("with the other axes at rest"),
+                Need::Position(_) | Need::Direction | Need::Delta | Need::Angle => None,
+                Need::Time => Some("at time 0"),
                 Need::Velocity | Need::Acceleration => Some("at rest"),
                 Need::Load => Some("without load"),
-                Need::SpindleSpeed => Some("the spindle at rest"),
-                Need::Coolant => Some("dry"),
-                Need::Angle | Need::Channel => Some("its channel at 0"),
+                Need::SpindleSpeed => Some("with the spindle at rest"),
+                Need::Coolant => Some("without coolant"),
+                Need::Channel => Some("with its channel at 0"),
             };
             let turned = part.effect.description().after_turn.then_some("far from where the axis turned");
-            if let Some(cause) = part.effect.description().needs.iter().find_map(cause).or(turned) {
-                doubts.push(format!("{} is in the table as it is {cause}", part.effect.name()));
+            if let Some(held) = part.effect.description().needs.iter().find_map(held).or(turned) {
+                doubts.push(format!("{}: the table holds its value {held}", part.effect.name()));
             }
             if part.outside_k > 0.0 {
                 doubts.push(format!(

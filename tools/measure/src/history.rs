@@ -205,7 +205,7 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
     History { machine: machine.to_owned(), figures, left_out, suspicions, changes }
 }
 
-type Said = (String, &'static str, Option<String>, f64);
+type RecordFigure = (String, &'static str, Option<String>, f64);
 
 /// A record as its figures see it.
 struct Rows {
@@ -253,7 +253,7 @@ fn held_changes(record: &Record) -> Vec<String> {
 }
 
 /// What a record says: of an evaluation that has no history nothing.
-fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Said>, InputError> {
+fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<RecordFigure>, InputError> {
     Ok(match Standard::of(record) {
         Ok(Standard::Iso230_2) => {
             let all = iso230::positioning_with(record, &Options { one_way: true, ..Options::default() })?;

@@ -10,21 +10,12 @@ use rtec_model::effect::{Effect, Need};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
-/// The kind of feature that was probed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Feature {
-    /// A sphere or a fillet.
-    Circle,
-    /// A cylinder, a face or a taper.
-    Line,
-}
-
-impl Feature {
-    /// All of them: name, feature and meaning.
-    pub const ALL: [(&'static str, Self, &'static str); 2] = [
-        ("circle", Self::Circle, "A sphere or a fillet"),
-        ("line", Self::Line, "A cylinder, a face or a taper"),
-    ];
+rtec_files::choice! {
+    /// The kind of feature that was probed.
+    pub enum Feature {
+        Circle = "circle", "A sphere or a fillet";
+        Line = "line", "A cylinder, a face or a taper";
+    }
 }
 
 /// The request for a feature's errors.

@@ -1,6 +1,6 @@
 //! The help: verbs by the role of their user, with examples and exit codes.
 
-use crate::Cli;
+use crate::{Cli, VERBS};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory};
 use rtec_files::words::nearest;
@@ -18,55 +18,17 @@ const ROLES: [(&str, &str); 5] = [
 
 /// Exit codes of verbs that ask the daemon.
 /// Below: of verbs that only show something, and of verbs that judge.
-const ASKS: &str = "0 done; 1 refused; 2 bad usage; 3 no daemon; 4 a fault is latched";
-const SHOWS: &str = "0 shown; 2 bad usage; 3 no daemon";
-const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
-const READS: &str = "0 done; 2 bad input or usage";
+pub(crate) const ASKS: &str = "0 done; 1 refused; 2 bad usage; 3 no daemon; 4 a fault is latched";
+pub(crate) const SHOWS: &str = "0 shown; 2 bad usage; 3 no daemon";
+pub(crate) const JUDGES: &str = "0 yes; 1 no; 2 bad input or usage";
+pub(crate) const READS: &str = "0 done; 2 bad input or usage";
 
-/// Verb, index of its role, example, exit codes.
-#[rustfmt::skip] // a verb a line
-const VERBS: [(&str, usize, &str, &str); 40] = [
-    ("status", 0, "rtecctl status --watch", "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched"),
-    ("top", 0, "rtecctl top", SHOWS),
-    ("home", 0, "rtecctl home x", ASKS),
-    ("enable", 0, "rtecctl enable", ASKS),
-    ("disable", 0, "rtecctl disable", ASKS),
-    ("shadow", 0, "rtecctl shadow", ASKS),
-    ("park", 0, "rtecctl park --to-zero", ASKS),
-    ("probe", 0, "rtecctl probe on --captures 5", ASKS),
-    ("hold", 0, "rtecctl hold on", ASKS),
-    ("explain", 0, "rtecctl explain z", SHOWS),
-    ("whoami", 0, "rtecctl whoami", SHOWS),
-    ("platform", 1, "rtecctl platform --config /etc/rtec/rtec.toml", "0 a real card can be armed; 1 it would not be; 2 bad usage"),
-    ("selftest", 1, "rtecctl selftest latency --duration 60s", "0 pass; 1 fail; 2 bad usage; 3 no card"),
-    ("card", 1, "rtecctl card list", "0 done; 2 bad usage; 3 the card cannot be reached"),
-    ("config", 1, "rtecctl config check --quiet /etc/rtec/rtec.toml", READS),
-    ("commission", 1, "rtecctl commission x", ASKS),
-    ("correct", 1, "rtecctl correct x 12", ASKS),
-    ("clear", 1, "rtecctl clear", ASKS),
-    ("get", 1, "rtecctl get axes.x.completed", "0 printed; 1 no such value now; 2 no such name; 3 no daemon"),
-    ("metrics", 1, "rtecctl metrics --listen 127.0.0.1:9837", "0 written; 1 cannot listen; 2 bad usage; 3 no daemon"),
-    ("ledger", 1, "rtecctl ledger export --out ledger --last 60s", "0 written; 1 replayed it gives other totals; 2 bad usage; 3 no daemon"),
-    ("log", 1, "rtecctl log --verify", JUDGES),
-    ("ship", 1, "rtecctl ship --spool /var/spool/rtec --to /mnt/shop --machine mill-7", "0 sent; 2 bad input or usage; 3 the store is not there: what was not sent waits"),
-    ("bugreport", 1, "rtecctl bugreport --out report.tar", "0 whole; 1 parts are missing; 2 bad usage; 3 no daemon"),
-    ("backup", 1, "rtecctl backup --out mill-7.tar", READS),
-    ("restore", 1, "rtecctl restore mill-7.tar --dry-run", "0 written; 1 the daemon runs, or files are there and differ; 2 bad input or usage"),
-    ("characterise", 2, "rtecctl characterise evaluate x.run.toml --standard iso230-2", READS),
-    ("model", 2, "rtecctl model show --machine machine.toml", "0 done; 1 refused; 2 bad input or usage; 3 no daemon"),
-    ("history", 2, "rtecctl history records --limits limits.toml --html history.html", "0 within limits; 1 beyond one; 2 bad input or usage"),
-    ("reconcile", 2, "rtecctl reconcile x.run.toml --model machine.toml --out found", READS),
-    ("part", 3, "rtecctl part run --seed 1", "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched"),
-    ("demo", 4, "rtecctl demo --duration 10s", JUDGES),
-    ("example", 4, "rtecctl example lathe lathe", READS),
-    ("simulate", 4, "rtecctl simulate --list", READS),
-    ("replay", 4, "rtecctl replay --trace x.csv --requests totals.csv", "0 done; 1 the ledger does not balance; 2 bad input; 4 a fault was latched"),
-    ("trace", 4, "rtecctl trace convert x.csv x.vcd", READS),
-    ("designs", 4, "rtecctl designs --json", READS),
-    ("completions", 4, "rtecctl completions bash", READS),
-    ("man", 4, "rtecctl man target/man", READS),
-    ("help", 4, "rtecctl help status", READS),
-];
+/// The verb that clap adds by itself, as in [`VERBS`].
+const HELP: (&str, usize, &str, &str) = ("help", 4, "rtecctl help status", READS);
+
+fn all() -> impl Iterator<Item = &'static (&'static str, usize, &'static str, &'static str)> {
+    VERBS.iter().chain([&HELP])
+}
 
 /// Examples of verbs below a verb whose own example is of another.
 #[rustfmt::skip] // a verb a line
@@ -119,13 +81,13 @@ pub(crate) fn command() -> Command {
     for (n, (role, who)) in ROLES.iter().enumerate() {
         // Writing to a String does not fail.
         let _ = writeln!(list, "{}{role}: {who}", if n == 0 { "" } else { "\n" });
-        for (verb, ..) in VERBS.iter().filter(|v| v.1 == n) {
+        for (verb, ..) in all().filter(|v| v.1 == n) {
             let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
             let about = about.unwrap_or_else(|| "Print this, or the help of a verb".to_owned());
             let _ = writeln!(list, "  {verb:<13} {}", wrapped(&about));
         }
     }
-    for (verb, _, example, codes) in VERBS.iter().filter(|v| v.0 != "help") {
+    for (verb, _, example, codes) in VERBS {
         let text = format!("Example: {example}\nExit codes: {codes}");
         command = command.mut_subcommand(verb, |c| c.after_help(text));
     }
@@ -205,7 +167,7 @@ pub(crate) fn next(words: &[OsString], said: &str) -> String {
     let (verb, below) = (word(1), word(2));
     let command = Cli::command();
     let found = command.find_subcommand(verb);
-    let mut examples = VERBS.iter().filter(|v| v.0 == verb).map(|v| v.2);
+    let mut examples = all().filter(|v| v.0 == verb).map(|v| v.2);
     let example = match found.and_then(|c| c.find_subcommand(below)) {
         // An example of another verb below it would mislead.
         Some(_) => examples.chain(BELOW).find(|e| e.split(' ').take(3).eq(["rtecctl", verb, below])),
@@ -219,19 +181,6 @@ pub(crate) fn next(words: &[OsString], said: &str) -> String {
         let _ = writeln!(text, "Names: rtecctl {verb} --list");
     }
     text
-}
-
-/// Verbs and their examples.
-#[cfg(test)]
-pub(crate) fn examples() -> impl Iterator<Item = (&'static str, &'static str)> {
-    VERBS.iter().filter(|v| v.0 != "help").map(|v| (v.0, v.2))
-}
-
-/// Roles: name, description, verbs.
-#[cfg(test)]
-pub(crate) fn known() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
-    let verbs = |n: usize| VERBS.iter().filter(|v| v.1 == n).map(|v| v.0).collect();
-    ROLES.iter().enumerate().map(|(n, (role, who))| (*role, *who, verbs(n))).collect()
 }
 
 /// A description next to its verb, wrapped at 80 columns.
@@ -252,107 +201,4 @@ fn wrapped(about: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_verb_has_its_door_and_its_example_is_its_own() {
-        let command = command();
-        for verb in command.get_subcommands().map(Command::get_name) {
-            assert_eq!(VERBS.iter().filter(|v| v.0 == verb).count(), usize::from(verb != "help"), "{verb}");
-        }
-        for (verb, _, example, _) in VERBS {
-            assert!(example.starts_with(&format!("rtecctl {verb}")), "{verb}: {example}");
-        }
-        for example in VERBS.iter().map(|v| v.2).chain(BELOW) {
-            let words = example.split(' ');
-            if let Err(error) = super::command().try_get_matches_from(words)
-                && error.exit_code() != 0
-            {
-                panic!("{example}: {error}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_verb_that_is_none_is_answered_with_the_full_names_of_those_that_were_meant() {
-        let said = |line: &str| {
-            let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
-            let error = super::command().try_get_matches_from(&words).unwrap_err();
-            let said = with_meant(error, &words).render().to_string();
-            said.lines().find_map(|l| l.trim().strip_prefix("tip: ").map(str::to_owned)).unwrap_or_default()
-        };
-        for (line, verbs) in [
-            ("rtecctl evaluate x.run.toml", "'characterise evaluate'"),
-            ("rtecctl fit", "'model fit'"),
-            ("rtecctl import", "'characterise import'"),
-            ("rtecctl plan", "'characterise plan'"),
-            ("rtecctl errors", "'part errors'"),
-            ("rtecctl evalaute", "'characterise evaluate'"),
-            ("rtecctl recncile", "'reconcile'"),
-            ("rtecctl statsu", "'status'"),
-            ("rtecctl enabel", "'enable'"),
-            ("rtecctl help evaluate", "'characterise evaluate'"),
-            ("rtecctl model evaluate", "'characterise evaluate'"),
-            ("rtecctl model vaildate", "'validate'"),
-            ("rtecctl model status", "'status'"),
-            ("rtecctl stable", "'part table'"),
-            ("rtecctl nonsense", ""),
-        ] {
-            let tip = said(line);
-            assert_eq!(tip.split_once(": ").map_or("", |(_, verbs)| verbs), verbs, "{line}: {tip}");
-        }
-        let export = said("rtecctl export");
-        assert!(export.contains("'model export'") && export.contains("'ledger export'"), "{export}");
-        // A verb below another one is never taken for `enable`.
-        let mut all = Vec::new();
-        paths(&Cli::command(), &mut Vec::new(), &mut all);
-        for path in all.iter().filter(|p| p.len() > 1) {
-            let word = path.last().unwrap();
-            if !VERBS.iter().any(|v| v.0 == word) {
-                let tip = said(&format!("rtecctl {word}"));
-                assert!(!tip.contains("'enable'") && tip.contains(&path.join(" ")), "{word}: {tip}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_usage_error_ends_with_an_example() {
-        let next =
-            |line: &str, said: &str| next(&line.split(' ').map(OsString::from).collect::<Vec<_>>(), said);
-        assert_eq!(next("rtecctl simulate", "error: …"), "Example: rtecctl simulate --list\n");
-        assert_eq!(
-            next("rtecctl example", "error: …"),
-            "Example: rtecctl example lathe lathe\nNames: rtecctl example --list\n"
-        );
-        let said =
-            next("rtecctl model", "Example: rtecctl model show\n") + &next("rtecctl nonsense", "error: …");
-        assert_eq!(said + &next("rtecctl", "error: …"), "");
-        // Of a verb below another, its own example or none.
-        let show = "Example: rtecctl model show --machine machine.toml\n";
-        assert_eq!(
-            ["rtecctl model", "rtecctl model shwo", "rtecctl model show"].map(|l| next(l, "")),
-            [show; 3]
-        );
-        let export = next("rtecctl model export --machine m.toml", "error: …");
-        assert!(export.starts_with("Example: rtecctl model export --machine "), "{export}");
-        assert_eq!(next("rtecctl model unload --now", "error: …"), "");
-    }
-
-    #[test]
-    fn where_to_begin_every_command_is_one() {
-        for (_, line) in BEGIN {
-            let asked = super::command().try_get_matches_from(line.split(' '));
-            assert!(
-                asked.as_ref().is_ok_and(|m| m.subcommand().is_some()) || line == "rtecctl help",
-                "{line}: {asked:?}"
-            );
-        }
-        assert!(begin().lines().all(|l| l.chars().count() <= 100), "{}", begin());
-    }
-
-    #[test]
-    fn the_list_of_verbs_is_as_recorded() {
-        crate::golden("help.txt", &command().term_width(120).render_help().to_string());
-    }
-}
+pub(crate) mod tests;

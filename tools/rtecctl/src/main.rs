@@ -36,13 +36,12 @@ mod full_screen;
 mod help;
 mod http;
 mod progress;
-#[cfg(test)]
-mod reference;
 mod rounding;
 mod terminal;
 mod verbs;
 
 use clap::{Args as _, FromArgMatches as _, Parser, Subcommand};
+use help::{ASKS, JUDGES, READS, SHOWS};
 use rtec_files::InputError;
 use std::ffi::OsString;
 use std::io::{ErrorKind, IsTerminal as _, Write as _};
@@ -56,9 +55,9 @@ pub(crate) struct Cli {
     verb: Option<Verb>,
 }
 
-// One line per verb: the variant, and the file of `verbs` with its arguments and function.
+// One line per verb: the variant, the file of `verbs` with its arguments and function, its role, an example, exit codes.
 macro_rules! verbs {
-    ($($verb:ident $file:ident,)*) => {
+    ($($verb:ident $file:ident $role:literal $example:literal $codes:expr;)*) => {
         #[derive(Debug, Subcommand)]
         enum Verb {
             $($verb(verbs::$file::Args),)*
@@ -79,6 +78,9 @@ macro_rules! verbs {
                 }
             }
         }
+
+        /// Verb, index of its role, example, exit codes.
+        pub(crate) const VERBS: &[(&str, usize, &str, &str)] = &[$((stringify!($file), $role, $example, $codes)),*];
     };
 }
 
@@ -95,45 +97,45 @@ impl Verb {
 }
 
 verbs! {
-    Demo demo,
-    Backup backup,
-    Bugreport bugreport,
-    Card card,
-    Characterise characterise,
-    Commission commission,
-    Completions completions,
-    Config config,
-    Designs designs,
-    Man man,
-    Ledger ledger,
-    Metrics metrics,
-    Status status,
-    Get get,
-    Home home,
-    Enable enable,
-    Example example,
-    Explain explain,
-    Disable disable,
-    Shadow shadow,
-    Correct correct,
-    Probe probe,
-    History history,
-    Hold hold,
-    Clear clear,
-    Log log,
-    Park park,
-    Part part,
-    Model model,
-    Reconcile reconcile,
-    Replay replay,
-    Restore restore,
-    Top top,
-    Trace trace,
-    Platform platform,
-    Selftest selftest,
-    Ship ship,
-    Simulate simulate,
-    Whoami whoami,
+    Status status 0 "rtecctl status --watch" "0 shown; 2 bad usage; 3 no daemon; 4 a fault is latched";
+    Top top 0 "rtecctl top" SHOWS;
+    Home home 0 "rtecctl home x" ASKS;
+    Enable enable 0 "rtecctl enable" ASKS;
+    Disable disable 0 "rtecctl disable" ASKS;
+    Shadow shadow 0 "rtecctl shadow" ASKS;
+    Park park 0 "rtecctl park --to-zero" ASKS;
+    Probe probe 0 "rtecctl probe on --captures 5" ASKS;
+    Hold hold 0 "rtecctl hold on" ASKS;
+    Explain explain 0 "rtecctl explain z" SHOWS;
+    Whoami whoami 0 "rtecctl whoami" SHOWS;
+    Platform platform 1 "rtecctl platform --config /etc/rtec/rtec.toml" "0 a real card can be armed; 1 it would not be; 2 bad usage";
+    Selftest selftest 1 "rtecctl selftest latency --duration 60s" "0 pass; 1 fail; 2 bad usage; 3 no card";
+    Card card 1 "rtecctl card list" "0 done; 2 bad usage; 3 the card cannot be reached";
+    Config config 1 "rtecctl config check --quiet /etc/rtec/rtec.toml" READS;
+    Commission commission 1 "rtecctl commission x" ASKS;
+    Correct correct 1 "rtecctl correct x 12" ASKS;
+    Clear clear 1 "rtecctl clear" ASKS;
+    Get get 1 "rtecctl get axes.x.completed" "0 printed; 1 no such value now; 2 no such name; 3 no daemon";
+    Metrics metrics 1 "rtecctl metrics --listen 127.0.0.1:9837" "0 written; 1 cannot listen; 2 bad usage; 3 no daemon";
+    Ledger ledger 1 "rtecctl ledger export --out ledger --last 60s" "0 written; 1 replayed it gives other totals; 2 bad usage; 3 no daemon";
+    Log log 1 "rtecctl log --verify" JUDGES;
+    Ship ship 1 "rtecctl ship --spool /var/spool/rtec --to /mnt/shop --machine mill-7" "0 sent; 2 bad input or usage; 3 the store is not there: what was not sent waits";
+    Bugreport bugreport 1 "rtecctl bugreport --out report.tar" "0 whole; 1 parts are missing; 2 bad usage; 3 no daemon";
+    Backup backup 1 "rtecctl backup --out mill-7.tar" READS;
+    Restore restore 1 "rtecctl restore mill-7.tar --dry-run" "0 written; 1 the daemon runs, or files are there and differ; 2 bad input or usage";
+    Characterise characterise 2 "rtecctl characterise evaluate x.run.toml --standard iso230-2" READS;
+    Model model 2 "rtecctl model show --machine machine.toml" "0 done; 1 refused; 2 bad input or usage; 3 no daemon";
+    History history 2 "rtecctl history records --limits limits.toml --html history.html" "0 within limits; 1 beyond one; 2 bad input or usage";
+    Reconcile reconcile 2 "rtecctl reconcile x.run.toml --model machine.toml --out found" READS;
+    Part part 3 "rtecctl part run --seed 1" "0 done; 1 refused; 2 bad input or usage; 3 no daemon; 4 a fault is latched";
+    Demo demo 4 "rtecctl demo --duration 10s" JUDGES;
+    Example example 4 "rtecctl example lathe lathe" READS;
+    Simulate simulate 4 "rtecctl simulate --list" READS;
+    Replay replay 4 "rtecctl replay --trace x.csv --requests totals.csv" "0 done; 1 the ledger does not balance; 2 bad input; 4 a fault was latched";
+    Trace trace 4 "rtecctl trace convert x.csv x.vcd" READS;
+    Designs designs 4 "rtecctl designs --json" READS;
+    Completions completions 4 "rtecctl completions bash" READS;
+    Man man 4 "rtecctl man target/man" READS;
 }
 
 /// Reasons why a command ends without success.
@@ -325,7 +327,7 @@ mod tests {
             };
             (understood(alone), understood(command()))
         };
-        for (name, example) in crate::help::examples() {
+        for (name, example) in crate::help::tests::examples() {
             let (alone, among) = both(example);
             assert!(name == "help" || alone.is_ok(), "{example}: {alone:?}");
             assert_eq!(alone.ok(), among.ok(), "{example}");

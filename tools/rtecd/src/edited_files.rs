@@ -11,14 +11,14 @@ const EVERY: Duration = Duration::from_secs(1);
 
 /// Content of a file when it was read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Known {
+enum ReadContent {
     /// A configuration, byte by byte.
     Configuration(Vec<u8>),
     /// A model, by its SHA-256.
     Model(String),
 }
 
-impl Known {
+impl ReadContent {
     /// A message with a remedy, if the file's content has changed.
     fn differs(&self, file: &Path) -> Option<String> {
         let shown = file.display();
@@ -45,14 +45,14 @@ impl Known {
 
 #[derive(Debug, Default)]
 struct Shared {
-    files: Vec<(PathBuf, Known)>,
+    files: Vec<(PathBuf, ReadContent)>,
     edited: Vec<String>,
 }
 
 /// Checks the files from its own thread, so that a hanging disk blocks nobody.
 #[derive(Debug)]
 pub(crate) struct EditedFiles {
-    configuration: Option<(PathBuf, Known)>,
+    configuration: Option<(PathBuf, ReadContent)>,
     shared: Arc<Mutex<Shared>>,
 }
 
@@ -63,7 +63,8 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 impl EditedFiles {
     /// Watches the configuration's file, if any, from its present content on.
     pub(crate) fn watch(configuration: Option<&Path>) -> Self {
-        let read = |file: &Path| Some((file.to_owned(), Known::Configuration(std::fs::read(file).ok()?)));
+        let read =
+            |file: &Path| Some((file.to_owned(), ReadContent::Configuration(std::fs::read(file).ok()?)));
         let shared = Arc::new(Mutex::new(Shared::default()));
         let seen = Arc::downgrade(&shared);
         // Without the thread no edit is noticed, which is no reason not to start.
@@ -84,7 +85,7 @@ impl EditedFiles {
     /// Messages on files that differ from what runs, as last checked.
     /// `model` is the file and SHA-256 of the running model.
     pub(crate) fn edited(&self, model: Option<(PathBuf, String)>) -> Vec<String> {
-        let model = model.map(|(file, sha256)| (file, Known::Model(sha256)));
+        let model = model.map(|(file, sha256)| (file, ReadContent::Model(sha256)));
         let files: Vec<_> = self.configuration.iter().cloned().chain(model).collect();
         let mut shared = lock(&self.shared);
         if shared.files != files {
@@ -97,14 +98,14 @@ impl EditedFiles {
 /// The files at the last check.
 #[derive(Debug, Default)]
 struct Last {
-    files: Vec<(PathBuf, Known)>,
+    files: Vec<(PathBuf, ReadContent)>,
     stamps: Vec<Option<(SystemTime, u64)>>,
 }
 
 impl Last {
     /// The messages, if anything has changed since the last check.
     /// Most checks read no file.
-    fn look(&mut self, files: &[(PathBuf, Known)]) -> Option<Vec<String>> {
+    fn look(&mut self, files: &[(PathBuf, ReadContent)]) -> Option<Vec<String>> {
         let stamp = |file: &Path| {
             let now = std::fs::metadata(file).ok()?;
             Some((now.modified().ok()?, now.len()))
@@ -131,8 +132,8 @@ mod tests {
         put(&model, "name = \"m\"\n");
         let sha256 = Machine::read(&model).unwrap().sha256().to_owned();
         let files = [
-            (config.clone(), Known::Configuration(b"# one\n".to_vec())),
-            (model.clone(), Known::Model(sha256)),
+            (config.clone(), ReadContent::Configuration(b"# one\n".to_vec())),
+            (model.clone(), ReadContent::Model(sha256)),
         ];
         let mut last = Last::default();
         assert_eq!(last.look(&files), Some(vec![]));

@@ -51,7 +51,7 @@ pub(crate) enum Source {
 }
 
 /// Result of a load.
-type Done = (Ticket, Result<Loaded, InputError>);
+type LoadResult = (Ticket, Result<Loaded, InputError>);
 
 /// A load that is requested.
 pub(crate) enum Job {
@@ -108,7 +108,7 @@ struct Running {
 
 /// The loader, with at most one load under way.
 pub(crate) struct Loader {
-    results: (Sender<Done>, Receiver<Done>),
+    results: (Sender<LoadResult>, Receiver<LoadResult>),
     running: Option<Running>,
     /// Loads that were given up and have not ended yet.
     hanging: Vec<(Ticket, Arc<LoadFlags>)>,
@@ -149,7 +149,7 @@ impl Loader {
     }
 
     /// The next finished load, and whether it was given up before.
-    pub(crate) fn done(&mut self) -> Option<(Done, bool)> {
+    pub(crate) fn done(&mut self) -> Option<(LoadResult, bool)> {
         let done = self.results.1.try_recv().ok()?;
         let before = self.hanging.len();
         self.hanging.retain(|(ticket, _)| *ticket != done.0);

@@ -7,8 +7,6 @@
 //! | `loads` | loads and unloads models and part tables |
 //! | `report` | the status and all other reports |
 
-#[cfg(test)]
-mod histories;
 mod loads;
 mod orders;
 mod report;

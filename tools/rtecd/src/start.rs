@@ -121,7 +121,7 @@ fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
 }
 
 /// State of an axis that the last process left.
-struct Taken {
+struct AxisAtStart {
     completed: i64,
     mtc_known: bool,
     faults: Vec<Fault>,
@@ -129,7 +129,7 @@ struct Taken {
 
 /// The completed total of each axis, and the faults to latch.
 /// They follow from the state file and the present inverters.
-fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<Taken>> {
+fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<AxisAtStart>> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
     let axes = config.axes.iter().zip(before.records.iter().zip(before.damaged)).map(
         |(axis, (records, damaged))| {
@@ -148,7 +148,7 @@ fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow:
             }
             let (completed, mtc_known) =
                 found.map_or((0, false), |r| (r.completed, r.mtc_known && !before.other_boot));
-            Taken { completed, mtc_known, faults }
+            AxisAtStart { completed, mtc_known, faults }
         },
     );
     Ok(axes.collect())

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// A feed of lines `NAME VALUE` or `NAME=VALUE`.
 /// It comes from `host:port` (TCP) or a serial device.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Feed {
     pub(crate) from: String,
     stream: Option<Stream>,
@@ -71,20 +71,14 @@ impl Feed {
     pub fn new(from: &str) -> Self {
         Self {
             from: from.to_owned(),
-            stream: None,
-            partial: Vec::new(),
-            keys: None,
-            values: BTreeMap::new(),
             trouble: "not connected yet".to_owned(),
-            came: BTreeMap::new(),
-            odd: Vec::new(),
-            refused: 0,
             connected_at: f64::NEG_INFINITY,
             bytes_at: f64::NEG_INFINITY,
             idle_s: IDLE_S,
             now_s: f64::NEG_INFINITY,
             retry_at: f64::NEG_INFINITY,
             check_at: f64::NEG_INFINITY,
+            ..Self::default()
         }
     }
 

@@ -1,7 +1,7 @@
 //! Prints the simulation's speed: `cargo bench -p rtec-sim --bench sim_speed`.
 
 use rtec_model::machine::Machine;
-use rtec_sim::gcode::parse;
+use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
 use std::path::Path;
 use std::time::Instant;
@@ -14,8 +14,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     spec.axes.truncate(2);
     let mut sim = Sim::new(&spec, &model, Some(&model), [-250.0, -250.0, 0.0], 1)?;
     // Both axes at 10 m/min at once.
-    let program = "G0 X250 Y250\nG0 X-250 Y-250\n".repeat(10);
-    sim.machine.load(parse(Path::new("speed.ngc"), &program, [-250.0, -250.0, 0.0])?);
+    let to_and_fro = [250.0, -250.0].map(|at| Block::Rapid { to: [at, at, 0.0] });
+    sim.machine.load([to_and_fro; 10].concat());
     let start = Instant::now();
     sim.finish()?;
     let wall_s = start.elapsed().as_secs_f64();

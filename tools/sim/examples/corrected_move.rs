@@ -1,6 +1,6 @@
 //! One move on the same simulated machine, uncorrected and corrected.
 use rtec_model::machine::Machine;
-use rtec_sim::gcode::parse;
+use rtec_sim::gcode::Block;
 use rtec_sim::sim::{Sim, Spec};
 use std::path::Path;
 
@@ -12,7 +12,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let truth = Machine::parse(Path::new("machine.toml"), truth)?;
     let off_um = |known: Option<&Machine>| -> Result<f64, Box<dyn std::error::Error>> {
         let mut sim = Sim::new(&Spec::machining_centre(), &truth, known, [0.0; 3], 1)?;
-        sim.run(parse(Path::new("move.ngc"), "G1 X150 F6000\nG4 P2\n", [0.0; 3])?)?;
+        let to = [150.0, 0.0, 0.0];
+        sim.run([Block::Feed { to, feed_mm_s: 100.0 }, Block::Dwell { seconds: 2.0 }])?;
         Ok(sim.moment().off_um(0))
     };
     let (alone, corrected) = (off_um(None)?, off_um(Some(&truth))?);

@@ -97,7 +97,13 @@ pub enum ExperimentError {
     Plot(#[from] rtec_measure::plot::PlotError),
 }
 
-type Run = fn(&Setting<'_>) -> Result<Findings, ExperimentError>;
+/// What an experiment runs.
+#[derive(Debug, Clone, Copy)]
+enum Run {
+    Own(fn(&Setting<'_>) -> Result<Findings, ExperimentError>),
+    /// The drilling test of WO 97/43703 from this thermal state.
+    Drilling(Start),
+}
 
 /// An experiment that characterises a machine.
 #[derive(Debug, Clone, Copy)]
@@ -135,10 +141,22 @@ impl Experiment {
         match self.own {
             Some(own) if own.fixed => {
                 let machine = Described::default().machine(own.file)?;
-                (self.run)(&Setting { truth: &machine, known: Some(&machine), ..*setting })
+                self.run_as_set(&Setting { truth: &machine, known: Some(&machine), ..*setting })
             }
-            _ => (self.run)(setting),
+            _ => self.run_as_set(setting),
         }
+    }
+
+    fn run_as_set(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+        match &self.run {
+            Run::Own(run) => run(setting),
+            Run::Drilling(start) => drilling(setting, self.name, start),
+        }
+    }
+
+    /// A drilling test after a spindle cycle (rpm and minutes), wet.
+    const fn drilling(name: &'static str, what: &'static str, before: &'static [(f64, f64)]) -> Self {
+        Self { name, what, own: WO_97, run: Run::Drilling(Start { before, stood_degc: None }) }
     }
 
     /// Its own machine; none if the user's is to be used.
@@ -161,126 +179,94 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         name: "linear-displacement",
         what: "ISO 230-2: 5 cycles over 13 targets, both directions, each axis against a laser",
         own: WO_97,
-        run: linear_displacement,
+        run: Run::Own(linear_displacement),
     },
     Experiment {
         name: "ballbar",
         what: "circles of 150 mm in three planes, both ways, at 10, 50 and 100 in/min (WO 97/43703, table 1)",
         own: WO_97,
-        run: ballbar,
+        run: Run::Own(ballbar),
     },
     Experiment {
         name: "drift",
         what: "the spindle cycle of WO 97/43703, figure 9, dry and wet: spindle growth and 20 temperatures",
         own: WO_97,
-        run: drift,
+        run: Run::Own(drift),
     },
     Experiment {
         name: "production-cycle",
         what: "a wet spindle cycle that no characterisation runs: four hours of changing speeds and rests",
         own: WO_97,
-        run: production,
+        run: Run::Own(production),
     },
     Experiment {
         name: "tool-change-repeatability",
         what: "ten tool changes with arbitrary moves in between, back to a reference (WO 97/43703, table 3)",
         own: WO_97,
-        run: tool_change,
+        run: Run::Own(tool_change),
     },
     Experiment {
         name: "wet-runs",
         what: "wet, from cold: warm-up, speeds on the warm machine, cool-down; a shift of speeds and rests (WO 97/43703)",
         own: WO_97,
-        run: wet_runs,
+        run: Run::Own(wet_runs),
     },
-    Experiment {
-        name: "drilling",
-        what: "three cycles of two passes of 4 holes, from cold, wet (WO 97/43703, tests 1 and 3, table 7)",
-        own: WO_97,
-        run: |setting| drilling(setting, &Start { name: "drilling", before: &[], stood_degc: None }),
-    },
-    Experiment {
-        name: "drilling-semi-warm",
-        what: "the same after an hour at 3000 rpm, wet",
-        own: WO_97,
-        run: |setting| {
-            drilling(
-                setting,
-                &Start { name: "drilling-semi-warm", before: &[(3000.0, 60.0)], stood_degc: None },
-            )
-        },
-    },
-    Experiment {
-        name: "drilling-warm",
-        what: "the same after three hours at 5000 rpm, wet, the corrector on throughout",
-        own: WO_97,
-        run: |setting| {
-            drilling(setting, &Start { name: "drilling-warm", before: &[(5000.0, 180.0)], stood_degc: None })
-        },
-    },
-    Experiment {
-        name: "drilling-fully-warm",
-        what: "the same after eight hours at 5000 rpm, wet: the machine hardly moves any more",
-        own: WO_97,
-        run: |setting| {
-            drilling(
-                setting,
-                &Start { name: "drilling-fully-warm", before: &[(5000.0, 480.0)], stood_degc: None },
-            )
-        },
-    },
-    Experiment {
-        name: "drilling-after-rest",
-        what: "the same after four hours at 5000 rpm and three quarters of an hour of rest",
-        own: WO_97,
-        run: |setting| {
-            drilling(
-                setting,
-                &Start {
-                    name: "drilling-after-rest",
-                    before: &[(5000.0, 240.0), (0.0, 45.0)],
-                    stood_degc: None,
-                },
-            )
-        },
-    },
+    Experiment::drilling(
+        "drilling",
+        "three cycles of two passes of 4 holes, from cold, wet (WO 97/43703, tests 1 and 3, table 7)",
+        &[],
+    ),
+    Experiment::drilling("drilling-semi-warm", "the same after an hour at 3000 rpm, wet", &[(3000.0, 60.0)]),
+    Experiment::drilling(
+        "drilling-warm",
+        "the same after three hours at 5000 rpm, wet, the corrector on throughout",
+        &[(5000.0, 180.0)],
+    ),
+    Experiment::drilling(
+        "drilling-fully-warm",
+        "the same after eight hours at 5000 rpm, wet: the machine hardly moves any more",
+        &[(5000.0, 480.0)],
+    ),
+    Experiment::drilling(
+        "drilling-after-rest",
+        "the same after four hours at 5000 rpm and three quarters of an hour of rest",
+        &[(5000.0, 240.0), (0.0, 45.0)],
+    ),
     Experiment {
         name: "drilling-weekend",
         what: "the same after a weekend: all at 16 °C, the hall heated to 20 °C for an hour",
         own: WO_97,
-        run: |setting| {
-            drilling(setting, &Start { name: "drilling-weekend", before: &[], stood_degc: Some(16.0) })
-        },
+        run: Run::Drilling(Start { before: &[], stood_degc: Some(16.0) }),
     },
     Experiment {
         name: "hemisphere",
         what: "a 38.1 mm nose turned with a worn tool (25 µm flat) and probed at 2.5 m/min (NISTIR 4854)",
         own: NIST_4854,
-        run: hemisphere,
+        run: Run::Own(hemisphere),
     },
-    Experiment { name: "plate", what: "a grid of holes over the XY plane", own: None, run: plate },
+    Experiment { name: "plate", what: "a grid of holes over the XY plane", own: None, run: Run::Own(plate) },
     Experiment {
         name: "feed-sweep",
         what: "the same stretch at feeds from 0.1 to 10 m/min, both directions",
         own: None,
-        run: feed_sweep,
+        run: Run::Own(feed_sweep),
     },
     Experiment {
         name: "dynamics",
         what: "drive force over moves of rising speed and acceleration, 1 kHz",
         own: None,
-        run: dynamics,
+        run: Run::Own(dynamics),
     },
     Experiment {
         name: "linear-error-240um",
         what: "240 µm per metre over a quarter of a metre: 15 corrections of 4 µm (NISTIR 4832, The \"Original RTEC\")",
         own: NIST_4832,
-        run: linear_error,
+        run: Run::Own(linear_error),
     },
     Experiment {
         name: "rapid-catch-up",
         what: "a rapid too fast for insertions: corrections catch up before the tool enters the part (NISTIR 4832)",
         own: NIST_4832,
-        run: rapid_catch_up,
+        run: Run::Own(rapid_catch_up),
     },
 ];

@@ -59,11 +59,18 @@ impl Default for ControllerSpec {
 pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
 
 /// A move under way.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 enum Job {
+    #[default]
     Idle,
-    Move { shape: MoveShape, profile: FeedProfile, t_s: f64 },
-    Dwell { left_s: f64 },
+    Move {
+        shape: MoveShape,
+        profile: FeedProfile,
+        t_s: f64,
+    },
+    Dwell {
+        left_s: f64,
+    },
 }
 
 /// Bits of an event's word that hold its source; the rest is its time.
@@ -81,6 +88,7 @@ const fn due(t_ns: u64, source: usize) -> u64 {
 }
 
 /// The simulated machine behind a card's lines: axes, scales, decoders and probe.
+#[derive(Default)]
 pub struct SimMachine {
     axes: Vec<AxisSim>,
     /// The controller's axis (0 X, 1 Y, 2 Z) of each axis of the machine.
@@ -149,28 +157,13 @@ impl SimMachine {
             controller,
             min_separation_ns,
             program: std::collections::VecDeque::with_capacity(8),
-            job: Job::Idle,
             command: Command { p_mm: at_mm, ..Command::default() },
             pace: 1.0,
-            hold: false,
-            jog: None,
-            begun: 0,
-            fault: None,
-            rpm: 0.0,
-            coolant: false,
-            t_ns: 0,
-            step_end_ns: 0,
-            outputs: 0,
-            inputs: 0,
             due: [u64::MAX; MAX_AXES],
             next: u64::MAX,
-            surface: None,
-            tool_offset_mm: [0.0; AXES],
-            probe_delay_ns: 0,
-            probe_reach_mm: 0.0,
             trip_ns: u64::MAX,
             trips: (0, at_mm),
-            edges: 0,
+            ..Self::default()
         };
         for axis in &mut machine.axes {
             axis.last_out_ns = 0;

@@ -17,7 +17,7 @@ pub struct Writer {
     path: PathBuf,
     file: Option<File>,
     bytes: u64,
-    full: u64,
+    pub(super) full: u64,
     group: Option<u32>,
     head: Head,
     /// The locked file of the head; the lock keeps other writers out.
@@ -71,12 +71,6 @@ impl Writer {
     #[must_use]
     pub fn readable_by(self, group: Option<u32>) -> Self {
         Self { group, ..self }
-    }
-
-    /// Sets the size at which a file is full, bytes.
-    #[must_use]
-    pub fn full_at(self, full: u64) -> Self {
-        Self { full, ..self }
     }
 
     /// Number and hash of the last line.
@@ -248,13 +242,18 @@ fn own(options: &mut OpenOptions) -> &mut OpenOptions {
     options.mode(0o640).custom_flags((nix::fcntl::OFlag::O_NOFOLLOW | nix::fcntl::OFlag::O_NONBLOCK).bits())
 }
 
-/// Cuts off an unfinished last line; returns the bytes removed.
-fn whole_lines(file: &mut File) -> io::Result<u64> {
+/// Length of a file, bytes, and its end, in which at least one line is whole.
+fn tail(file: &mut File) -> io::Result<(u64, Vec<u8>)> {
     let len = file.metadata()?.len();
-    let from = len.saturating_sub(LONGEST_LINE);
-    file.seek(SeekFrom::Start(from))?;
+    file.seek(SeekFrom::Start(len.saturating_sub(LONGEST_LINE)))?;
     let mut tail = Vec::new();
     file.take(LONGEST_LINE).read_to_end(&mut tail)?;
+    Ok((len, tail))
+}
+
+/// Cuts off an unfinished last line; returns the bytes removed.
+fn whole_lines(file: &mut File) -> io::Result<u64> {
+    let (len, tail) = tail(file)?;
     let end = tail.iter().rposition(|b| *b == b'\n').map_or(0, |n| n + 1);
     let torn = (tail.len() - end) as u64;
     if torn > 0 {
@@ -270,11 +269,7 @@ pub(super) struct Link {
 }
 
 fn last_line(file: &Path) -> Option<(u64, String)> {
-    let mut file = File::open(file).ok()?;
-    let from = file.metadata().ok()?.len().saturating_sub(LONGEST_LINE);
-    file.seek(SeekFrom::Start(from)).ok()?;
-    let mut tail = Vec::new();
-    file.take(LONGEST_LINE).read_to_end(&mut tail).ok()?;
+    let (_, tail) = tail(&mut File::open(file).ok()?).ok()?;
     let line = tail.split(|b| *b == b'\n').rfind(|l| !l.is_empty())?;
     serde_json::from_slice(line).ok().map(|Link { n, hash }| (n, hash))
 }

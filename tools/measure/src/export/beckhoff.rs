@@ -4,7 +4,7 @@
 //! Value = position reached minus commanded one, in 0.1 µm, said so in the maker's example (TF5200, 308695435). Positions in
 //! 0.1 µm, each by itself (`interval 0`), as in that example; values beyond the ends as at the ends.
 
-use super::{Format, Lookup, Rules, Table, usage};
+use super::{Format, Rules, Table, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
@@ -27,14 +27,7 @@ fn tenths(um: f64) -> i64 {
 
 impl Format for Ssfk {
     fn rules(&self) -> Rules {
-        Rules {
-            most: self.most,
-            position_mm: 1e-4,
-            value_um: 0.1,
-            both: true,
-            zero_at_mm: None,
-            lookup: Lookup::Commanded,
-        }
+        Rules::both_directions(self.most, 1e-4, 0.1)
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {

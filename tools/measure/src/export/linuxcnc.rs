@@ -4,7 +4,7 @@
 //! numbers: nothing else may stand in the file. Type 0 has the positions reached, type 1 what is added to the motor's
 //! command; the loader turns the first into the second as nominal minus reached.
 
-use super::{Format, Lookup, Rules, Table, number, usage};
+use super::{Format, Rules, Table, number, usage};
 use rtec_files::InputError;
 
 /// LinuxCNC takes no more points than this (`EMCMOT_COMP_SIZE`).
@@ -46,14 +46,7 @@ pub struct LinuxCnc {
 impl Format for LinuxCnc {
     fn rules(&self) -> Rules {
         // Finer than a nanometre is nothing.
-        Rules {
-            most: MOST,
-            position_mm: 1e-6,
-            value_um: 1e-6,
-            both: true,
-            zero_at_mm: None,
-            lookup: Lookup::Commanded,
-        }
+        Rules::both_directions(MOST, 1e-6, 1e-6)
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {

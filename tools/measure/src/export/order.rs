@@ -8,46 +8,20 @@ use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-/// The formats, as they are called.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ExportFormat {
-    /// `COMP_FILE` of type 0.
-    Linuxcnc,
-    /// `COMP_FILE` of type 1.
-    LinuxcncType1,
-    /// Beckhoff TF5200 and ISG kernel.
-    Ssfk,
-    /// SINUMERIK, an axis along itself.
-    Siemens,
-    /// SINUMERIK, an axis along another.
-    SiemensCec,
-    /// Plain columns.
-    Csv,
-    /// A form of the user's own.
-    Own,
-}
-
-impl ExportFormat {
-    /// All of them: the name that people write, the format, and its meaning.
-    pub const ALL: [(&'static str, Self, &'static str); 7] = [
-        ("linuxcnc", Self::Linuxcnc, "`COMP_FILE` of type 0: nominal, forward and reverse position"),
-        ("linuxcnc-type1", Self::LinuxcncType1, "`COMP_FILE` of type 1: nominal, forward and reverse trim"),
-        (
-            "ssfk",
-            Self::Ssfk,
-            "Beckhoff TF5200 and ISG kernel: leadscrew error compensation `kw.ssfk.*`, both directions",
-        ),
-        ("siemens", Self::Siemens, "SINUMERIK: `$AA_ENC_COMP`, the mean of both directions"),
-        (
-            "siemens-cec",
-            Self::SiemensCec,
-            "SINUMERIK: `$AN_CEC`, what the position of --along does to --axis",
-        ),
-        ("csv", Self::Csv, "`position_mm,error_up_um,error_down_um`"),
-        ("own", Self::Own, "A form of your own: --form"),
-    ];
+rtec_files::choice! {
+    /// The formats, as they are called.
+    pub enum ExportFormat {
+        Linuxcnc = "linuxcnc", "`COMP_FILE` of type 0: nominal, forward and reverse position";
+        LinuxcncType1 = "linuxcnc-type1", "`COMP_FILE` of type 1: nominal, forward and reverse trim";
+        Ssfk = "ssfk",
+            "Beckhoff TF5200 and ISG kernel: leadscrew error compensation `kw.ssfk.*`, both directions";
+        Siemens = "siemens", "SINUMERIK: `$AA_ENC_COMP`, the mean of both directions";
+        SiemensCec = "siemens-cec", "SINUMERIK: `$AN_CEC`, what the position of --along does to --axis";
+        Csv = "csv", "`position_mm,error_up_um,error_down_um`";
+        Own = "own", "A form of your own: --form";
+    }
 }
 
 /// What is ordered.
@@ -98,6 +72,11 @@ pub struct Exported {
     pub notes: Vec<String>,
 }
 
+/// The value of an option that a format needs.
+fn needed<T>(value: Option<T>, option: &str) -> Result<T, InputError> {
+    value.ok_or_else(|| usage(format!("no --{option}"), format!("--{option} with this format")))
+}
+
 impl TableOrder {
     fn format(&self) -> Result<Box<dyn Format>, InputError> {
         let linuxcnc = matches!(self.format, ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1);
@@ -108,10 +87,6 @@ impl TableOrder {
         if !reference_mm.is_finite() {
             return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
         }
-        let needs = |there: bool, option: &str| {
-            let expected = format!("--{option} with this format");
-            if there { Ok(()) } else { Err(usage(format!("no --{option}"), expected)) }
-        };
         let most = self.wanted.most;
         if let Some(along) = &self.along {
             let cannot = match self.format {
@@ -131,46 +106,32 @@ impl TableOrder {
             ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
                 Box::new(LinuxCnc { trims: self.format == ExportFormat::LinuxcncType1, unit: self.unit })
             }
-            ExportFormat::Ssfk => {
-                needs(self.axis_number.is_some(), "axis-number")?;
-                Box::new(beckhoff::Ssfk {
-                    axis_number: self.axis_number.unwrap_or_default(),
-                    most: most.unwrap_or(beckhoff::MOST),
-                })
-            }
-            ExportFormat::Siemens => {
-                needs(self.axis_name.is_some(), "axis-name")?;
-                needs(self.reference_mm.is_some(), "reference-mm")?;
-                Box::new(siemens::EncComp {
-                    axis: self.axis_name.clone().unwrap_or_default(),
-                    reference_mm,
-                    encoder: self.encoder,
-                    most: most.unwrap_or(siemens::MOST),
-                })
-            }
+            ExportFormat::Ssfk => Box::new(beckhoff::Ssfk {
+                axis_number: needed(self.axis_number, "axis-number")?,
+                most: most.unwrap_or(beckhoff::MOST),
+            }),
+            ExportFormat::Siemens => Box::new(siemens::EncComp {
+                axis: needed(self.axis_name.clone(), "axis-name")?,
+                reference_mm: needed(self.reference_mm, "reference-mm")?,
+                encoder: self.encoder,
+                most: most.unwrap_or(siemens::MOST),
+            }),
             ExportFormat::SiemensCec => {
-                needs(self.along.is_some(), "along")?;
-                needs(self.axis_name.is_some(), "axis-name")?;
-                needs(self.along_name.is_some(), "along-name")?;
-                needs(self.reference_mm.is_some(), "reference-mm")?;
+                needed(self.along.as_ref(), "along")?;
+                let axis = needed(self.axis_name.clone(), "axis-name")?;
+                let along = needed(self.along_name.clone(), "along-name")?;
+                needed(self.reference_mm, "reference-mm")?;
                 let Some(positive_moves_up) = self.positive_moves_up else {
                     let expected = "--positive-moves up or down, as tried on the machine: load a table of one value, say 0.05, and see; no \
                                     public manual says which";
                     return Err(usage("no --positive-moves", expected));
                 };
-                Box::new(siemens_cec::Cec {
-                    axis: self.axis_name.clone().unwrap_or_default(),
-                    along: self.along_name.clone().unwrap_or_default(),
-                    table: self.table,
-                    reference_mm,
-                    most: most.unwrap_or(siemens_cec::MOST),
-                    positive_moves_up,
-                })
+                let (table, most) = (self.table, most.unwrap_or(siemens_cec::MOST));
+                Box::new(siemens_cec::Cec { axis, along, table, reference_mm, most, positive_moves_up })
             }
             ExportFormat::Csv => Box::new(Csv),
             ExportFormat::Own => {
-                needs(self.form.is_some(), "form")?;
-                let form = self.form.as_deref().unwrap_or(Path::new(""));
+                let form = needed(self.form.as_deref(), "form")?;
                 Box::new(OwnForm::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
             }
         })

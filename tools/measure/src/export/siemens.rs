@@ -4,7 +4,7 @@
 //! p. 106; 6FC5397-1BP40-3BA1, p. 238). The value is therefore the error itself. One table serves both directions, its points are evenly
 //! spaced, and it must be zero at the reference point.
 
-use super::{Format, Lookup, Rules, Table, number, usage};
+use super::{Format, Rules, Table, number, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
@@ -24,33 +24,25 @@ pub struct EncComp {
     pub most: usize,
 }
 
+/// Refuses an axis name that SINUMERIK does not take.
+pub(super) fn check_axis_name(option: &str, name: &str) -> Result<(), InputError> {
+    let good = name.starts_with(|c: char| c.is_ascii_alphabetic())
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    let expected = "the machine axis as the controller names it, as X1";
+    if good { Ok(()) } else { Err(usage(format!("{option} {name}"), expected)) }
+}
+
 impl Format for EncComp {
     fn rules(&self) -> Rules {
-        let zero_at_mm = Some(self.reference_mm);
-        Rules {
-            most: self.most,
-            position_mm: 1e-4,
-            value_um: 1e-3,
-            both: false,
-            zero_at_mm,
-            lookup: Lookup::Encoder,
-        }
+        Rules::siemens(self.most, self.reference_mm)
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
-        let name = &self.axis;
-        let good = name.starts_with(|c: char| c.is_ascii_alphabetic())
-            && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
-        if !good {
-            return Err(usage(
-                format!("--axis-name {name}"),
-                "the machine axis as the controller names it, as X1",
-            ));
-        }
+        check_axis_name("--axis-name", &self.axis)?;
         if self.encoder > 1 {
             return Err(usage(format!("--encoder {}", self.encoder), "encoder 0 or 1"));
         }
-        let (e, axis) = (self.encoder, name);
+        let (e, axis) = (self.encoder, &self.axis);
         let mut text = "%_N_AX_EEC_INI\nCHANDATA(1)\n".to_owned();
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AA_ENC_COMP[{e},{i},{axis}]={}", number(p.mean_um() / 1000.0, 6));

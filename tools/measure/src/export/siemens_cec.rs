@@ -4,12 +4,13 @@
 //! Values beyond the ends are those of the ends. No public page says which way a positive value moves the compensation axis. The user must
 //! try it on the machine and state it.
 
-use super::{Format, Lookup, Point, Rules, Table, number, usage};
+use super::siemens::check_axis_name;
+use super::{Format, Point, Rules, Table, number, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
-/// Points of a table of an 828D (the manual, p.
-/// 264); an 840D has as many as MD18342 says.
+/// Points of a table of an 828D (the manual, p. 264).
+/// An 840D has as many as MD18342 says.
 pub const MOST: usize = 200;
 
 /// A table of sag compensation.
@@ -39,25 +40,12 @@ impl Cec {
 
 impl Format for Cec {
     fn rules(&self) -> Rules {
-        Rules {
-            most: self.most,
-            position_mm: 1e-4,
-            value_um: 1e-3,
-            both: false,
-            zero_at_mm: Some(self.reference_mm),
-            lookup: Lookup::Encoder,
-        }
+        Rules::siemens(self.most, self.reference_mm)
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
-        for (option, name) in [("--axis-name", &self.axis), ("--along-name", &self.along)] {
-            let good = name.starts_with(|c: char| c.is_ascii_alphabetic())
-                && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
-            if !good {
-                let expected = "the machine axis as the controller names it, as X1";
-                return Err(usage(format!("{option} {name}"), expected));
-            }
-        }
+        check_axis_name("--axis-name", &self.axis)?;
+        check_axis_name("--along-name", &self.along)?;
         if self.axis == self.along {
             return Err(usage(format!("--along-name {}", self.along), "another axis than --axis-name"));
         }

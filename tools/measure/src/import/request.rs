@@ -10,61 +10,24 @@ use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::path::{Path, PathBuf};
 
-/// The formats, as they are called.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ImportFormat {
-    /// ecmc's ISO 230-2 data.
-    EcmcDat,
-    /// LinuxCNC's compensation file of type 0.
-    LinuxcncComp0,
-    /// The same of type 1.
-    LinuxcncComp1,
-    /// A table with a header line.
-    Csv,
-    /// A table as a file of the user's own describes it.
-    Own,
-    /// A coordinate measuring machine's table of holes.
-    CmmPlate,
-    /// Renishaw's `.rtl`.
-    Rtl,
-    /// Etalon's exchange format.
-    Etalon,
-    /// What LinuxCNC's halsampler prints.
-    Halsampler,
-    /// A log of `MTConnect`'s SHDR lines.
-    Shdr,
-}
-
-impl ImportFormat {
-    /// All of them: the name that people write, the format, and its meaning.
-    pub const ALL: [(&'static str, Self, &'static str); 10] = [
-        ("ecmc-dat", Self::EcmcDat, "ecmc's ISO 230-2 data: `TGT_DATA`, `REF_DATA_FWD`, `REF_DATA_BWD`"),
-        (
-            "linuxcnc-comp0",
-            Self::LinuxcncComp0,
-            "LinuxCNC compensation file of type 0: nominal, forward, backward position",
-        ),
-        (
-            "linuxcnc-comp1",
-            Self::LinuxcncComp1,
-            "LinuxCNC compensation file of type 1: nominal, forward, backward correction",
-        ),
-        (
-            "csv",
-            Self::Csv,
-            "A table with a header line, parted by commas, semicolons or tabs; --columns says what is in it",
-        ),
-        ("own", Self::Own, "A table as a file of your own describes it: --form"),
-        (
-            "cmm-plate",
-            Self::CmmPlate,
-            "Coordinate measuring machine's table of holes: Meas X, Meas Y, Nom X, Nom Y, Nom D",
-        ),
-        ("rtl", Self::Rtl, "Renishaw .rtl of linear targets, as other programs read it"),
-        ("etalon", Self::Etalon, "Etalon exchange format: `[EXX] Gridpoints = { … }`"),
-        ("halsampler", Self::Halsampler, "What LinuxCNC's halsampler prints"),
-        ("shdr", Self::Shdr, "A log of `MTConnect`'s SHDR lines: TIME|KEY|VALUE"),
-    ];
+rtec_files::choice! {
+    /// The formats, as they are called.
+    pub enum ImportFormat {
+        EcmcDat = "ecmc-dat", "ecmc's ISO 230-2 data: `TGT_DATA`, `REF_DATA_FWD`, `REF_DATA_BWD`";
+        LinuxcncComp0 = "linuxcnc-comp0",
+            "LinuxCNC compensation file of type 0: nominal, forward, backward position";
+        LinuxcncComp1 = "linuxcnc-comp1",
+            "LinuxCNC compensation file of type 1: nominal, forward, backward correction";
+        Csv = "csv",
+            "A table with a header line, parted by commas, semicolons or tabs; --columns says what is in it";
+        Own = "own", "A table as a file of your own describes it: --form";
+        CmmPlate = "cmm-plate",
+            "Coordinate measuring machine's table of holes: Meas X, Meas Y, Nom X, Nom Y, Nom D";
+        Rtl = "rtl", "Renishaw .rtl of linear targets, as other programs read it";
+        Etalon = "etalon", "Etalon exchange format: `[EXX] Gridpoints = { … }`";
+        Halsampler = "halsampler", "What LinuxCNC's halsampler prints";
+        Shdr = "shdr", "A log of `MTConnect`'s SHDR lines: TIME|KEY|VALUE";
+    }
 }
 
 impl ImportFormat {

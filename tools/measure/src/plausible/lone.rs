@@ -31,7 +31,7 @@ pub(super) struct Lone {
 }
 
 /// A reading held against its neighbours in one order of the rows.
-struct Held {
+struct NeighbourDeviation {
     row: usize,
     off: f64,
     /// By what the others differ, and how many differences say so.
@@ -139,7 +139,7 @@ fn farthest(
     order: &[Vec<usize>],
     out: &[usize],
     excused: &dyn Fn(usize, f64) -> bool,
-) -> Option<Held> {
+) -> Option<NeighbourDeviation> {
     let rows: Vec<Vec<usize>> =
         order.iter().map(|part| part.iter().copied().filter(|i| !out.contains(i)).collect()).collect();
     let off = |part: &[usize], k: usize| {
@@ -164,7 +164,12 @@ fn farthest(
             differences += 1;
         }
     }
-    (differences > 0).then(|| Held { row, off, noise: (squares / differences as f64).sqrt(), differences })
+    (differences > 0).then(|| NeighbourDeviation {
+        row,
+        off,
+        noise: (squares / differences as f64).sqrt(),
+        differences,
+    })
 }
 
 /// Whether a column of so many rows is looked at here.

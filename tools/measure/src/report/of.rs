@@ -506,81 +506,58 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     if p.is_scale_beyond_chance() {
         report.warnings.push(p.remark.clone());
     }
-    let mut table = Table::new(
-        &format!("{} holes, measured against nominal", p.holes),
-        &["figure", "#value", "#standard error", "unit"],
-    );
     let (j, je, pe) = (&p.joint, &p.joint.standard_error, &p.standard_error);
     let none = || "–".to_owned();
-    let error_of = |deg: Option<f64>| deg.map_or_else(none, |deg| fixed(deg, 1));
-    let angle = |deg: f64, error: Option<f64>| error.map_or_else(none, |_| fixed(deg, 1));
-    let mut add = |rows: &[(&str, String, String, &str)]| {
-        for (name, value, error, unit) in rows {
-            table.row([(*name).to_owned(), value.clone(), error.clone(), (*unit).to_owned()]);
-        }
+    let row = |name: &str, value: f64, error: f64, decimals: usize, unit: &str| {
+        [name.to_owned(), fixed(value, decimals), fixed(error, decimals), unit.to_owned()]
     };
-    add(&[
-        ("offset x", fixed(j.offset_mm[0], 4), fixed(je.offset_mm[0], 4), "mm"),
-        ("offset y", fixed(j.offset_mm[1], 4), fixed(je.offset_mm[1], 4), "mm"),
-        ("scale x", fixed(j.scale_x_ppm, 1), fixed(je.scale_x_ppm, 1), "ppm"),
-        ("scale y", fixed(j.scale_y_ppm, 1), fixed(je.scale_y_ppm, 1), "ppm"),
-        (
-            "mean scale as a temperature of aluminium",
-            fixed(p.scale_as_aluminium_k, 2),
-            fixed(pe.scale_as_aluminium_k, 2),
-            "K",
-        ),
-        ("squareness", fixed(j.squareness_urad, 1), fixed(je.squareness_urad, 1), "µrad"),
-        (
-            "rotation from x towards y, of rows along x, or the plate's set-up",
-            fixed(j.rotation_urad, 1),
-            fixed(je.rotation_urad, 1),
-            "µrad",
-        ),
-        (
+    let angle = |name: &str, deg: f64, error: Option<f64>| match error {
+        Some(error) => row(name, deg, error, 1, "°"),
+        None => [name.to_owned(), none(), none(), "°".to_owned()],
+    };
+    let left = |name: &str, rms_um: f64| [name.to_owned(), um(rms_um), none(), "µm".to_owned()];
+    let head = ["figure", "#value", "#standard error", "unit"];
+    let mut table = Table::new(&format!("{} holes, measured against nominal", p.holes), &head);
+    let aluminium = "mean scale as a temperature of aluminium";
+    let rotation = "rotation from x towards y, of rows along x, or the plate's set-up";
+    for cells in [
+        row("offset x", j.offset_mm[0], je.offset_mm[0], 4, "mm"),
+        row("offset y", j.offset_mm[1], je.offset_mm[1], 4, "mm"),
+        row("scale x", j.scale_x_ppm, je.scale_x_ppm, 1, "ppm"),
+        row("scale y", j.scale_y_ppm, je.scale_y_ppm, 1, "ppm"),
+        row(aluminium, p.scale_as_aluminium_k, pe.scale_as_aluminium_k, 2, "K"),
+        row("squareness", j.squareness_urad, je.squareness_urad, 1, "µrad"),
+        row(rotation, j.rotation_urad, je.rotation_urad, 1, "µrad"),
+        row(
             "quadrupole: longer along its angle, shorter across",
-            fixed(j.quadrupole_ppm, 1),
-            fixed(je.quadrupole_ppm, 1),
+            j.quadrupole_ppm,
+            je.quadrupole_ppm,
+            1,
             "ppm",
         ),
-        (
-            "angle of the quadrupole from x",
-            angle(j.quadrupole_deg, je.quadrupole_deg),
-            error_of(je.quadrupole_deg),
-            "°",
-        ),
-        ("left over after these (RMS length)", um(j.rms_um), none(), "µm"),
-    ]);
+        angle("angle of the quadrupole from x", j.quadrupole_deg, je.quadrupole_deg),
+        left("left over after these (RMS length)", j.rms_um),
+    ] {
+        table.row(cells);
+    }
     report.table(table);
     let title = "One after another, as owners of drilled plates publish it: one scale and rotation, then a radial quadrupole";
-    let mut table = Table::new(title, &["figure", "#value", "#standard error", "unit"]);
-    let mut add = |rows: &[(&str, String, String, &str)]| {
-        for (name, value, error, unit) in rows {
-            table.row([(*name).to_owned(), value.clone(), error.clone(), (*unit).to_owned()]);
-        }
-    };
-    add(&[
-        ("offset x", fixed(p.offset_mm[0], 4), fixed(pe.offset_mm[0], 4), "mm"),
-        ("offset y", fixed(p.offset_mm[1], 4), fixed(pe.offset_mm[1], 4), "mm"),
-        ("scale", fixed(p.scale_ppm, 1), fixed(pe.scale_ppm, 1), "ppm"),
-        (
-            "rotation from x towards y, mean of rows along x and y",
-            fixed(p.rotation_urad, 1),
-            fixed(pe.rotation_urad, 1),
-            "µrad",
-        ),
-        ("left over after these (RMS length)", um(p.rms_um), none(), "µm"),
-        (
-            "quadrupole r·m·cos 2(θ − φ) along the radius: m",
-            fixed(p.quadrupole_ppm, 1),
-            fixed(pe.quadrupole_ppm, 1),
-            "ppm",
-        ),
-        ("its angle φ from x", angle(p.quadrupole_deg, pe.quadrupole_deg), error_of(pe.quadrupole_deg), "°"),
-        ("left over after the quadrupole too", um(p.rms_quadrupole_um), none(), "µm"),
-    ]);
+    let mut table = Table::new(title, &head);
+    let rotation = "rotation from x towards y, mean of rows along x and y";
+    for cells in [
+        row("offset x", p.offset_mm[0], pe.offset_mm[0], 4, "mm"),
+        row("offset y", p.offset_mm[1], pe.offset_mm[1], 4, "mm"),
+        row("scale", p.scale_ppm, pe.scale_ppm, 1, "ppm"),
+        row(rotation, p.rotation_urad, pe.rotation_urad, 1, "µrad"),
+        left("left over after these (RMS length)", p.rms_um),
+        row("quadrupole r·m·cos 2(θ − φ) along the radius: m", p.quadrupole_ppm, pe.quadrupole_ppm, 1, "ppm"),
+        angle("its angle φ from x", p.quadrupole_deg, pe.quadrupole_deg),
+        left("left over after the quadrupole too", p.rms_quadrupole_um),
+    ] {
+        table.row(cells);
+    }
     for (diameter, v) in &p.rms_um_by_diameter {
-        table.row([format!("left over, holes of {diameter} mm"), um(*v), none(), "µm".to_owned()]);
+        table.row(left(&format!("left over, holes of {diameter} mm"), *v));
     }
     report.table(table);
     report.plot(p.plot(record))?;

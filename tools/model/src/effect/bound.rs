@@ -27,7 +27,7 @@ pub(crate) type States = [State; 2];
 ///
 /// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
 /// once.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Bound<'r> {
     rows: usize,
     t: &'r [f64],
@@ -194,22 +194,9 @@ impl Effect {
         let mut bound = Bound {
             rows: record.rows(),
             t: record.time_s(),
-            p: [None; 3],
-            dir: None,
-            dir_from_velocity: false,
             past_mm: record.past_mm(),
-            v: None,
-            a: None,
-            load: None,
-            sensor: None,
-            minus: None,
             reference: STANDARD_DEGC,
-            rpm: None,
-            coolant: None,
-            angle: None,
-            channel: None,
-            taken_as_zero: Vec::new(),
-            share: [None; 2],
+            ..Bound::default()
         };
         // Only a pair acts on its second axis.
         let acts_on = if self.description().naming == Naming::Pair { 2 } else { 1 };

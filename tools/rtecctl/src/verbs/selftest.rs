@@ -9,6 +9,7 @@ use anyhow::Context;
 use rtec_control::card::{self, Access, OnCard};
 use rtec_control::config::{CardConfig, Config, Measured as Provenance};
 use rtec_files::InputError;
+use rtec_files::write::WholeFile;
 use rtec_platform::selftest::{
     Backend, Latency, Measured, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
     run as measure, run_on_card,
@@ -19,7 +20,7 @@ use rtec_rt::histogram::Snapshot;
 use rtec_rt::setup::System;
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// Rows of the histogram in the text, 1 µs each.
@@ -127,7 +128,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         run: args.duration,
         seed: 1,
     };
-    let histfile = args.histfile.as_deref().map(AtomicFile::create).transpose()?;
+    // Made before the measurement, so that a folder that cannot be written to is reported at once.
+    let created = |file: &PathBuf| {
+        let unwritable =
+            |e: std::io::Error| InputError::whole(file, e.to_string(), "a place that can be written to");
+        WholeFile::create(file).map_err(unwritable)
+    };
+    let histfile = args.histfile.as_ref().map(created).transpose()?;
     let progress = |what: &str, left_s: u64| eprintln!("selftest: {what}, {left_s} s left");
     let mut provenance = Provenance::here(&CardConfig::Mock, options.cpu, &System::live());
     let measured = match &target {
@@ -153,10 +160,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     let verdict = Verdict::new(&measured, config.as_ref());
-    if let Some(histfile) = histfile {
-        histfile
-            .finish(&format!("{}# Card: {}\n", histogram(&measured), provenance.card))
-            .context("writing the histogram file")?;
+    if let Some(mut file) = histfile {
+        let written = writeln!(file, "{}# Card: {}", histogram(&measured), provenance.card);
+        written.and_then(|()| file.finish()).context("writing the histogram file")?;
     }
     if args.json {
         let backend = match &target {
@@ -371,30 +377,4 @@ fn histogram(measured: &Measured) -> String {
     let overflows = [0, 1, 2].map(|t: usize| format!("{:05}", linear[t].1));
     let _ = writeln!(out, "# Histogram Overflows: {}", joined(overflows, " "));
     out
-}
-
-/// A file that appears under its name only when it is complete.
-/// It is made before the measurement, so that an unwritable folder is reported at once.
-struct AtomicFile<'a> {
-    file: &'a Path,
-    temporary: tempfile::NamedTempFile,
-}
-
-impl<'a> AtomicFile<'a> {
-    fn create(file: &'a Path) -> Result<Self, InputError> {
-        let directory = file.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut builder = tempfile::Builder::new();
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as any file
-        let temporary = builder.prefix(".rtec-histogram-").tempfile_in(directory);
-        let unwritable =
-            |e: std::io::Error| InputError::whole(file, e.to_string(), "a place that can be written to");
-        Ok(Self { file, temporary: temporary.map_err(unwritable)? })
-    }
-
-    fn finish(mut self, text: &str) -> std::io::Result<()> {
-        self.temporary.write_all(text.as_bytes())?;
-        self.temporary.persist(self.file).map_err(|e| e.error)?;
-        Ok(())
-    }
 }

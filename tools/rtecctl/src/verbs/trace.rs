@@ -4,7 +4,7 @@
 use crate::document::line;
 use crate::say;
 use anyhow::Context;
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use rtec_files::clock::{self, Moments};
@@ -60,11 +60,11 @@ struct FromPosition {
     #[arg(long, value_name = "NAME")]
     time_column: Option<String>,
     /// The time's unit, d for days [default: of the column's name, `t_ms`; else s]
-    #[arg(long, value_parser = ["s", "ms", "us", "ns", "d"], requires = "time_column")]
+    #[arg(long, value_parser = TIMES.map(|(unit, _)| unit), requires = "time_column")]
     time_unit: Option<String>,
     /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
-    #[arg(long, value_enum)]
-    unit: Option<Unit>,
+    #[arg(long, value_parser = LENGTHS.map(|(unit, _)| unit))]
+    unit: Option<String>,
     /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
     /// this gives no edges
     #[arg(long, value_name = "COUNTS", default_value_t = 0.25, value_parser = not_negative)]
@@ -80,41 +80,8 @@ struct FromPosition {
     json: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
-enum Unit {
-    M,
-    Mm,
-    Um,
-    Nm,
-    In,
-}
-
-impl Unit {
-    /// The unit that a column's name states.
-    fn of(column: &str) -> Option<Self> {
-        Self::from_str(units::stated(column)?.unit, false).ok()
-    }
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::M => "m",
-            Self::Mm => "mm",
-            Self::Um => "um",
-            Self::Nm => "nm",
-            Self::In => "in",
-        }
-    }
-
-    const fn in_um(self) -> f64 {
-        match self {
-            Self::M => 1e6,
-            Self::Mm => 1e3,
-            Self::Um => 1.0,
-            Self::Nm => 1e-3,
-            Self::In => 25_400.0,
-        }
-    }
-}
+/// Units of a position, and µm of each.
+const LENGTHS: [(&str, f64); 5] = [("m", 1e6), ("mm", 1e3), ("um", 1.0), ("nm", 1e-3), ("in", 25_400.0)];
 
 fn number(text: &str, good: fn(f64) -> bool, expected: &str) -> Result<f64, String> {
     text.parse().ok().filter(|&n| good(n)).ok_or_else(|| format!("expected {expected}"))
@@ -545,7 +512,7 @@ struct Record {
 }
 
 /// Units of a time, and ns of each.
-const UNITS: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
+const TIMES: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
 
 /// Checks that a column's name does not contradict the unit of an option.
 fn is_in(header: &Header, name: &str, unit: &str, option: &str) -> Result<(), InputError> {
@@ -564,7 +531,7 @@ impl Record {
         let time_of = |name: &str| {
             let stated = units::stated(name)?;
             let is_time = stated.name == "t" || stated.name.eq_ignore_ascii_case("time");
-            UNITS.into_iter().find(|(unit, _)| is_time && *unit == stated.unit)
+            TIMES.into_iter().find(|(unit, _)| is_time && *unit == stated.unit)
         };
         let header = if named.is_empty() {
             let has_both = |header: &Header| {
@@ -588,15 +555,15 @@ impl Record {
             Some(column) => {
                 let place = header.place_or_number(column)?;
                 let name = header.names().nth(place).unwrap_or_default();
-                let of = |wanted: &str| UNITS.into_iter().find(|(unit, _)| *unit == wanted);
+                let of = |wanted: &str| TIMES.into_iter().find(|(unit, _)| *unit == wanted);
                 let unit = if let Some(unit) = &args.time_unit {
                     is_in(&header, name, unit, "--time-unit")?;
                     of(unit)
                 } else {
-                    known(name, &UNITS.map(|(unit, _)| unit), "--time-unit")?;
+                    known(name, &TIMES.map(|(unit, _)| unit), "--time-unit")?;
                     units::stated(name).and_then(|stated| of(stated.unit))
                 };
-                (place, unit.unwrap_or(UNITS[0]))
+                (place, unit.unwrap_or(TIMES[0]))
             }
             None => header
                 .names()
@@ -619,14 +586,16 @@ impl Record {
             position
         };
         let name = header.names().nth(position).unwrap_or_default();
-        if let Some(unit) = args.unit {
-            is_in(&header, name, unit.name(), "--unit")?;
+        if let Some(unit) = &args.unit {
+            is_in(&header, name, unit, "--unit")?;
         } else {
-            known(name, &["m", "mm", "um", "nm", "in"], "--unit")?;
+            known(name, &LENGTHS.map(|(unit, _)| unit), "--unit")?;
         }
-        let unit = args.unit.or_else(|| Unit::of(name)).unwrap_or_else(|| {
+        let unit = args.unit.as_deref().or_else(|| Some(units::stated(name)?.unit));
+        let length = unit.and_then(|unit| LENGTHS.iter().find(|(name, _)| *name == unit));
+        let (_, unit_um) = length.copied().unwrap_or_else(|| {
             eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
-            Unit::M
+            LENGTHS[0]
         });
         // A pipe cannot be read twice, so its numbers must have decimal points.
         let names = || [time, position].into_iter().filter_map(|place| header.names().nth(place)).collect();
@@ -636,7 +605,7 @@ impl Record {
         } else {
             None
         };
-        let counts_per_unit = unit.in_um() / args.count_um;
+        let counts_per_unit = unit_um / args.count_um;
         Ok(Self {
             rows,
             marks,

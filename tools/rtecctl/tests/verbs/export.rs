@@ -83,8 +83,29 @@ fn what_a_table_cannot_hold_is_said() {
     let (document, _) = export(dir.path(), "--axis x --from 0 --to 300 --format csv --out t.csv");
     let warnings = document["warnings"].to_string();
     assert!(
-        warnings.contains("reversal_spike.x is in the table as it is far from where the axis turned"),
+        warnings.contains("reversal_spike.x: the table holds its value far from where the axis turned"),
         "{warnings}"
+    );
+}
+
+/// Regression: it was in the table as its value at angle 0.
+#[test]
+fn an_effect_over_an_angle_is_not_in_the_table() {
+    let dir = folder();
+    let law = "[[law]]\nname = \"bend\"\nnaming = \"A\"\nacts_on = \"error\"\nlaw = \"a line over angle\"\ncause = \"unknown\"\n\
+               experiment = \"a circle\"\nparameters = [{ name = \"um\", unit = \"um\", terms = [{ cos = 1 }] }]\n";
+    std::fs::write(dir.path().join("own.toml"), law).unwrap();
+    let words = "--axis y --from 0 --to 300 --format csv --out t.csv";
+    let table = || std::fs::read_to_string(dir.path().join("t.csv")).unwrap();
+    export(dir.path(), words);
+    let without = table();
+    let bend = "\ndictionary = \"own.toml\"\neffect = [\n    { name = \"bend.y\", um = 40.0 },";
+    std::fs::write(dir.path().join("m.toml"), MACHINE.replace("\neffect = [", bend)).unwrap();
+    let (_, said) = export(dir.path(), words);
+    assert_eq!(table(), without);
+    assert!(
+        said.contains("bend.y: is over the angle of a circle") && said.contains("it is not in the table"),
+        "{said}"
     );
 }
 
@@ -178,7 +199,7 @@ fn a_screw_is_not_stepped_over() {
     // A straight line needs only its ends.
     let (line, said) = export(dir.path(), "--axis y --from 0 --to 640 --out d.comp");
     assert_eq!(line["points"], 2, "{line}");
-    assert!(said.contains("coolant.y is in the table as it is dry"), "{said}");
+    assert!(said.contains("coolant.y: the table holds its value without coolant"), "{said}");
     // The table reaches the end of the travel.
     let (uneven, _) = export(dir.path(), "--axis y --from 0 --to 95 --step 10 --out e.comp");
     assert_eq!((uneven["points"].as_u64(), uneven["to_mm"].as_f64()), (Some(11), Some(100.0)));

@@ -1,3 +1,4 @@
+mod histories;
 mod verbs;
 
 use super::*;

@@ -1,6 +1,6 @@
 //! Experiments with heat: spindle cycles, tool changes, drilling.
 
-use super::runs::{Log, Row, both, digits, feed, nothing, places, seed_of};
+use super::runs::{Both, Log, Row, both, digits, feed, nothing, places, seed_of};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, PROMISED, Setting, UNSEEN};
 use crate::errors::NAMES;
 use crate::gcode::Block;
@@ -29,6 +29,23 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
         }
     }
     Ok(())
+}
+
+/// Runs a spindle cycle as an experiment and publishes it over the time.
+fn soaked(
+    setting: &Setting<'_>,
+    name: &str,
+    cycle: &[(f64, f64)],
+    coolant: bool,
+    findings: &mut Findings,
+) -> Result<Both, ExperimentError> {
+    let runs = both(setting, setting.spec, [0.0; 3], name, |sim, log| soak(sim, log, cycle, coolant))?;
+    runs.publish(setting, Kind::Drift, (&places(setting.spec), 0.1), ("time (min)", &minutes), findings)?;
+    Ok(runs)
+}
+
+fn minutes(row: &Row) -> f64 {
+    row.now.t_s / 60.0
 }
 
 /// Readings of the five gauges.
@@ -73,13 +90,11 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
 pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs = both(setting, setting.spec, [0.0; 3], name, |sim, log| soak(sim, log, FIGURE_9, coolant))?;
-        let x = |r: &Row| r.now.t_s / 60.0;
-        runs.publish(setting, Kind::Drift, (&places(setting.spec), 0.1), ("time (min)", &x), &mut findings)?;
+        let runs = soaked(setting, name, FIGURE_9, coolant, &mut findings)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
-            let points = runs.logs[0].rows.iter().map(|r| (r.now.t_s / 60.0, r.temperatures[k])).collect();
+            let points = runs.logs[0].rows.iter().map(|r| (minutes(r), r.temperatures[k])).collect();
             chart = chart.with(Series::new(sensor, Style::Line, points));
         }
         findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
@@ -110,12 +125,7 @@ const PRODUCTION: &[(f64, f64)] = &[
 
 pub(super) fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
-    let runs = both(setting, setting.spec, [0.0; 3], "production-cycle", |sim, log| {
-        soak(sim, log, PRODUCTION, true)
-    })?;
-    let x = |r: &Row| r.now.t_s / 60.0;
-    let axes = &places(setting.spec)[..];
-    runs.publish(setting, Kind::Drift, (axes, 0.1), ("time (min)", &x), &mut findings)?;
+    soaked(setting, "production-cycle", PRODUCTION, true, &mut findings)?;
     Ok(findings)
 }
 
@@ -182,18 +192,14 @@ const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
 pub(super) fn wet_runs(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     for (name, cycle) in WET_RUNS {
-        let runs = both(setting, setting.spec, [0.0; 3], name, |sim, log| soak(sim, log, cycle, true))?;
-        let x = |r: &Row| r.now.t_s / 60.0;
-        let axes = &places(setting.spec)[..];
-        runs.publish(setting, Kind::Drift, (axes, 0.1), ("time (min)", &x), &mut findings)?;
+        soaked(setting, name, cycle, true, &mut findings)?;
     }
     Ok(findings)
 }
 
 /// Initial thermal state of a drilling test.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Start {
-    /// Name of the experiment and its record.
-    pub(super) name: &'static str,
     /// The spindle's earlier cycle, wet: rpm and minutes.
     pub(super) before: &'static [(f64, f64)],
     /// Temperature at which hall and machine stood, °C.
@@ -228,11 +234,15 @@ fn warm(sim: &mut Sim, cycle: &[(f64, f64)]) -> Result<(), SimError> {
     Ok(())
 }
 
-pub(super) fn drilling(setting: &Setting<'_>, start: &Start) -> Result<Findings, ExperimentError> {
+pub(super) fn drilling(
+    setting: &Setting<'_>,
+    name: &str,
+    start: &Start,
+) -> Result<Findings, ExperimentError> {
     let mut findings = nothing();
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);
     let spec = Spec { ambient_degc, ..setting.spec.clone() };
-    let runs = both(setting, &spec, [0.0, 0.0, 100.0], start.name, |sim, log| {
+    let runs = both(setting, &spec, [0.0, 0.0, 100.0], name, |sim, log| {
         if start.stood_degc.is_some() {
             sim.heat_hall(setting.spec.ambient_degc);
             warm(sim, &[(0.0, 60.0)])?;
@@ -261,9 +271,8 @@ pub(super) fn drilling(setting: &Setting<'_>, start: &Start) -> Result<Findings,
         }
         Ok(())
     })?;
-    let x = |r: &Row| r.now.t_s / 60.0;
-    runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &x), &mut findings)?;
-    by_hole(start, &mut findings)?;
+    runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes), &mut findings)?;
+    by_hole(name, &mut findings)?;
     promised(setting, &runs.logs[0].rows[0], &mut findings);
     Ok(findings)
 }
@@ -271,7 +280,7 @@ pub(super) fn drilling(setting: &Setting<'_>, start: &Start) -> Result<Findings,
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
 /// Each axis has a table and a plot, and the largest deviation is given.
 /// They are of the holes as they were measured, as `rtec-papers` has them.
-fn by_hole(start: &Start, findings: &mut Findings) -> Result<(), ExperimentError> {
+fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
     let off_um = |record: &Record, p: usize| -> Vec<f64> {
         let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);
         um.iter().map(|e| digits(e - um[0], 1e3)).collect()
@@ -287,19 +296,19 @@ fn by_hole(start: &Start, findings: &mut Findings) -> Result<(), ExperimentError
     }
     findings.summary.insert("largest deviation from hole 1".to_owned(), Value::Object(largest));
     for (p, axis) in NAMES.iter().enumerate() {
-        let title = format!("{}: deviation from hole 1 in {}", start.name, axis.to_uppercase());
+        let title = format!("{name}: deviation from hole 1 in {}", axis.to_uppercase());
         let mut chart = Chart::new(&title, "hole", "deviation (µm)");
         for (record, label) in labels() {
             let um = off_um(record, p);
             for cycle in 0..CYCLES {
                 let holes = cycle * PASSES * HOLES..(cycle + 1) * PASSES * HOLES;
                 let points = holes.map(|hole| (hole as f64 + 1.0, um[2 * hole])).collect();
-                let name = format!("{label}, cycle {}", ["I", "II", "III"][cycle]);
+                let series = format!("{label}, cycle {}", ["I", "II", "III"][cycle]);
                 let style = if label == "with" { Style::Line } else { Style::Dots };
-                chart = chart.with(Series::new(&name, style, points));
+                chart = chart.with(Series::new(&series, style, points));
             }
         }
-        findings.plots.push((format!("{}-holes-{axis}.svg", start.name), chart.svg(900, 420)?));
+        findings.plots.push((format!("{name}-holes-{axis}.svg"), chart.svg(900, 420)?));
     }
     let mut table = "cycle,pass,hole,bore".to_owned();
     for (_, label) in labels() {
@@ -316,7 +325,7 @@ fn by_hole(start: &Start, findings: &mut Findings) -> Result<(), ExperimentError
             }
         }
     }
-    findings.plots.push((format!("{}-holes.csv", start.name), table + "\n"));
+    findings.plots.push((format!("{name}-holes.csv"), table + "\n"));
     findings.records = records;
     Ok(())
 }

@@ -4,7 +4,7 @@
 
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::gcode::{Block, parse};
+use rtec_sim::gcode::Block;
 use rtec_sim::machine::{ControllerSpec, ServoFault, SimMachine};
 use rtec_sim::sim::{Moment, Sim, Spec};
 use std::path::Path;
@@ -17,16 +17,27 @@ fn sim(truth: &Machine, known: Option<&Machine>) -> Sim {
     Sim::new(&Spec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
 }
 
-fn program(text: &str) -> Vec<Block> {
-    parse(Path::new("p.ngc"), text, [0.0; 3]).unwrap()
+fn rapid(to: [f64; 3]) -> Block {
+    Block::Rapid { to }
+}
+
+fn feed(to: [f64; 3], feed_mm_min: f64) -> Block {
+    Block::Feed { to, feed_mm_s: feed_mm_min / 60.0 }
+}
+
+/// A full circle in XY.
+fn circle(from: [f64; 3], centre_mm: [f64; 2], clockwise: bool, feed_mm_min: f64) -> Block {
+    let centre = (centre_mm[0], centre_mm[1]);
+    Block::Arc { to: from, plane: (0, 1), centre, clockwise, feed_mm_s: feed_mm_min / 60.0 }
 }
 
 #[test]
 fn an_ideal_machine_goes_where_it_is_commanded() {
     let mut s = sim(&Machine::ideal("m"), None);
-    s.run(program("G0 X20 Y-30 Z10\nG1 X25 F500\nG2 X25 Y-30 I-5 J0 F1000\n")).unwrap();
+    let end = [25.0, -30.0, 10.0];
+    s.run([rapid([20.0, -30.0, 10.0]), feed(end, 500.0), circle(end, [20.0, -30.0], true, 1000.0)]).unwrap();
     let m = s.moment();
-    for (n, p) in [25.0, -30.0, 10.0].into_iter().enumerate() {
+    for (n, p) in end.into_iter().enumerate() {
         assert!((m.position_mm[n] - p).abs() <= 0.0011, "{m:?}");
         assert!((m.counted_mm[n] - p).abs() <= 0.0011, "{m:?}");
         assert!(m.off_um(n).abs() < 1e-12);
@@ -36,7 +47,8 @@ fn an_ideal_machine_goes_where_it_is_commanded() {
 #[test]
 fn following_error_stays_small_in_motion() {
     let mut s = sim(&Machine::ideal("m"), None);
-    s.machine.load(program("G1 X100 Y60 F6000\nG3 X100 Y60 I-20 J0 F2000\n"));
+    let end = [100.0, 60.0, 0.0];
+    s.machine.load([feed(end, 6000.0), circle(end, [80.0, 60.0], false, 2000.0)]);
     let mut worst: f64 = 0.0;
     while !s.machine.finished() {
         s.advance(0.01).unwrap();
@@ -54,7 +66,7 @@ fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
     let truth = model("[[effect]]\nname = \"scale.x\"\nppm = 100\n[[effect]]\nname = \"offset.y\"\num = 7\n");
     let off = |known: Option<&Machine>| {
         let mut s = sim(&truth, known);
-        s.run(program("G1 X200 Y10 F5000\n")).unwrap();
+        s.run([feed([200.0, 10.0, 0.0], 5000.0)]).unwrap();
         s.advance(0.5).unwrap();
         let m = s.moment();
         ([0, 1].map(|n| m.off_um(n)), [m.tool_mm[0] - 200.0, m.tool_mm[1] - 10.0].map(|e| 1000.0 * e))
@@ -70,7 +82,7 @@ fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
 #[test]
 fn feed_hold_stops_the_path_and_lets_it_go_on() {
     let mut s = sim(&Machine::ideal("m"), None);
-    s.machine.load(program("G1 X100 F6000\n"));
+    s.machine.load([feed([100.0, 0.0, 0.0], 6000.0)]);
     s.advance(0.5).unwrap();
     s.hold(true).unwrap();
     s.advance(0.5).unwrap();
@@ -105,7 +117,10 @@ fn the_counters_say_what_the_lines_show() {
     ];
     let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: 1e3 };
     let mut machine = SimMachine::new(&axes, controller, [0.0; 3]);
-    machine.load(program("G0 X12 Y-7 Z3\nG1 X0 Y1 Z3 F4000\nG3 X0 Y1 I4 J0 F3000\nG0 X-3 Y-3 Z-3\n"));
+    let turn = [0.0, 1.0, 3.0];
+    let there = [rapid([12.0, -7.0, 3.0]), feed(turn, 4000.0)];
+    let back = [circle(turn, [4.0, 1.0], false, 3000.0), rapid([-3.0; 3])];
+    machine.load(there.into_iter().chain(back));
     let (mut scale, mut mtc) = ([Decoder::default(); 3], [Decoder::default(); 3]);
     let (mut last_ns, mut least_ns, mut edges) = ([0; 3], [u64::MAX; 3], 0);
     let mut random = 1_u64;

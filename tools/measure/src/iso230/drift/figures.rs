@@ -11,7 +11,7 @@ const HOUR_S: f64 = 3600.0;
 pub(super) type Row<'d> = (f64, f64, &'d [&'d [f64]], usize);
 
 /// The first look: what the second has to know of all rows before it.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Sums {
     rows: usize,
     first_s: f64,
@@ -47,9 +47,14 @@ impl Sums {
 #[derive(Debug, Clone, Copy)]
 struct Span([f64; 2]);
 
-impl Span {
-    const NONE: Self = Self([f64::INFINITY, f64::NEG_INFINITY]);
+/// Of no values.
+impl Default for Span {
+    fn default() -> Self {
+        Self([f64::INFINITY, f64::NEG_INFINITY])
+    }
+}
 
+impl Span {
     fn see(&mut self, v: f64) {
         self.0 = [self.0[0].min(v), self.0[1].max(v)];
     }
@@ -61,19 +66,19 @@ impl Span {
 
 /// Sums of the first and of the last hundredth of the rows.
 #[derive(Debug, Clone, Copy, Default)]
-struct Ends {
+struct EndSums {
     early: f64,
     late: f64,
 }
 
 /// A sensor beside the displacement.
-#[derive(Debug, Clone)]
-struct Beside {
+#[derive(Debug, Clone, Default)]
+struct SensorSums {
     mean: f64,
     /// Its readings.
     rows: usize,
     span: Span,
-    ends: Ends,
+    ends: EndSums,
     /// Readings in the first and in the last hundredth of the rows, and the first and the last of all.
     early_rows: usize,
     late_rows: usize,
@@ -89,23 +94,9 @@ struct Beside {
     e: [f64; 2],
 }
 
-impl Beside {
+impl SensorSums {
     fn of((sum, rows): (f64, usize)) -> Self {
-        Self {
-            mean: sum / rows as f64,
-            rows,
-            span: Span::NONE,
-            ends: Ends::default(),
-            early_rows: 0,
-            late_rows: 0,
-            first: None,
-            last: 0.0,
-            tv: 0.0,
-            vv: 0.0,
-            ve: 0.0,
-            t: [0.0; 2],
-            e: [0.0; 2],
-        }
+        Self { mean: sum / rows as f64, rows, ..Self::default() }
     }
 
     fn see(&mut self, v: f64, [about_t, about_e]: [f64; 2], [early, late]: [bool; 2]) {
@@ -150,7 +141,7 @@ impl Beside {
 }
 
 /// The second look, at the same rows in the same order.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Look {
     of: Sums,
     seen: usize,
@@ -161,42 +152,33 @@ pub(super) struct Look {
     first_hour: Span,
     all: Span,
     last_hour: Span,
-    ends: Ends,
+    ends: EndSums,
     tt: f64,
     te: f64,
     ee: f64,
     /// The rows of the last hour.
     window: VecDeque<(f64, f64)>,
     max_rate_per_h: Option<f64>,
-    sensors: Vec<Beside>,
+    sensors: Vec<SensorSums>,
 }
 
 impl Look {
     pub(super) fn at(of: Sums) -> Self {
         let n = of.rows as f64;
         Self {
-            seen: 0,
             few: (of.rows / 100).max(1),
             mean_t: of.t / n,
             mean_e: of.e / n,
-            first_hour: Span::NONE,
-            all: Span::NONE,
-            last_hour: Span::NONE,
-            ends: Ends::default(),
-            tt: 0.0,
-            te: 0.0,
-            ee: 0.0,
-            window: VecDeque::new(),
-            max_rate_per_h: None,
-            sensors: of.degc.iter().copied().map(Beside::of).collect(),
+            sensors: of.degc.iter().copied().map(SensorSums::of).collect(),
             of,
+            ..Self::default()
         }
     }
 
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
         let (early, late) = (self.seen < self.few, self.seen >= self.of.rows - self.few);
         self.seen += 1;
-        let at_ends = |ends: &mut Ends, v: f64| {
+        let at_ends = |ends: &mut EndSums, v: f64| {
             ends.early += if early { v } else { 0.0 };
             ends.late += if late { v } else { 0.0 };
         };
@@ -237,7 +219,7 @@ impl Look {
     /// What was seen; the sensors have these names.
     pub(super) fn figures<'n>(&self, names: impl Iterator<Item = &'n str>) -> Figures {
         let few = self.few as f64;
-        let change = |ends: Ends| ends.late / few - ends.early / few;
+        let change = |ends: EndSums| ends.late / few - ends.early / few;
         // The slope of the straight line through the rows.
         let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
         Figures {

@@ -20,6 +20,7 @@ const NEEDS: (u16, u16) = (60, 16);
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
 /// The latest state, and how to show it.
+#[derive(Default)]
 pub(super) struct View {
     pub help: bool,
     colour: bool,
@@ -39,17 +40,7 @@ const FRESH: Duration = Duration::from_secs(2);
 
 impl View {
     pub(super) fn new(colour: bool, every: Duration) -> Self {
-        Self {
-            help: false,
-            colour,
-            every,
-            status: None,
-            explained: Vec::new(),
-            events: Vec::new(),
-            trend: Vec::new(),
-            gone: None,
-            heard: None,
-        }
+        Self { colour, every, ..Self::default() }
     }
 
     pub(super) fn take(&mut self, seen: Observed) {

@@ -1,7 +1,8 @@
 //! The guide's page of verbs, generated from the command line itself.
 //! `RTEC_BLESS=1` rewrites it.
 
-use crate::help::{command, known};
+use super::known;
+use crate::help::command;
 use clap::builder::StyledStr;
 use clap::{Arg, Command};
 use std::fmt::Write as _;

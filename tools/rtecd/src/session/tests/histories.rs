@@ -26,7 +26,7 @@ mod judge;
 mod machine;
 mod mishaps;
 
-use super::*;
+use super::super::*;
 use crate::start;
 use judge::{Asked, Judge, Planted, World};
 use machine::{AtWrite, Killed, Machine, Wires};
