@@ -49,11 +49,30 @@ pub fn skipped(why: &str) {
 /// They are with `RTEC_LONG=1` or `RTEC_REQUIRE=1`; otherwise it is noted.
 #[must_use]
 pub fn long() -> bool {
-    let asked = ["RTEC_LONG", "RTEC_REQUIRE"].iter().any(|variable| std::env::var_os(variable).is_some());
+    let asked = long_asked();
     if !asked {
         left_out("it takes long, RTEC_LONG=1 runs it");
     }
     asked
+}
+
+fn long_asked() -> bool {
+    ["RTEC_LONG", "RTEC_REQUIRE"].iter().any(|variable| std::env::var_os(variable).is_some())
+}
+
+/// Repetitions of a check with other numbers, in a short run the first quarter.
+/// `RTEC_LONG=1` or `RTEC_REQUIRE=1` runs them all; otherwise it is noted.
+///
+/// # Panics
+/// When it cannot be noted that some are left out.
+pub fn repetitions<T>(all: impl IntoIterator<Item = T>) -> std::vec::IntoIter<T> {
+    let mut all: Vec<T> = all.into_iter().collect();
+    if !long_asked() {
+        all.truncate(all.len().div_ceil(4));
+        let why = "a quarter of its repetitions, RTEC_LONG=1 runs them all";
+        assert!(note(why).is_some(), "not noted: {why}");
+    }
+    all.into_iter()
 }
 
 fn left_out(why: &str) {

@@ -13,7 +13,7 @@ fn main() {
         return;
     }
     println!(
-        "\nNOT RUN, {} tests (RTEC_REQUIRE=1 runs what takes long, and fails where something else is missing):",
+        "\nNOT RUN, or not all of it, {} tests (RTEC_REQUIRE=1 runs what takes long, and fails where something else is missing):",
         noted.len()
     );
     for (why, test) in &noted {

@@ -109,30 +109,3 @@ pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usi
         .map(|i| eigen.eigenvectors.column(i).iter().map(|v| v * eigen.eigenvalues[i].sqrt()).collect())
         .collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn carries_no_line() {
-        let knots: Vec<f64> = (0..20).map(f64::from).collect();
-        let line = [vec![1.0; 20], knots.clone()];
-        for kernel in [Kernel::Smooth(6.0), Kernel::Rough(6.0)] {
-            let found = directions(&knots, kernel, &line, 12);
-            assert!(found.len() >= 3);
-            for d in &found {
-                assert!(line.iter().all(|l| rtec_least_squares::dot(l, d).abs() < 1e-9));
-            }
-        }
-    }
-
-    #[test]
-    fn knots_lie_where_values_are() {
-        assert_eq!(knots(&[0.0, 5.0, 0.0, 10.0, 5.0], 40), [0.0, 5.0, 10.0]);
-        let apart: Vec<f64> = (0..100).map(|i| f64::from(i) * if i < 50 { 0.1 } else { 1.0 }).collect();
-        let k = knots(&apart, 40);
-        assert!(k.len() < 40 && k.iter().all(|k| !(8.0..45.0).contains(k)), "{k:?}");
-        assert!(knots(&[3.0; 7], 40).is_empty());
-    }
-}

@@ -246,26 +246,3 @@ impl Along {
         (1.0 / (self.pitch * self.length as f64), grid)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn finds_a_period_between_uneven_places() {
-        let places: Vec<f64> = (0..200).map(|i| f64::from(i) * 2.0 + f64::from(i * i % 17) * 0.1).collect();
-        let residual: Vec<f64> =
-            places.iter().map(|p| (std::f64::consts::TAU * p / 7.3 + 0.4).sin()).collect();
-        let rows = places.iter().enumerate().map(|(i, p)| (i, *p, 1.0)).collect();
-        let along = Along::new(rows, [1.0 / 60.0, 2.0]).unwrap();
-        let best = along.peaks(&residual, 3)[0];
-        assert!((1.0 / best - 7.3).abs() < 0.1, "{}", 1.0 / best);
-        assert!(along.alike(best).is_empty());
-        let grid = (0..60).map(|i| (i, 4.0 * (i % 20) as f64, 1.0)).collect();
-        let alike = Along::new(grid, [1.0 / 60.0, 1.0]).unwrap().alike(0.1);
-        for f in [0.15, 0.35, 0.4, 0.6] {
-            assert!(alike.iter().any(|a| (a - f).abs() < 0.002), "{f}: {alike:?}");
-        }
-        assert!(Along::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
-    }
-}

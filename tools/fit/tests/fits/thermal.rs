@@ -8,6 +8,7 @@ use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
+use test_needs::repetitions;
 
 fn record(columns: Vec<(String, Role, Vec<f64>)>) -> Record {
     let column = |(name, role, data): (String, Role, Vec<f64>)| {
@@ -230,7 +231,7 @@ fn a_lag_earns_its_place_or_is_not_there() {
 #[test]
 fn no_interval_is_narrower_than_the_gauges_scatter() {
     const NOISE_UM: f64 = 0.15;
-    for seed in 1..=6 {
+    for seed in repetitions(1..=6) {
         let (mut noise, n) = (Noise(0x9e37_79b9 * seed), 480);
         let loads: Vec<f64> = (0..16).map(|_| 12.0 * noise.uniform()).collect();
         let (mut near, mut far, mut late) = (0.0, 0.0, 0.0);

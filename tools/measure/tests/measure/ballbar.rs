@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
-use test_needs::cases;
+use test_needs::{cases, repetitions};
 
 /// 25 µrad at 150 mm are 1.9 µm on the circle, and 25 µrad.
 #[test]
@@ -473,7 +473,7 @@ fn intervals_hold_the_truth_beside_effects_that_have_no_law_here() {
 fn a_coarse_clock_makes_no_spike() {
     let (radius_mm, start_s, pause_s) = (100.0, 0.3, 2.0);
     let mut noise = Noise(7);
-    for (feed_mm_s, row_s) in [(41.7, 0.0025), (83.3, 0.002), (83.3, 0.0035)] {
+    for (feed_mm_s, row_s) in repetitions([(41.7, 0.0025), (83.3, 0.002), (83.3, 0.0035)]) {
         for lag_ms in [0.12, 0.3] {
             let way_mm = 1.1 * TAU * radius_mm;
             let whole_s = way_mm / feed_mm_s + start_s;

@@ -155,7 +155,7 @@ fn a_gap_is_no_part_of_a_circle() {
 /// What is told holds the truth, what cannot be told is not.
 #[test]
 fn an_arc_tells_what_it_shows_and_nothing_else() {
-    for seed in 1..=6 {
+    for seed in test_needs::repetitions(1..=6) {
         for degrees in [180.0_f64, 220.0, 270.0] {
             let arc = degrees.to_radians();
             let ways = [(1.0, 8.0), (-1.0, 8.0)]

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
-use test_needs::cases;
+use test_needs::{cases, repetitions};
 
 /// A machine of a plane, and its figures by the names of the intervals.
 /// The example's own machine: its wave is larger than its spike.
@@ -59,7 +59,7 @@ fn what_is_not_told_is_not_ranked() {
 /// A circle of one way with drift in it does not tell its radius: the mean radius was up to 0.3 µm off with noise of 0.2 µm.
 #[test]
 fn drift_by_chance_moves_no_radius() {
-    for seed in 1..=cases(40) {
+    for seed in repetitions(1..=cases(40)) {
         let mut noise = Noise(seed);
         let mut of = |turn: f64| {
             Run { rows: 360, circles: vec![(turn, 16.7)], from: 0.0, ..Run::both(150.0, 16.7) }

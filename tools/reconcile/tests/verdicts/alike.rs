@@ -6,6 +6,7 @@ use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::TAU;
+use test_needs::repetitions;
 
 /// A run both ways over the targets, with a wave of 3 µm and noise of 0.1 µm.
 fn wave(name: &str, targets: &[f64], cycles: usize, period_mm: f64, seed: u64) -> Record {
@@ -36,7 +37,7 @@ fn periods_mm(r: &Reconciliation) -> Vec<f64> {
 fn runs_on_grids_with_a_common_step_show_no_period_below_two_of_them() {
     let even: Vec<f64> = (0..12).map(|i| 26.0 * f64::from(i)).collect();
     let uneven = [8.0, 49.12, 78.72, 131.36, 160.96, 190.56, 243.2, 272.8, 325.44, 355.04, 392.0];
-    for seed in [9, 10, 11] {
+    for seed in repetitions([9, 10, 11]) {
         let runs = [wave("even", &even, 3, 43.3398, seed), wave("uneven", &uneven, 2, 43.3398, seed + 50)];
         let r = answer("", &runs, &[]);
         assert_eq!(r.effects[0].0.effect.name(), "screw_periodic.y", "{}", r.verdict);

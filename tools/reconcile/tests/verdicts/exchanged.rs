@@ -10,6 +10,7 @@ use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
 use test_needs::dice::Dice;
+use test_needs::repetitions;
 
 fn with_model(text: &str, train: &Record) -> Reconciliation {
     let model = Machine::parse(Path::new("m.toml"), text).unwrap();
@@ -56,7 +57,7 @@ fn plate(seed: u64, more: impl Fn(f64, f64) -> [f64; 2]) -> Record {
 #[test]
 fn positions_or_errors_of_two_axes_exchanged_are_said() {
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 50.0\n[[effect]]\nname = \"scale.y\"\nppm = -85.0\n";
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         for pair in [["x", "y"], ["ex", "ey"]] {
             let mut run = plate(seed, |_, _| [0.0, 0.0]);
             let clean = with_model(model, &run);
@@ -202,7 +203,7 @@ const WARM: &str = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.x\"\nsensor =
 /// If a clock is doubted, no lag is named, whichever check doubts it.
 #[test]
 fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let clean = with_model(WARM, &warming(seed, false, false));
         assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]), "{}", clean.to_json());
         for (minutes, revolutions, column) in [(true, false, "t"), (false, true, "rpm")] {
@@ -275,7 +276,7 @@ fn inputs_that_only_the_model_shows_as_mistaken_are_said() {
         ];
         parsed("press", Kind::Drift, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
     };
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let clean = with_model(model, &run(seed, ""));
         assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]), "{}", clean.to_json());
         for (what, column) in [(What::Swapped, "wet"), (What::Unit, "Px")] {

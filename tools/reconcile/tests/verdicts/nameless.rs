@@ -11,6 +11,7 @@ use rtec_model::record::{Axis, Kind, Record};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
+use test_needs::repetitions;
 
 fn nameless(model: &str, train: &[Record]) {
     let said = answer(model, train, &[]);
@@ -29,7 +30,7 @@ fn drift(name: &str, seed: u64, of: impl Fn(f64) -> f64) -> Record {
 
 #[test]
 fn a_stand_that_creeps_is_no_warm_up() {
-    for seed in 1..4 {
+    for seed in repetitions(1..4) {
         nameless("", &[drift("a", seed, |t| 1.5 * (t / 30.0).ln_1p())]);
     }
 }
@@ -49,7 +50,7 @@ fn what_swings_in_time_need_not_be_a_sine() {
 /// A chiller that switches: the error creeps and falls back, seven times in a run.
 #[test]
 fn a_saw_over_time_is_missing() {
-    for seed in 1..4 {
+    for seed in repetitions(1..4) {
         let mut d = Dice::new(seed);
         let t: Vec<f64> = (0..72).map(|i| 20.0 * f64::from(i)).collect();
         let saw = |t: f64| 10.0 * ((t / 198.0 + 0.3).rem_euclid(1.0) - 0.5);
@@ -102,7 +103,7 @@ fn each_record_may_swing_with_a_frequency_of_its_own() {
 /// The level depends on the direction of approach and is the same in all cycles.
 #[test]
 fn what_repeats_at_its_places_is_seen_whatever_its_form() {
-    for seed in 1..4 {
+    for seed in repetitions(1..4) {
         let mut d = Dice::new(seed);
         let levels: Vec<[f64; 2]> = (0..21).map(|_| [2.0 * d.normal(), 2.0 * d.normal()]).collect();
         let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 4];
@@ -199,7 +200,7 @@ fn line(name: &str, seed: u64, noise_um: f64) -> Record {
 /// The noise of the second run gives no information about the first.
 #[test]
 fn each_run_has_noise_of_its_own_size() {
-    for seed in 0..12 {
+    for seed in repetitions(0..12) {
         let runs = [line("quiet", 2 * seed, 0.1), line("loud", 2 * seed + 1, 0.6)];
         let said = answer("", &runs, &[]);
         assert_eq!(said.verdict, Verdict::NothingMissing, "{seed}: {:?}", said.unexplained);

@@ -10,6 +10,7 @@ use rtec_model::record::{Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
+use test_needs::repetitions;
 
 fn record(kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
     let columns = columns.into_iter().map(|(n, role, data)| Column::new(n, Role::parse(role).unwrap(), data));
@@ -275,7 +276,7 @@ fn a_phase_is_open_by_half_a_turn_at_most() {
 /// of twelve, because such a drift fits the first row as well.
 #[test]
 fn a_zero_is_no_drift_that_has_ended_after_two_rows() {
-    for seed in 0..6 {
+    for seed in repetitions(0..6) {
         let mut normal = noise(100 + seed);
         let targets: Vec<f64> = (0..40).map(|k| 7.3 * f64::from(k) + 1.2 * normal()).collect();
         let heights: Vec<f64> = (0..7).map(|_| 0.6 * normal() + 0.4).collect();

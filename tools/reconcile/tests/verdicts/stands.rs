@@ -8,6 +8,7 @@ use rtec_measure::plausible::What;
 use rtec_model::record::{Kind, Record, Role};
 use rtec_reconcile::Verdict;
 use test_needs::dice::Dice;
+use test_needs::repetitions;
 
 /// A laser's run along x, up and down again.
 /// Its stand creeps by `creep_um` from the first reading to the last.
@@ -34,7 +35,7 @@ fn line(seed: u64, creep_um: f64, timed: bool) -> Record {
 /// Rows take time even if the record does not log it.
 #[test]
 fn a_stand_creeps_in_runs_without_times_too() {
-    for seed in 0..6 {
+    for seed in repetitions(0..6) {
         let creep_um = [-2.5, 2.0][seed as usize % 2];
         for timed in [true, false] {
             let said = answer("", &[line(seed, creep_um, timed)], &[]);
@@ -66,7 +67,7 @@ fn plate(name: &str, seed: u64, turn_urad: f64) -> Record {
 /// The next plate lies differently, but the machine is the same.
 #[test]
 fn a_plate_that_lies_otherwise_is_of_no_other_machine() {
-    for seed in 0..6 {
+    for seed in repetitions(0..6) {
         let turns = [60.0, -90.0, 15.0];
         let [first, second, later] =
             [0, 1, 2].map(|k| plate(&format!("p{k}"), 3 * seed + k, turns[k as usize]));
@@ -79,7 +80,7 @@ fn a_plate_that_lies_otherwise_is_of_no_other_machine() {
 /// It is reported neither as a wave or a shape nor as another unit.
 #[test]
 fn the_saw_of_a_gauge_in_steps_is_no_finding() {
-    for seed in 0..6 {
+    for seed in repetitions(0..6) {
         let mut d = Dice::new(seed);
         let of = |f: &mut dyn FnMut(usize) -> f64| (0..180).map(f).collect::<Vec<f64>>();
         let at = |i: usize| 2.3 * i as f64;
@@ -105,7 +106,7 @@ fn the_saw_of_a_gauge_in_steps_is_no_finding() {
 /// A creep belongs to the stand and is not explained by exchanged sensors.
 #[test]
 fn sensors_are_not_exchanged_for_a_creep() {
-    for seed in 10..16 {
+    for seed in repetitions(10..16) {
         let growth =
             "[[effect]]\nname = \"thermal_growth.x\"\num_per_K = 2.0\num_per_K2 = 0.0\nsensor = \"T1\"\n";
         let mut run = line(seed, 2.5, true);

@@ -9,6 +9,7 @@ use rtec_model::record::{Column, Kind, Record};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::{PI, TAU};
 use test_needs::dice::Dice;
+use test_needs::repetitions;
 
 fn kinds(r: &Reconciliation) -> Vec<(What, &str)> {
     r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
@@ -45,7 +46,7 @@ fn arc(seed: u64, radius: f64, centre: [f64; 2], (from, to): (f64, f64), law: &L
 fn what_only_looks_like_a_mistake_is_none() {
     let model =
         "[[effect]]\nname = \"scale.x\"\nppm = -13.0\n[[effect]]\nname = \"rotation.x.z\"\nurad = -11.5\n";
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let law = |p: [f64; 2], a: [f64; 2]| [-0.0136 * p[0] + 0.0116 * p[1] + 4.224 * a[0], -0.0116 * p[0]];
         let run = arc(seed, 150.0, [-4.0, 175.0], (0.0, PI / 2.0), &law);
         let r = answer(model, &[run], &[]);
@@ -53,7 +54,7 @@ fn what_only_looks_like_a_mistake_is_none() {
     }
     let model = "[[effect]]\nname = \"rotation.x.z\"\nurad = 24.0\n";
     let law = |p: [f64; 2]| [-0.0248 * p[1] + 131e-6 * p[0] * p[1], 0.0248 * p[0] - 0.0266 * p[1]];
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let circle = arc(seed, 50.0, [0.0, 0.0], (0.0, 1.1 * TAU), &move |p, _| law(p));
         let r = answer(model, &[circle, line(seed, "z", 300.0, &law)], &[]);
         assert_eq!(kinds(&r), [], "{}", r.to_json());
@@ -204,7 +205,7 @@ fn a_wave_on_a_grid_of_targets_is_not_separable() {
 /// The size depends on the phase, and the period on the grid. A name needs an interval that excludes zero.
 #[test]
 fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
-    for seed in 1..=4 {
+    for seed in repetitions(1..=4) {
         let mut d = Dice::new(seed);
         let p: Vec<f64> = (0..205).map(|i: i32| 10.0 * f64::from(20 - (i % 41 - 20).abs())).collect();
         let e = p.iter().map(|p| 4.0 * (TAU * p / 20.0 + 0.3).cos() + 0.5 * d.normal()).collect();
@@ -233,7 +234,7 @@ fn a_reversal_opposite_to_the_model_s_is_no_mistake_in_the_directions() {
         let named = named.zip(["time", "position.x", "direction.x", "error.x"]).zip(rows);
         record("line", Kind::Positioning, named.map(|((n, r), v)| (n, r, v)).collect())
     };
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let r = answer(model, &[run(seed, -3.5, 1.0)], &[]);
         assert_eq!(kinds(&r), [], "{}", r.to_json());
         let reversal = r.model.effects().find(|e| e.name() == "reversal.x").unwrap();

@@ -9,6 +9,7 @@ use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::Path;
+use test_needs::repetitions;
 
 /// Rows 10 s apart along x from a moment on, with an error by time and position.
 fn run(name: &str, from_s: f64, rows: usize, error: impl FnMut(f64, f64) -> f64) -> Record {
@@ -45,7 +46,7 @@ fn sizeless(r: &Reconciliation) -> Vec<String> {
 /// Regression: a straight drift was named `warm_up` with a size of 43 ± 5316 µm.
 #[test]
 fn what_is_of_no_size_is_not_named() {
-    for seed in 40..46 {
+    for seed in repetitions(40..46) {
         let mut dice = noise(seed);
         let r = answer(&[run("drift", 0.0, 160, |t, _| 8.0 * t / 1600.0 + 0.3 * dice())]);
         assert_eq!(sizeless(&r), [""; 0], "{seed}");

@@ -7,6 +7,7 @@ use rtec_part::fit::Zx;
 use rtec_part::probe::{Captured, TripFault, assign};
 use rtec_sim::turning::{Setup, TurningOutcome};
 use std::path::Path;
+use test_needs::repetitions;
 
 fn run(setup: &Setup) -> TurningOutcome {
     setup.run(&mut |_| {}).unwrap()
@@ -20,7 +21,7 @@ fn setup(design: &str, seed: u64) -> Setup {
 /// Five corrections of 4 µm leave 4 µm and an SD of 2 µm. (NISTIR 4854, section 2)
 #[test]
 fn the_reports_experiment() {
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let o = run(&setup("original", seed));
         assert!((o.semi_finish.bump_um - 23.0).abs() < 1.5, "{seed}: {:?}", o.semi_finish);
         assert!((o.semi_finish.largest_um - 21.4).abs() < 1.0, "{seed}: {:?}", o.semi_finish);
@@ -39,7 +40,7 @@ fn the_reports_experiment() {
 
 #[test]
 fn design_c_at_two_micrometres_leaves_two() {
-    for seed in 1..=3 {
+    for seed in repetitions(1..=3) {
         let o = run(&setup("c", seed));
         assert!((o.increment_um - 2.0).abs() < 1e-12);
         assert!(o.finish.largest_um <= 2.0 && o.finish.sd_before_um <= 2.0, "{seed}: {:?}", o.finish);

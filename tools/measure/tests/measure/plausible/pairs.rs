@@ -7,8 +7,8 @@ use super::{
 };
 use rtec_measure::plausible::{What, steps_of, suspicions};
 use rtec_model::record::Record;
-use test_needs::cases;
 use test_needs::dice::Dice;
+use test_needs::{cases, repetitions};
 
 fn three_positioning(m: &Machine, d: &mut Dice) -> Vec<Record> {
     ["a", "b", "c"].map(|n| m.positioning(d, n)).into()
@@ -329,11 +329,11 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
 
 #[test]
 fn each_mistake_is_said_and_its_clean_twin_is_not() {
-    let turns = cases(15);
+    let turns: Vec<u64> = repetitions(0..cases(15)).collect();
     let (mut said, mut all, mut wrong, mut clean) = (0, 0, 0, 0);
     for (k, (name, make, mistake, what, of)) in PAIRS.iter().enumerate() {
         let (mut own, mut missed, mut false_ones) = (0_u32, Vec::new(), Vec::new());
-        for turn in 0..turns {
+        for turn in turns.iter().copied() {
             let mut d = Dice::new(1000 * k as u64 + turn);
             let machine = Machine::random(&mut d);
             let records = make(&machine, &mut d);
@@ -350,9 +350,9 @@ fn each_mistake_is_said_and_its_clean_twin_is_not() {
                 missed.push((turn, found.iter().map(ToString::to_string).collect::<Vec<_>>()));
             }
         }
-        all += turns as u32;
+        all += turns.len() as u32;
         said += own;
-        println!("{name:38} {own:3} of {turns}; clean twins suspected: {}", false_ones.len());
+        println!("{name:38} {own:3} of {}; clean twins suspected: {}", turns.len(), false_ones.len());
         missed.iter().take(2).for_each(|m| println!("    missed {m:?}"));
         false_ones.iter().take(3).for_each(|f| println!("    clean: {f}"));
     }

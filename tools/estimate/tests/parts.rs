@@ -1,0 +1,126 @@
+//! Parts of the estimation, each alone.
+//!
+//! For tests beside the code Cargo compiles all of it a second time, which takes far longer than they run.
+
+use rtec_estimate::family::Families;
+use rtec_estimate::problem::Problem;
+use rtec_estimate::rows::Rows;
+use rtec_estimate::search::Search;
+use rtec_estimate::smooth::{Kernel, directions, knots};
+use rtec_estimate::wave::Along;
+use rtec_model::effect::Dictionary;
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
+
+#[test]
+fn finds_a_period_between_uneven_places() {
+    let places: Vec<f64> = (0..200).map(|i| f64::from(i) * 2.0 + f64::from(i * i % 17) * 0.1).collect();
+    let residual: Vec<f64> = places.iter().map(|p| (std::f64::consts::TAU * p / 7.3 + 0.4).sin()).collect();
+    let rows = places.iter().enumerate().map(|(i, p)| (i, *p, 1.0)).collect();
+    let along = Along::new(rows, [1.0 / 60.0, 2.0]).unwrap();
+    let best = along.peaks(&residual, 3)[0];
+    assert!((1.0 / best - 7.3).abs() < 0.1, "{}", 1.0 / best);
+    assert!(along.alike(best).is_empty());
+    let grid = (0..60).map(|i| (i, 4.0 * (i % 20) as f64, 1.0)).collect();
+    let alike = Along::new(grid, [1.0 / 60.0, 1.0]).unwrap().alike(0.1);
+    for f in [0.15, 0.35, 0.4, 0.6] {
+        assert!(alike.iter().any(|a| (a - f).abs() < 0.002), "{f}: {alike:?}");
+    }
+    assert!(Along::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
+}
+
+/// The products that follow from R equal those computed directly.
+/// A reading of 20 °C, whose column is nearly that of the zero, is included.
+#[test]
+fn the_look_beside_a_set_is_that_beside_its_factor() {
+    let n = 400;
+    let column = |name: &str, role: Role, of: &dyn Fn(f64) -> f64| Column {
+        name: name.to_owned(),
+        unit: role.unit().unwrap_or("1").to_owned(),
+        role,
+        data: (0..n).map(|i| of(f64::from(i))).collect(),
+    };
+    let warm = |i: f64| 0.2 * (i / 60.0).sin() + 0.01 * (i * 7919.0 % 1000.0) / 1000.0;
+    let columns = vec![
+        column("t", Role::Time, &|i| 30.0 * i),
+        column("T1", Role::Temperature, &|i| 20.0 + warm(i)),
+        column("T2", Role::Temperature, &|i| 20.0 + 0.9 * warm(i) + 0.001 * (i / 9.0).cos()),
+        column("e", Role::Error(Axis::new("z").unwrap()), &|i| 30.0 * warm(i) + 0.05 * (i * 1.7).sin()),
+    ];
+    let records = [Record::new(std::path::Path::new("r.run.toml"), Kind::Drift, columns).unwrap()];
+    let rows = Rows::new(&records);
+    let problem = Problem::new(&rows, &[], &[]);
+    let mut families = Families::new(&rows, &Dictionary::default(), &[]);
+    let mut noise = problem.first_noise();
+    (noise.sigma, noise.phi) = (vec![0.05], vec![0.0]);
+    families.bank.whiten(&rows, &noise);
+    let search = Search::new(&problem, &families, problem.base(noise));
+    let set = search.grown(&search.nothing(), 1, true).swap_remove(0);
+    let set = search.grown(&set, 1, true).into_iter().next().unwrap_or(set);
+    assert!(!set.members.is_empty());
+    let (quick, anew) = (search.look_at(&set), families.bank.look(&set.factor));
+    let near = |a: &[f64], b: &[f64], size: f64| {
+        a.iter().zip(b).map(|(x, y)| (x - y).abs() / (size + y.abs())).fold(0.0, f64::max)
+    };
+    assert!(near(&quick.along, &anew.along, 1.0) < 0.05, "{}", near(&quick.along, &anew.along, 1.0));
+    assert!(near(&quick.among, &anew.among, 1.0) < 0.05, "{}", near(&quick.among, &anew.among, 1.0));
+}
+
+#[test]
+fn carries_no_line() {
+    let knots: Vec<f64> = (0..20).map(f64::from).collect();
+    let line = [vec![1.0; 20], knots.clone()];
+    for kernel in [Kernel::Smooth(6.0), Kernel::Rough(6.0)] {
+        let found = directions(&knots, kernel, &line, 12);
+        assert!(found.len() >= 3);
+        for d in &found {
+            assert!(line.iter().all(|l| rtec_least_squares::dot(l, d).abs() < 1e-9));
+        }
+    }
+}
+
+#[test]
+fn knots_lie_where_values_are() {
+    assert_eq!(knots(&[0.0, 5.0, 0.0, 10.0, 5.0], 40), [0.0, 5.0, 10.0]);
+    let apart: Vec<f64> = (0..100).map(|i| f64::from(i) * if i < 50 { 0.1 } else { 1.0 }).collect();
+    let k = knots(&apart, 40);
+    assert!(k.len() < 40 && k.iter().all(|k| !(8.0..45.0).contains(k)), "{k:?}");
+    assert!(knots(&[3.0; 7], 40).is_empty());
+}
+
+/// All numbers that decide an answer are in this file, and there are few of them.
+#[test]
+fn constants_are_few_and_each_says_what_it_is() {
+    let text = include_str!("../src/priors.rs");
+    let lines: Vec<&str> = text.lines().collect();
+    let constants = lines.iter().enumerate().filter(|(_, l)| l.starts_with("pub const"));
+    let mut n = 0;
+    for (i, line) in constants {
+        n += 1;
+        assert!(lines[i - 1].starts_with("///"), "{line} says nothing");
+    }
+    assert!((20..=40).contains(&n), "{n} constants");
+}
+
+/// No other file names a number.
+/// Numbers that decide are here, limits of the work are in `effort.rs`.
+#[test]
+fn no_other_file_has_a_constant() {
+    let mut left = vec![std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];
+    while let Some(file) = left.pop() {
+        if file.is_dir() {
+            left.extend(std::fs::read_dir(file).unwrap().map(|f| f.unwrap().path()));
+            continue;
+        }
+        let name = file.file_name().unwrap().to_string_lossy().into_owned();
+        let text = std::fs::read_to_string(&file).unwrap();
+        for line in text.lines().map(str::trim_start) {
+            let constant = line.strip_prefix("pub const ").or_else(|| line.strip_prefix("const "));
+            let number = constant.and_then(|c| c.split_once(": ")).filter(|(_, of)| {
+                let of = of.trim_start_matches(['[', '(']);
+                of.starts_with("f64") || of.starts_with("usize")
+            });
+            let own = ["priors.rs", "effort.rs"].contains(&&*name);
+            assert!(own || number.is_none(), "{name}: {line}");
+        }
+    }
+}
