@@ -188,7 +188,8 @@ impl Reconciliation {
         gap.train[0].powi(2) > gap.floor.powi(2) * chance(independent)
     }
 
-    /// What limits the verdict, for its headline: hold-outs that got worse, records that it does not cover.
+    /// What limits the verdict, for its headline.
+    /// Hold-outs that got worse, and records that it does not cover.
     #[must_use]
     pub fn reservation(&self) -> Option<String> {
         let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();

@@ -54,7 +54,8 @@ fn answer(train: &[Record], holdout: &[Record]) -> Reconciliation {
     reconcile(train, holdout, &model, &Options::default()).unwrap()
 }
 
-/// Rows that stand twice in a file are said, though velocities are derived from them.
+/// Rows that stand twice in a file are said.
+/// Velocities are derived from them.
 #[test]
 fn doubled_rows_of_a_circle_are_said() {
     let mut d = Dice::new(1);

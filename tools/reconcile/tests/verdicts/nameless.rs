@@ -76,7 +76,8 @@ fn a_resonance_of_the_spindle_has_no_name() {
     }
 }
 
-/// A stand that vibrates, with another frequency in each circle, is no map of an axis.
+/// A stand vibrates with another frequency in each circle.
+/// That is no map of an axis.
 #[test]
 fn each_record_may_swing_with_a_frequency_of_its_own() {
     for seed in 1..4 {

@@ -123,7 +123,8 @@ fn errors_in_thousandths_of_an_inch_are_said() {
     }
 }
 
-/// A hold-out that gets worse is said in the headline, and does not change the verdict.
+/// A hold-out that gets worse is said in the headline.
+/// It does not change the verdict.
 #[test]
 fn a_headline_says_what_the_hold_out_does_not_confirm() {
     let model = "[[effect]]\nname = \"scale.x\"\nppm = 23.0\n";
