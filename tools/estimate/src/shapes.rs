@@ -228,11 +228,8 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
                 l if l.starts_with("velocity") => &[|v| v, sign, f64::abs],
                 _ => &[|x| x],
             };
-            // A curve without a name also replaces the names that explain a part of it.
-            for without in [named, &[]].into_iter().take(if named.is_empty() { 1 } else { 2 }) {
-                let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), without);
-                out.push((r.shape(&[&label], "smooth"), columns));
-            }
+            let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), named);
+            out.push((r.shape(&[&label], "smooth"), columns));
         }
     }
 }

@@ -61,21 +61,6 @@ fn a_saw_over_time_is_missing() {
     }
 }
 
-/// A spindle that resonates at one of its speeds.
-/// The curve has no name, and neither has the straight part of it.
-#[test]
-fn a_resonance_of_the_spindle_has_no_name() {
-    for seed in 1..4 {
-        let mut d = Dice::new(seed);
-        let t: Vec<f64> = (0..240).map(|i| 20.0 * f64::from(i)).collect();
-        let rpm: Vec<f64> = (0..240).map(|i| f64::from(1500 * (i / 20 * 5 % 12))).collect();
-        let resonance = |rpm: f64| 4.0 / (1.0 + ((rpm - 12_000.0) / 1_500.0).powi(2));
-        let e = rpm.iter().map(|rpm| resonance(*rpm) + 0.2 * d.normal()).collect();
-        let columns = vec![("t", "time", t), ("n", "spindle_speed", rpm), ("e", "error.x", e)];
-        nameless("", &[record("a", Kind::Drift, columns)]);
-    }
-}
-
 /// A stand vibrates with another frequency in each circle.
 /// That is no map of an axis.
 #[test]
