@@ -313,18 +313,11 @@ impl Families {
     fn unnamed_waves(&mut self, rows: &Rows<'_>) {
         let in_time = |r: &Record| Some((r.time_s().to_vec(), vec![1.0; r.rows()]));
         for j in 0..rows.responses.len() {
-            self.unnamed_wave(rows, j, "time", "periodic", &in_time);
-            // A vibration has another frequency in each record.
-            let own: Vec<&Record> =
-                rows.segments.iter().filter(|s| s.response == j).map(|s| rows.record(s)).collect();
-            for one in own.iter().filter(|_| own.len() > 1) {
-                let in_one = |r: &Record| if r.path == one.path { in_time(r) } else { None };
-                self.unnamed_wave(rows, j, "time", &format!("periodic in {} alone", one.file), &in_one);
-            }
+            self.unnamed_wave(rows, j, "time", &in_time);
             if let Role::Force(axis) = &rows.responses[j] {
                 let place = Role::Position(axis.clone());
                 let along = |r: &Record| Some((r.data(&place)?.to_vec(), vec![1.0; r.rows()]));
-                self.unnamed_wave(rows, j, &place.to_string(), "periodic", &along);
+                self.unnamed_wave(rows, j, &place.to_string(), &along);
             }
             if !matches!(&rows.responses[j], Role::Error(axis) if axis.as_str() == "r") {
                 continue;
@@ -341,7 +334,7 @@ impl Families {
                     let share: Vec<f64> = r.data(&Role::Angle)?.iter().map(share).collect();
                     Some((share.iter().map(|s| circle.radius_mm * s).collect(), share))
                 };
-                self.unnamed_wave(rows, j, &format!("position.{axis}"), "periodic", &along);
+                self.unnamed_wave(rows, j, &format!("position.{axis}"), &along);
             }
         }
     }
@@ -353,7 +346,6 @@ impl Families {
         rows: &Rows<'_>,
         response: usize,
         against: &str,
-        manner: &str,
         of: &dyn Fn(&Record) -> Option<Shown>,
     ) {
         let mut along = Vec::new();
@@ -370,7 +362,7 @@ impl Families {
         }
         let Some(along) = Along::new(along, [0.0, fastest]) else { return };
         let response = rows.responses[response].to_string();
-        let shape = Shape { response, against: vec![against.to_owned()], manner: manner.to_owned() };
+        let shape = Shape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
         self.list.push(Family::unnamed(shape, Scan::Wave { along, unit: 1.0 }));
     }
 

@@ -5,9 +5,8 @@
 
 use crate::{answer, record};
 use rtec_measure::plausible::What;
-use rtec_model::circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Kind, Record};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
@@ -58,30 +57,6 @@ fn a_saw_over_time_is_missing() {
         let said = answer("", &[record("a", Kind::Drift, vec![("t", "time", t), ("e", "error.x", e)])], &[]);
         let manners: Vec<&str> = said.unexplained.iter().map(|s| s.manner.as_str()).collect();
         assert_eq!((said.verdict, manners), (Verdict::UnknownEffect, vec!["saw-tooth"]));
-    }
-}
-
-/// A stand vibrates with another frequency in each circle.
-/// That is no map of an axis.
-#[test]
-fn each_record_may_swing_with_a_frequency_of_its_own() {
-    for seed in 1..4 {
-        let mut d = Dice::new(seed);
-        let mut circle = |name: &str, turn: f64, hz: f64| {
-            let t: Vec<f64> = (0..360).map(|i| 0.1 * f64::from(i)).collect();
-            let a = t.iter().map(|t| (0.4 + turn * TAU * t / 36.0).rem_euclid(TAU)).collect();
-            let swell = |t: f64| 1.0 + 0.6 * (TAU * hz * t / 9.0).sin();
-            let e = t.iter().map(|t| 2.0 * swell(*t) * (TAU * hz * t).sin() + 0.2 * d.normal()).collect();
-            let columns = vec![("t", "time", t), ("a", "angle", a), ("e", "error.r", e)];
-            let [x, y] = ["x", "y"].map(|a| Axis::new(a).unwrap());
-            let circle = Circle { radius_mm: 100.0, plane: [x, y], centre_mm: Some([30.0, -40.0]) };
-            record(name, Kind::Ballbar, columns).with_circle(circle).unwrap()
-        };
-        let said = answer("", &[circle("a", 1.0, 0.71), circle("b", -1.0, 0.93)], &[]);
-        let mut manners: Vec<&str> = said.unexplained.iter().map(|s| s.manner.as_str()).collect();
-        manners.sort_unstable();
-        assert_eq!((said.verdict, said.effects.len()), (Verdict::UnknownEffect, 0), "{}", said.to_json());
-        assert_eq!(manners, ["periodic in a.csv alone", "periodic in b.csv alone"]);
     }
 }
 
