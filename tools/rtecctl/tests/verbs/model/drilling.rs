@@ -1,7 +1,6 @@
 //! The drilling test of WO 97/43703, with a fitted model.
 
 use super::{characterise, rtecctl};
-use test_needs::repetitions;
 
 /// WO 97/43703, tests 2 and 3: the plate of holes from a cold and a warm machine.
 /// The errors are as large as table 7's. The model was fitted on other runs.
@@ -10,7 +9,7 @@ fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
     let dir = tempfile::tempdir().unwrap();
     characterise(dir.path());
     let mut without_cold = [0.0; 3];
-    for (start, name) in repetitions([("cold", "drilling"), ("warm", "drilling-warm")]) {
+    for (start, name) in [("cold", "drilling"), ("warm", "drilling-warm")] {
         let out = rtecctl(
             dir.path(),
             &format!("simulate {name} --machine true.toml --model machine.toml --seed 9 --out {name} --json"),
