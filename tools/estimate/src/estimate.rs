@@ -310,18 +310,20 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
     (total, noise)
 }
 
-/// Finds a member that the noise model has absorbed.
-/// Returns the set with this further member, under its own noise.
+/// A likelier set with one member more or less.
+/// Each set is compared under the noise that it leaves; the set is returned with that noise. Noise may have absorbed a member, and a member may have absorbed the noise.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     let look = search.look_at(set);
     let seeds = search.seeds(set, &look, false);
     let (now, _) = with_own_noise(search, set);
+    let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
+    let more = more.filter_map(|seed| search.with(set, &search.refined(&set.factor, seed)));
+    let less = (0..set.members.len()).map(|i| search.without(set, i)).filter(|s| search.possible(s));
     let mut best: Option<(f64, Set, Noise)> = None;
-    for seed in seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS) {
-        let Some(with) = search.with(set, &search.refined(&set.factor, seed)) else { continue };
-        let (total, noise) = with_own_noise(search, &with);
+    for other in more.chain(less) {
+        let (total, noise) = with_own_noise(search, &other);
         if total > best.as_ref().map_or(now, |b| b.0) {
-            best = Some((total, with, noise));
+            best = Some((total, other, noise));
         }
     }
     best.map(|(_, set, noise)| (set, noise))

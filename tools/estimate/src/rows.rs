@@ -373,7 +373,7 @@ impl Noise {
         let [middle, factor] = NOISE;
         let of = |(sigma, phi): (&f64, &f64)| {
             let size = sigma / (1.0 - phi * phi).sqrt();
-            -0.5 * ((size / middle).ln() / factor.ln()).powi(2)
+            -0.5 * ((size / middle).ln() / factor.ln()).powi(2) - 0.5 * (2.0 * phi / MOST_PHI).powi(2)
         };
         let apart = |share: &f64| -0.5 * ALIKE_ROWS * (2.0 * share.ln() + share.powi(-2) - 1.0);
         self.sigma.iter().zip(&self.phi).map(of).sum::<f64>() + self.share.iter().map(apart).sum::<f64>()
