@@ -316,11 +316,11 @@ pub fn resolution_um(record: &Record) -> f64 {
     errors.filter_map(|c| step_of(&c.data)).fold(0.0, f64::max) / 12f64.sqrt()
 }
 
-/// The resolution of a segment's gauge if no rows share a reading.
+/// The resolution of a segment's gauge, and whether its rows share readings.
 /// Shared readings are handled by [`rounding`].
 #[must_use]
-pub fn unshared_step(rows: &Rows<'_>, s: &Segment) -> Option<f64> {
-    step_of(&rows.measured[s.rows.clone()]).filter(|_| coarse(rows, s).is_none())
+pub fn step(rows: &Rows<'_>, s: &Segment) -> Option<(f64, bool)> {
+    step_of(&rows.measured[s.rows.clone()]).map(|q| (q, coarse(rows, s).is_some()))
 }
 
 /// The step of which all numbers are multiples.
@@ -359,16 +359,15 @@ fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
 
 /// Root of each row's weight.
 /// Consecutive rows that read the same on a coarse gauge count as one.
+/// All rows share what that takes, so that no weight depends on the reading itself.
 #[must_use]
 pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![1.0; rows.n];
     for s in rows.segments.iter().filter(|s| stands_still(rows, s) || coarse(rows, s).is_some()) {
         let y = &rows.measured[s.rows.clone()];
-        let mut from = 0;
-        for run in y.chunk_by(|a, b| (a - b).abs() < 1e-9) {
-            out[s.rows.start + from..s.rows.start + from + run.len()].fill(1.0 / (run.len() as f64).sqrt());
-            from += run.len();
-        }
+        // The same weight for all: a reading that stands between two others tells no more than they.
+        let runs = y.chunk_by(|a, b| (a - b).abs() < 1e-9).count();
+        out[s.rows.clone()].fill((runs as f64 / y.len() as f64).sqrt());
     }
     out
 }

@@ -232,3 +232,26 @@ fn above_the_floor_is_more_than_chance() {
     said.phi = 0.7;
     assert!(!gap(1.1, &said), "so much memory leaves few independent rows");
 }
+
+#[test]
+fn growth_read_in_coarse_steps_is_no_shape() {
+    // A dial in steps of 1 µm follows a growth of some µm. Most rows read the same, the noise lets some flicker.
+    let model =
+        "[[effect]]\nname = \"thermal_growth.x\"\num_per_K = -0.33\nsensor = \"T1\"\nreference_degC = 20.0\n";
+    let mut loud = Vec::new();
+    for seed in 1..=8 {
+        let mut d = Dice::new(seed);
+        let t: Vec<f64> = (0..900).map(|i| 16.0 * f64::from(i)).collect();
+        let warm: Vec<f64> = t.iter().map(|t| 19.8 + 7.0 * (1.0 - (-t / 4000.0).exp())).collect();
+        let zero = 30.0 + 0.1 * seed as f64;
+        let error = warm.iter().map(|k| (zero - 0.32 * (k - 20.0) + 0.2 * d.normal()).round()).collect();
+        let columns = vec![("t", "time", t), ("T1", "temperature", warm), ("e", "error.x", error)];
+        let r = answer(model, &[record("drift", Kind::Drift, columns)], &[]);
+        if r.verdict != Verdict::NothingMissing {
+            let shapes: Vec<_> =
+                r.unexplained.iter().map(|s| format!("{} {}", s.against.join(" "), s.manner)).collect();
+            loud.push((seed, r.effects.iter().map(|(f, _)| f.effect.name()).collect::<Vec<_>>(), shapes));
+        }
+    }
+    assert!(loud.is_empty(), "{loud:?}");
+}
