@@ -311,7 +311,8 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
 }
 
 /// A likelier set with one member more or less.
-/// Each set is compared under the noise that it leaves; the set is returned with that noise. Noise may have absorbed a member, and a member may have absorbed the noise.
+/// Each set is compared under the noise that it leaves, and returned with that noise. Noise may have absorbed
+/// a member, and a member may have absorbed noise.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     let look = search.look_at(set);
     let seeds = search.seeds(set, &look, false);

@@ -94,7 +94,8 @@ pub const NOISE: [f64; 2] = [0.5, 5.0];
 /// quiet or not.)
 pub const ALIKE_ROWS: f64 = 2.0;
 /// Largest autocorrelation from row to row that counts as noise (contract).
-/// It is two standard deviations of what noise has.
+/// In the prior it is two standard deviations. (Calibration: without that prior, noise with memory replaced a
+/// weak map in two of 482 blind cases and one measured axis.)
 pub const MOST_PHI: f64 = 0.7;
 /// Degrees of freedom of the noise's tails (physics: rare knocks of a gauge).
 /// The second number is where they begin, in standard deviations: one of a hundred readings is further away.

@@ -234,20 +234,18 @@ impl<'r> Problem<'r> {
     /// set-up predict the readings. If the prediction is bad, the sawtooth averages out and nothing is
     /// removed.
     fn take_rounding_out(&mut self) {
-        let steps: Vec<Option<(f64, bool)>> =
-            self.rows.segments.iter().map(|s| setup::step(self.rows, s)).collect();
+        let steps: Vec<Option<f64>> =
+            self.rows.segments.iter().map(|s| setup::step_of(&self.rows.measured[s.rows.clone()])).collect();
         if steps.iter().all(Option::is_none) {
             return;
         }
-        // Where rows share readings, the floor of the noise says this already.
-        let unshared = |s: &Option<(f64, bool)>| s.filter(|(_, shared)| !shared).map_or(0.0, |(q, _)| q);
-        self.rounding_um = steps.iter().map(|s| unshared(s) / 12f64.sqrt()).collect();
+        self.rounding_um = steps.iter().map(|q| q.unwrap_or(0.0) / 12f64.sqrt()).collect();
         let as_read = self.missing.clone();
         for _ in 0..ROUNDING_STEPS {
             let factor = self.base(Noise::white(self.rows, 1.0)).factor;
             let mut taken = vec![0.0; self.rows.n];
             for (s, q) in self.rows.segments.iter().zip(&steps) {
-                let Some((q, _)) = *q else { continue };
+                let Some(q) = *q else { continue };
                 let own = s.rows.clone();
                 // Residual of the unchanged readings, with the same prediction.
                 let left = |row: usize| factor.residual()[row] + as_read[row] - self.missing[row];

@@ -316,16 +316,10 @@ pub fn resolution_um(record: &Record) -> f64 {
     errors.filter_map(|c| step_of(&c.data)).fold(0.0, f64::max) / 12f64.sqrt()
 }
 
-/// The resolution of a segment's gauge, and whether its rows share readings.
-/// Shared readings are handled by [`rounding`].
-#[must_use]
-pub fn step(rows: &Rows<'_>, s: &Segment) -> Option<(f64, bool)> {
-    step_of(&rows.measured[s.rows.clone()]).map(|q| (q, coarse(rows, s).is_some()))
-}
-
 /// The step of which all numbers are multiples.
 /// Two numbers define it. Each further one lies on it by chance in one case of 25, so five are not chance.
-fn step_of(y: &[f64]) -> Option<f64> {
+#[must_use]
+pub fn step_of(y: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
     values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
@@ -359,13 +353,13 @@ fn stands_still(rows: &Rows<'_>, s: &Segment) -> bool {
 
 /// Root of each row's weight.
 /// Consecutive rows that read the same on a coarse gauge count as one.
-/// All rows share what that takes, so that no weight depends on the reading itself.
+/// All rows of a segment have the same weight. Weights that followed the readings would pull the mean to the
+/// rounded values.
 #[must_use]
 pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
     let mut out = vec![1.0; rows.n];
     for s in rows.segments.iter().filter(|s| stands_still(rows, s) || coarse(rows, s).is_some()) {
         let y = &rows.measured[s.rows.clone()];
-        // The same weight for all: a reading that stands between two others tells no more than they.
         let runs = y.chunk_by(|a, b| (a - b).abs() < 1e-9).count();
         out[s.rows.clone()].fill((runs as f64 / y.len() as f64).sqrt());
     }
