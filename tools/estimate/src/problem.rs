@@ -167,14 +167,14 @@ pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
     chance_of(distance, parameters) < CHANCE
 }
 
-/// Whether the unit of a response is in question.
+/// Whether a unit is in question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Units {
     /// The unit is what the record states.
     AsWritten,
-    /// Set-up terms do not prefer one unit to another.
-    /// Relative to the noise, zero, centre and line have the size that they have with a usual noise. Air has
-    /// no influence.
+    /// Set-up terms do not prefer one unit to another, of a response or of time.
+    /// Relative to the noise, zero, centre and line have the size that they have with a usual noise. A line
+    /// has its largest size, whatever the run's length. Air has no influence.
     Any,
 }
 
@@ -286,6 +286,9 @@ impl<'r> Problem<'r> {
             let row = t.column.iter().position(|x| *x != 0.0).unwrap_or(0);
             let segment = self.rows.segments.iter().find(|s| s.rows.contains(&row));
             if let (Zero | CentreFirst | CentreSecond | Line, Some(s)) = (t.what, segment) {
+                if t.what == Line {
+                    t.sd = setup::longest_creep(&t.column);
+                }
                 t.sd *= noise.sigma[s.response] / NOISE[0];
             }
         }

@@ -9,11 +9,11 @@ use crate::bank::Look;
 use crate::cause::Cause;
 use crate::effort::{MOST_MEMBERS, MOST_SHAPES};
 use crate::family::{Families, Family};
-use crate::priors::{AGAIN, LEVELS};
+use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
 use crate::problem::{Base, Problem};
 use rtec_least_squares::{Factor, add, dot};
-use rtec_model::effect::Difference;
-use seeds::turns_back;
+use rtec_model::effect::{Difference, Effect};
+use seeds::{moves, turns_back};
 use std::cell::{OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -31,6 +31,8 @@ pub struct Member {
     pub level: f64,
     /// Log prior: name, grid point, level.
     pub prior: f64,
+    /// Log weight of its grid point.
+    weight: f64,
     /// Its columns, whitened by the noise of its search.
     columns: Rc<Columns>,
     /// The bank's products with its columns after the base; computed on first use.
@@ -42,6 +44,11 @@ impl Member {
     #[must_use]
     pub fn width(&self) -> usize {
         self.columns.len()
+    }
+
+    /// The seed that it grew from, with its present non-linear parameters.
+    fn seed(&self) -> Seed {
+        Seed { family: self.family, cause: self.cause.clone(), weight: self.weight, score: 0.0 }
     }
 
     fn set_columns(&mut self, columns: Columns) {
@@ -277,6 +284,7 @@ impl<'p> Search<'p> {
             cause: seed.cause.clone(),
             level: gain.level,
             prior: prior + level_weight,
+            weight: seed.weight,
             columns: Rc::new(columns),
             shares: Rc::default(),
         };
@@ -405,6 +413,21 @@ impl<'p> Search<'p> {
     }
 
     /// The same set with one of its members moved to the end.
+    /// Its non-linear parameters are refined and its level is chosen anew, given all others, if that is likelier.
+    fn anew(&self, set: &Set, member: usize) -> Set {
+        let m = &set.members[member];
+        let without = self.without(set, member);
+        let mut seed = m.seed();
+        if m.cause.effect().is_some_and(|e| !moves(self.family(m.family), e).is_empty()) {
+            seed.cause = self.refined(&without.factor, &seed).cause;
+            let at = |cause: &Cause| self.weight_at(m.family, cause.effect());
+            seed.weight += at(&seed.cause) - at(&m.cause);
+        }
+        let new = self.with(&without, &seed).filter(|new| new.score > set.score);
+        new.unwrap_or_else(|| self.of_last(set, member))
+    }
+
+    /// The same set with one of its members moved to the end.
     #[must_use]
     pub fn of_last(&self, set: &Set, member: usize) -> Set {
         let mut members = set.members.clone();
@@ -428,6 +451,11 @@ pub fn known_again(families: &Families, members: &[Member]) -> Vec<Member> {
         Some(m)
     };
     members.iter().filter_map(of).collect()
+}
+
+/// Whether two waves of one law are one mode.
+pub(crate) fn same_period(a: &Effect, b: &Effect) -> bool {
+    (a.scalar(0) / b.scalar(0) - 1.0).abs() < SAME_PERIOD
 }
 
 /// Adds a member's columns to a factor.

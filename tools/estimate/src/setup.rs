@@ -130,6 +130,12 @@ fn creeping_s(record: &Record) -> Option<Vec<f64>> {
     Some(t.iter().map(|t| (t - first) * pace).collect())
 }
 
+/// Rate of a line that creeps over a whole run as it can over the longest, µm/h.
+#[must_use]
+pub(crate) fn longest_creep(hours: &[f64]) -> f64 {
+    LINE_UM_PER_H * LINE_HOURS / hours.iter().copied().fold(1e-9, f64::max)
+}
+
 /// Linear drift of air and stand over hours.
 fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
     for s in errors(rows) {
@@ -137,8 +143,7 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         // Counted from the start, where the gauge was set to zero.
         let hours = column(rows, s, |i| t[i] / 3600.0);
         // A creep does not keep its direction for longer.
-        let whole = t.last().map_or(0.0, |last| last / 3600.0);
-        let sd = LINE_UM_PER_H * (LINE_HOURS / whole.max(1e-9)).min(1.0);
+        let sd = longest_creep(&hours).min(LINE_UM_PER_H);
         out.push(Term { what: What::Line, record: s.record, column: hours, sd });
     }
 }

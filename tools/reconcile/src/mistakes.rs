@@ -26,10 +26,12 @@ pub(crate) struct Mistake {
 }
 
 impl Mistake {
-    /// Which units of the responses are possible while it is tested.
+    /// Which units are possible while it is tested.
+    /// Set-up terms have those of the responses and of time.
     fn units(&self) -> Units {
-        let response = self.undone.responses().any(|c| c.name == self.said.column);
-        if self.said.what == What::Unit && response { Units::Any } else { Units::AsWritten }
+        let set_up = |c: &Column| c.role == Role::Time || c.role.is_response();
+        let asked = self.undone.columns.iter().any(|c| c.name == self.said.column && set_up(c));
+        if self.said.what == What::Unit && asked { Units::Any } else { Units::AsWritten }
     }
 }
 

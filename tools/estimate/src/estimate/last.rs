@@ -1,12 +1,12 @@
 //! The last fit: values and intervals of the set that was found.
 
-use super::place::same_period;
 use super::{Found, Moved, SetUp};
 use crate::cause::Cause;
 use crate::effort::LAST_STEPS;
 use crate::family::Scan;
 use crate::priors::HELD;
 use crate::problem::{chance_of, is_beyond_chance};
+use crate::search::same_period;
 use crate::search::{Search, Set};
 use crate::setup;
 use rtec_least_squares::dot;

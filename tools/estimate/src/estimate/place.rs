@@ -4,7 +4,7 @@ use super::{Found, Rival, Tried, label};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, MOMENT_ROWS};
 use crate::priors::{HELD, LISTED, SAME_PERIOD};
-use crate::search::{Member, Search, Seed, Set, log_sum};
+use crate::search::{Member, Search, Seed, Set, log_sum, same_period};
 use rtec_model::effect::{Effect, Refine};
 
 /// The posterior of the candidates for one member.
@@ -57,9 +57,11 @@ fn stands(
         if same_mode {
             continue;
         }
-        if let Some(other) = search.with(without, &refined) {
-            all.push((seed.family, name, refined.cause.effect().cloned(), other.score));
-            keep(other);
+        for form in Search::richer(&refined).iter().chain([&refined]) {
+            if let Some(other) = search.with(without, form) {
+                all.push((seed.family, name.clone(), form.cause.effect().cloned(), other.score));
+                keep(other);
+            }
         }
     }
     for seed in search.alike(own) {
@@ -191,11 +193,6 @@ pub(super) fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Optio
         }
     }
     Some(range)
-}
-
-/// Whether two waves of one law are one mode.
-pub(super) fn same_period(a: &Effect, b: &Effect) -> bool {
-    (a.scalar(0) / b.scalar(0) - 1.0).abs() < SAME_PERIOD
 }
 
 /// Whether two causes of one family are one mode.

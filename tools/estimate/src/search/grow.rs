@@ -1,7 +1,6 @@
 //! Growth of sets, and exchange and removal of their members.
 
-use super::seeds::moves;
-use super::{Member, Search, Seed, Set};
+use super::{Member, Search, Seed, Set, same_period};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
 use crate::family::{Family, Scan};
@@ -78,6 +77,11 @@ impl Search<'_> {
                 return None;
             }
             let effect = effect.with(&[(0, last.scalar(0))])?;
+            let same =
+                |m: &Member| m.family == number && m.cause.effect().is_some_and(|e| same_period(e, &effect));
+            if set.members.iter().any(same) {
+                return None;
+            }
             let cause = Cause::Effect { effect, free: 2, reference: false };
             self.with(set, &Seed { family: number, cause, weight: 0.0, score: 0.0 })
         };
@@ -121,7 +125,9 @@ impl Search<'_> {
                 _ => step *= 0.4,
             }
         }
-        set
+        // In tune both may be larger than each was alone.
+        let leveled = self.anew(&set, n - 2);
+        self.anew(&leveled, n - 2)
     }
 
     /// Whether all members have names.
@@ -225,15 +231,22 @@ impl Search<'_> {
         let alone: Vec<f64> = (0..set.members.len()).map(|i| self.without(set, i).score).collect();
         let mut weak: Vec<usize> = (0..set.members.len()).collect();
         weak.sort_by(|a, b| alone[*b].total_cmp(&alone[*a]));
-        let shapes = weak.iter().copied().filter(|i| matches!(set.members[*i].cause, Cause::Shape(_)));
-        let mut gone: Vec<Set> = shapes.map(|i| self.without(set, i)).collect();
+        let is_shape = |i: &usize| matches!(set.members[*i].cause, Cause::Shape(_));
+        let mut gone: Vec<(Set, bool)> =
+            weak.iter().filter(|i| is_shape(i)).map(|i| (self.without(set, *i), true)).collect();
         weak.retain(|i| set.score - alone[*i] < STRONG);
         weak.truncate(3);
         for (k, i) in weak.iter().enumerate() {
-            gone.extend(weak[..k].iter().map(|j| self.without(&self.without(set, *i.max(j)), *i.min(j))));
+            let both = |j: &usize| self.without(&self.without(set, *i.max(j)), *i.min(j));
+            gone.extend(weak[..k].iter().map(|j| (both(j), false)));
         }
-        for without in gone {
-            for one in self.children(&without, false) {
+        for (without, was_shape) in gone {
+            let mut ones = self.children(&without, false);
+            if was_shape {
+                // Of names that act together, each alone may be far behind another kind.
+                ones.extend(KINDS.iter().flat_map(|kind| self.grown_by(&without, 2, false, kind)));
+            }
+            for one in ones {
                 let one = self.rechosen(one);
                 if one.score > best.score + 1e-6 {
                     best = one.clone();
@@ -310,30 +323,21 @@ impl Search<'_> {
         best
     }
 
-    /// Refines each member's non-linear parameters given the others', twice.
+    /// Refines each member, given all others.
     pub(super) fn together(&self, mut set: Set) -> Set {
-        if set.members.len() < 2 {
-            return set;
-        }
-        for i in 0..set.members.len() {
-            let m = set.members[i].clone();
-            if m.cause.effect().is_none_or(|e| moves(self.family(m.family), e).is_empty()) {
-                continue;
-            }
-            let without = self.without(&set, i);
-            let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
-            let refined = self.refined(&without.factor, &seed);
-            let mut members = set.members.clone();
-            members[i].set_columns(self.columns(&refined.cause));
-            members[i].cause = refined.cause;
-            let new = self.grown_from(self.first(&set, i), members, i);
-            if new.score > set.score && self.possible(&new) {
-                set = new;
-            }
+        for _ in 0..set.members.len() {
+            set = self.anew(&set, 0);
         }
         set
     }
 }
+
+/// Kinds of effects by their scan: waves, laws of temperatures, others.
+const KINDS: [fn(&Family) -> bool; 3] = [
+    |f| f.is_named() && matches!(f.scan, Scan::Wave { .. }),
+    |f| f.is_named() && matches!(f.scan, Scan::Sensors { .. }),
+    |f| f.is_named() && matches!(f.scan, Scan::Grid(_)),
+];
 
 /// The axis that a member acts on.
 pub(super) fn axis_of(m: &Member) -> Option<Axis> {

@@ -54,6 +54,28 @@ fn answer(train: &[Record], holdout: &[Record]) -> Reconciliation {
     reconcile(train, holdout, &model, &Options::default()).unwrap()
 }
 
+/// Eight quiet hours are no evidence for another unit of time.
+/// A stand that stays is as likely as a short run.
+#[test]
+fn a_quiet_stand_says_nothing_about_the_clock() {
+    let model = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T\"\num_per_K = 0.5\ntau_s = 7200.0\n";
+    let model = Machine::parse(Path::new("m.toml"), model).unwrap();
+    for seed in 1..4 {
+        let mut d = Dice::new(seed);
+        let mut rough = |middle: f64| (0..480).map(|_| middle + 0.05 * d.normal()).collect::<Vec<f64>>();
+        let t = (0..480).map(|i| 60.0 * f64::from(i)).collect();
+        let named = [("x", 3.0), ("y", -2.0), ("z", 1.0)];
+        let mut columns =
+            vec![Column::new("t", Role::Time, t), Column::new("T", Role::Temperature, rough(20.0))];
+        columns.extend(
+            named.map(|(axis, um)| Column::new(axis, Role::Error(Axis::new(axis).unwrap()), rough(um))),
+        );
+        let run = Record::new(Path::new("a.run.toml"), Kind::Drift, columns).unwrap();
+        let said = reconcile(&[run], &[], &model, &Options::default()).unwrap();
+        assert_eq!((said.suspicions, said.verdict), (vec![], Verdict::NothingMissing), "seed {seed}");
+    }
+}
+
 /// Rows that stand twice in a file are said.
 /// Velocities are derived from them.
 #[test]
