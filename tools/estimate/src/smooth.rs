@@ -2,7 +2,6 @@
 //! Each is a Gaussian process on knots, without straight lines.
 
 use crate::priors::SMOOTH_RANK;
-use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Knots over these values.
 /// They are the values if there are few, and evenly spread otherwise.
@@ -69,14 +68,14 @@ pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usi
     if k < 2 {
         return Vec::new();
     }
-    let covariance = DMatrix::from_fn(k, k, |i, j| {
+    let covariance = |i: usize, j: usize| {
         let d = (knots[i] - knots[j]).abs();
         match kernel {
             Kernel::Smooth(l) => (-0.5 * (d / l).powi(2)).exp(),
             Kernel::Kinked(l) => (1.0 + d / l) * (-d / l).exp(),
             Kernel::Rough(l) => (-d / l).exp(),
         }
-    });
+    };
     // P = I − orthonormal rows of `without`.
     let mut basis: Vec<Vec<f64>> = Vec::new();
     for row in without {
@@ -95,17 +94,12 @@ pub fn directions(knots: &[f64], kernel: Kernel, without: &[Vec<f64>], most: usi
             basis.push(v);
         }
     }
-    let project = DMatrix::from_fn(k, k, |i, j| {
-        f64::from(u8::from(i == j)) - basis.iter().map(|b| b[i] * b[j]).sum::<f64>()
-    });
-    let eigen = SymmetricEigen::new(&project * covariance * &project);
-    let mut order: Vec<usize> = (0..k).collect();
-    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    let largest = eigen.eigenvalues[order[0]].max(1e-300);
-    order
+    let found = rtec_least_squares::projected_eigen(k, covariance, &basis);
+    let largest = found[0].0.max(1e-300);
+    found
         .into_iter()
-        .take_while(|i| eigen.eigenvalues[*i] > SMOOTH_RANK * largest)
+        .take_while(|(value, _)| *value > SMOOTH_RANK * largest)
         .take(most)
-        .map(|i| eigen.eigenvectors.column(i).iter().map(|v| v * eigen.eigenvalues[i].sqrt()).collect())
+        .map(|(value, vector)| vector.iter().map(|v| v * value.sqrt()).collect())
         .collect()
 }

@@ -1,6 +1,6 @@
 //! Least squares with columns that may depend on each other.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Smallest singular value, for columns of length one, of a direction that is used.
 const LEAST: f64 = 1e-3;
@@ -65,6 +65,31 @@ pub fn principal(columns: &DMatrix<f64>, beside: DMatrix<f64>, share: f64) -> Ve
     let largest = found.singular_values.max();
     let own = (0..u.ncols()).filter(|i| found.singular_values[*i] > share * largest);
     own.map(|i| u.column(i).into_owned()).collect()
+}
+
+/// Eigenvalues of a covariance of `k` values with their directions.
+/// The largest is the first. The covariance is given by the indices of two values. The orthonormal rows of `without` are projected out.
+pub fn projected_eigen(
+    k: usize,
+    covariance: impl Fn(usize, usize) -> f64,
+    without: &[Vec<f64>],
+) -> Vec<(f64, Vec<f64>)> {
+    eigen(&DMatrix::from_fn(k, k, covariance), without)
+}
+
+/// Not generic, so that it is compiled in this crate only.
+fn eigen(covariance: &DMatrix<f64>, without: &[Vec<f64>]) -> Vec<(f64, Vec<f64>)> {
+    let k = covariance.nrows();
+    let project = DMatrix::from_fn(k, k, |i, j| {
+        f64::from(u8::from(i == j)) - without.iter().map(|b| b[i] * b[j]).sum::<f64>()
+    });
+    let found = SymmetricEigen::new(&project * covariance * &project);
+    let mut order: Vec<usize> = (0..k).collect();
+    order.sort_by(|a, b| found.eigenvalues[*b].total_cmp(&found.eigenvalues[*a]));
+    order
+        .into_iter()
+        .map(|i| (found.eigenvalues[i], found.eigenvectors.column(i).iter().copied().collect()))
+        .collect()
 }
 
 #[cfg(test)]

@@ -6,13 +6,13 @@
 //! |---|---|---|
 //! | [`factor`] | factors that grow column by column, with or without a prior | the estimator, and [`solve`] |
 //! | [`solution`] | values, covariance, residual; equal rows for jackknives | fits, plates, circles |
-//! | [`directions`] | values of dependent columns; the smallest of several solutions | ballbar |
+//! | [`directions`] | values of dependent columns; the smallest of several solutions; eigenvalues | ballbar, smooth functions |
 
 pub mod directions;
 pub mod factor;
 pub mod solution;
 
-pub use directions::{Directions, orthonormal, principal};
+pub use directions::{Directions, orthonormal, principal, projected_eigen};
 pub use factor::{Factor, add, dot};
 pub use solution::{Solution, equal_rows, solve};
 
@@ -46,6 +46,7 @@ mod tests {
                         "inverse(1e",
                         "try_inverse",
                         "symmetric_eigen",
+                        "SymmetricEigen",
                     ] {
                         assert!(!own.contains(way), "{}: {way}", file.display());
                     }
