@@ -260,6 +260,9 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
         {
             return 2;
         }
+        if matches!(cause.downcast_ref(), Some(rtec_demo::DemoError::Fault(_))) {
+            return 4;
+        }
         if let Some(outcome) = cause.downcast_ref::<Outcome>() {
             return match outcome {
                 Outcome::No(_) => 1,
