@@ -60,7 +60,7 @@ fn long_asked() -> bool {
     ["RTEC_LONG", "RTEC_REQUIRE"].iter().any(|variable| std::env::var_os(variable).is_some())
 }
 
-/// Repetitions of a check with other numbers, in a short run the first quarter.
+/// Repetitions of a check with other numbers, in a short run the first one.
 /// `RTEC_LONG=1` or `RTEC_REQUIRE=1` runs them all; otherwise it is noted.
 ///
 /// # Panics
@@ -68,11 +68,26 @@ fn long_asked() -> bool {
 pub fn repetitions<T>(all: impl IntoIterator<Item = T>) -> std::vec::IntoIter<T> {
     let mut all: Vec<T> = all.into_iter().collect();
     if !long_asked() {
-        all.truncate(all.len().div_ceil(4));
-        let why = "a quarter of its repetitions, RTEC_LONG=1 runs them all";
+        all.truncate(1);
+        let why = "one of its repetitions, RTEC_LONG=1 runs them all";
         assert!(note(why).is_some(), "not noted: {why}");
     }
     all.into_iter()
+}
+
+/// A number of random cases, in a short run a sixteenth of it.
+/// `RTEC_LONG=1` or `RTEC_REQUIRE=1` runs them all; otherwise it is noted.
+///
+/// # Panics
+/// When it cannot be noted that some are left out.
+#[must_use]
+pub fn fewer(all: u64) -> u64 {
+    if long_asked() {
+        return all;
+    }
+    let why = "a sixteenth of its cases, RTEC_LONG=1 runs them all";
+    assert!(note(why).is_some(), "not noted: {why}");
+    all.div_ceil(16)
 }
 
 fn left_out(why: &str) {

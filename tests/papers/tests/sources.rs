@@ -111,6 +111,9 @@ fn nistir_4832() {
 
 #[test]
 fn nistir_4854() {
+    if !test_needs::long() {
+        return;
+    }
     let paper = compared("4854", None, 1);
     check_quoted(&paper, "NISTIR 4854");
     for (place, what) in [
@@ -241,6 +244,9 @@ fn circuit_adds_only_within_its_lock_range() {
 
 #[test]
 fn draws_the_figures_of_each_source() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     for (paper, files) in [
         ("nistir4832", &["figure-2-original.svg", "figure-2-ecc.svg", "linear-error-240um.svg"][..]),
@@ -261,6 +267,9 @@ fn draws_the_figures_of_each_source() {
 
 #[test]
 fn wo_97() {
+    if !test_needs::long() {
+        return;
+    }
     let paper = compared("wo97", None, 1);
     check_quoted(&paper, "WO 97/43703");
     for table in ["Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Table 6", "Table 7"] {

@@ -17,6 +17,9 @@ fn config(simulated: &str) -> String {
 
 #[test]
 fn right_and_everything_that_can_be_wrong_is_named() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     for (simulated, verdict) in [
         ("", "right"),

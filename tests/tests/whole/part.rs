@@ -80,6 +80,9 @@ fn plan(folder: &Path, name: &str, radius_mm: f64) {
 
 #[test]
 fn a_part_is_probed_and_finished_through_the_daemon() {
+    if !test_needs::long() {
+        return;
+    }
     let directory = tempfile::tempdir().unwrap();
     let folder = directory.path();
     part(folder, &format!("finish --radius-mm {SEMI_MM} --out semi"));

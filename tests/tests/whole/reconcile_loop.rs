@@ -60,6 +60,9 @@ fn a_worn_tool_is_named_from_probed_points_and_the_next_nose_is_round() {
 /// It is found in a drift test, and is gone from the drilled part.
 #[test]
 fn a_growth_found_in_a_drift_test_is_gone_from_the_drilled_part() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let growth = "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T8\"\nminus = \"T18\"\num_per_K = 1.9\n\

@@ -126,6 +126,9 @@ fn kinds_and_roles_stand_among_the_records() {
 
 #[test]
 fn every_field_of_a_verdict_stands_on_its_page() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let run = |words: &[&str]| Command::new(program("rtecctl")).current_dir(at).args(words).output().unwrap();

@@ -241,6 +241,9 @@ mod tests {
     /// remembers, the record has rows of every kind, and no time.
     #[test]
     fn a_prediction_row_by_row_is_that_of_the_whole() {
+        if !test_needs::long() {
+            return;
+        }
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let model = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\num_per_K = 1.3\num_per_K2 = 0.01\ntau_s = 900.0\n\

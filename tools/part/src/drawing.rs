@@ -861,6 +861,9 @@ mod tests {
 
     #[test]
     fn work_grows_with_the_drawing_and_not_with_its_square() {
+        if !test_needs::long() {
+            return;
+        }
         let n = 20_000_u32;
         let step = |i: u32| f64::from(i) * 0.01;
         // A profile in mixed order, every second line drawn backwards.

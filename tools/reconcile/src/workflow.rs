@@ -647,6 +647,9 @@ mod tests {
     /// Findings and their share are those of all rows.
     #[test]
     fn of_very_many_rows_as_many_as_are_needed_are_looked_at() {
+        if !test_needs::long() {
+            return;
+        }
         let rows = 2 * MOST_ROWS + 1;
         let dice = noise(7, rows);
         let mut run = record(rows, |i| dice[i as usize]);

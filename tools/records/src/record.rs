@@ -847,7 +847,7 @@ mod tests {
         };
         let (mut good, mut bad) = (0, 0);
         let mut runner = proptest::test_runner::TestRunner::deterministic();
-        for _ in 0..4000 {
+        for _ in 0..test_needs::fewer(4000) {
             let mut rows = rows.new_tree(&mut runner).unwrap().current();
             // Most rows have the right length and time that increases, because otherwise hardly any would be read.
             for (n, row) in rows.iter_mut().enumerate() {

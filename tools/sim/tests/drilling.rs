@@ -14,6 +14,9 @@ use std::path::Path;
 /// (WO 97/43703, p. 25)
 #[test]
 fn drills_two_passes_an_inch_apart() {
+    if !test_needs::long() {
+        return;
+    }
     let truth = Described::default().machine("wo97-machine.toml").unwrap();
     let spec = Spec::machining_centre();
     // A fit that saw T1 10 K below any hall, and one that saw the present range.

@@ -41,6 +41,9 @@ fn near(r: &Reconciliation, name: &str, value: usize, truth: f64) {
 
 #[test]
 fn a_bar_off_its_centre_is_the_set_up_s() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(r) = shop("01", &["bb"], &["bb-other-setup"]) else { return };
     quiet(&r);
     let centre = |n: &str| r.set_up[0].terms.iter().find(|t| t.0 == n).unwrap().1;
@@ -50,6 +53,9 @@ fn a_bar_off_its_centre_is_the_set_up_s() {
 
 #[test]
 fn a_circle_elsewhere_is_no_map() {
+    if !test_needs::long() {
+        return;
+    }
     for circle in ["bb", "bb-with-positions"] {
         let Some(r) = shop("03", &["lin-x", circle], &[]) else { return };
         quiet(&r);
@@ -58,6 +64,9 @@ fn a_circle_elsewhere_is_no_map() {
 
 #[test]
 fn a_spike_is_found_beside_a_line_with_over_travel() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(r) = shop("02", &["lin-y", "bb-u", "bb-d"], &[]) else { return };
     assert_eq!(names(&r), ["reversal_spike.y"], "{}", r.to_json());
     near(&r, "reversal_spike.y", 0, 3.0);
@@ -74,12 +83,18 @@ fn a_jump_in_a_pause_is_no_lost_count() {
 
 #[test]
 fn the_begin_of_a_circle_is_no_warm_up() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(r) = shop("08", &["bb-xy"], &["bb-xy-later"]) else { return };
     assert!(r.effects.is_empty() && r.suspicions.is_empty(), "{}", r.to_json());
 }
 
 #[test]
 fn a_wave_that_grows_is_one_wave() {
+    if !test_needs::long() {
+        return;
+    }
     for case in ["09", "10"] {
         let Some(r) = shop(case, &["lin-x"], &["lin-x-later"]) else { return };
         for (f, _) in &r.effects {
@@ -94,6 +109,9 @@ fn a_wave_that_grows_is_one_wave() {
 /// Any correction in its place is not confirmed.
 #[test]
 fn a_resonance_is_not_confirmed_as_a_law() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(r) = shop("11", &["drift", "drift2"], &["shift"]) else { return };
     assert!(r.verdict == Verdict::UnknownEffect || r.confirmed == Some(false), "{}", r.to_json());
 }
@@ -107,6 +125,9 @@ fn sensors_that_are_as_likely_are_not_named() {
 
 #[test]
 fn a_right_line_is_not_thrown_out() {
+    if !test_needs::long() {
+        return;
+    }
     let circles = ["lin-x", "lin-y", "bb-xy-250", "bb-xy-1250", "bb-xy-2500"];
     let Some(r) = shop("13", &circles, &["lin-x-later", "lin-y-later", "bb-later"]) else { return };
     assert!(r.suspicions.is_empty() && r.left_out.is_empty(), "{}", r.to_json());
@@ -120,6 +141,9 @@ fn a_right_line_is_not_thrown_out() {
 
 #[test]
 fn mistakes_in_angle_bar_and_axis_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     let cases = [
         ("14", ["m6", "lin-x", "lin-y"], What::Direction),
         ("14", ["m4", "lin-x", "lin-y"], What::Unit),

@@ -88,6 +88,9 @@ fn beside_what_is_certain_only_what_the_data_decide_for_is_named() {
 /// The verdict then was that nothing is missing.
 #[test]
 fn what_is_certain_beside_drift_is_named() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let case = make(700_185, Hides::Two, None, Manner::Second, dir.path()).unwrap();
     let reply = judge(&case).unwrap().reply;
@@ -103,6 +106,9 @@ fn what_is_certain_beside_drift_is_named() {
 /// Both are the same. The offset had been found first.
 #[test]
 fn another_reference_temperature_is_no_certain_offset() {
+    if !test_needs::long() {
+        return;
+    }
     let (good, bad) = right(Hides::Two, 900_279..900_280);
     assert_eq!(good, 1, "{bad:#?}");
 }
@@ -112,6 +118,9 @@ fn another_reference_temperature_is_no_certain_offset() {
 /// tried.
 #[test]
 fn one_wave_at_few_targets_is_no_map_and_another_wave() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in [42_026, 42_046, 42_085, 42_148] {
         let dir = tempfile::tempdir().unwrap();
         let case = Class::Maps.make(seed, Manner::First, dir.path()).unwrap().case;
@@ -148,6 +157,9 @@ fn no_response_of_a_short_circle_is_fitted_full() {
 
 #[test]
 fn the_same_data_give_the_same_document() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let case = make(40_300, Hides::Two, None, Manner::First, dir.path()).unwrap();
     let once = || {

@@ -48,6 +48,9 @@ fn a_plate_that_was_turned_is_called_turned() {
 
 #[test]
 fn a_plate_that_is_too_small_alike_may_be_cold() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(text) = data("plate_cmm/D2130A1") else { return };
     let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
     // The owners' fit has a quadrupole beside scale, a shape over the plane without a name in the dictionary.
@@ -173,6 +176,9 @@ fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
 /// Velocity and acceleration are derived. On the later half of the run the force is known to the owners' figures.
 #[test]
 fn a_raw_log_of_position_and_current_is_enough() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(text) = data("axis_dynamics/identification.csv") else { return };
     let rows: Vec<[f64; 3]> = text
         .lines()

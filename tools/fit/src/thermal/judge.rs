@@ -583,6 +583,9 @@ mod tests {
 
     #[test]
     fn more_sensors_than_can_be_paired_are_to_be_named() {
+        if !test_needs::long() {
+            return;
+        }
         let record = drift(260);
         let said = Problem::new(&[&record], &response(), &Options::default()).err().unwrap();
         assert!(said.found.contains("260 temperatures") && said.expected.contains("--sensors"), "{said}");

@@ -200,6 +200,9 @@ fn three_axis_machine_component_by_component() {
 /// within the noise.
 #[test]
 fn noise_gives_intervals_that_hold() {
+    if !test_needs::long() {
+        return;
+    }
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
     let (chain, terms, ..) = three_axis(0.2);
     let held = terms.iter().filter(|t| {
@@ -226,6 +229,9 @@ fn noise_gives_intervals_that_hold() {
 /// The eleven components of the two-axis turning centre.
 #[test]
 fn turning_centre_component_by_component() {
+    if !test_needs::long() {
+        return;
+    }
     let truth = Chain::read(&data("turning_centre.toml")).unwrap();
     let (_dir, path) = template("turning_centre.toml");
     let mut chain = Chain::read(&path).unwrap();

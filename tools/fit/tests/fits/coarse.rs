@@ -123,6 +123,9 @@ fn warm_up(dice: &mut Dice, lag_s: f64, noise_k: f64, step_k: f64) -> (Record, f
 /// A true lag is found within its interval.
 #[test]
 fn a_coarse_or_noisy_sensor_is_no_lag() {
+    if !test_needs::long() {
+        return;
+    }
     let options = thermal::Options {
         sensors: vec![Difference::single("T1")],
         environment: Some("T2".to_owned()),

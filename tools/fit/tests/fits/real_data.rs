@@ -162,6 +162,9 @@ fn real_spindle_is_predicted_from_temperatures() {
 /// The model is fitted on the first 30 h and tested on the 9 h after.
 #[test]
 fn real_spindle_is_predicted_into_unseen_later_time() {
+    if !test_needs::long() {
+        return;
+    }
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     let (early, late) = (spindle(&text, 0..1800), spindle(&text, 1800..2341));
     let (_, reports) = thermal::fit(&[&early], &[&late], &Options::default()).unwrap();
@@ -181,6 +184,9 @@ fn real_spindle_is_predicted_into_unseen_later_time() {
 /// The prediction is far better than the mean. No two large terms cancelled each other before.
 #[test]
 fn real_spindle_is_predicted_from_wherever_it_is_cut() {
+    if !test_needs::long() {
+        return;
+    }
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     for cut in [700, 1000, 1170, 1500] {
         let (early, late) = (spindle(&text, 0..cut), spindle(&text, cut..2341));

@@ -131,6 +131,9 @@ fn warm_up(cycle: &[(f64, f64, bool)], seed: u64) -> Record {
 /// Fitted from cold start to hot, dry and wet; then tested on an unseen cycle.
 #[test]
 fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
+    if !test_needs::long() {
+        return;
+    }
     let train = warm_up(
         &[
             (120.0, 5.5, false),
@@ -351,6 +354,9 @@ fn an_interval_that_other_states_may_break_is_said() {
 /// All are found, with their gains.
 #[test]
 fn bodies_that_say_little_alone_are_found_together() {
+    if !test_needs::long() {
+        return;
+    }
     for (seed, gains) in
         [(3, vec![3.0, 2.0]), (4, vec![3.0, 2.5]), (5, vec![-3.0, 2.0]), (6, vec![3.0, 2.5, 2.0])]
     {

@@ -141,6 +141,9 @@ fn left(machine: &Machine, record: &Record, response: &Role) -> Vec<f64> {
 
 #[test]
 fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
+    if !test_needs::long() {
+        return;
+    }
     let kinds = ["linear x", "linear y", "plate", "circle", "drift"];
     let mut inside = [(0.0, 0.0); 5];
     for seed in 0..12 {

@@ -454,6 +454,9 @@ mod tests {
     /// Every period of all of them once took minutes of processor.
     #[test]
     fn what_repeats_is_told_of_any_number_of_rows() {
+        if !test_needs::long() {
+            return;
+        }
         let mut dice = 1_u64;
         let mut draw = || {
             dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);

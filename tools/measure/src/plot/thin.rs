@@ -86,6 +86,7 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(test_needs::fewer(256) as u32))]
         #[test]
         fn a_line_of_fewer_points_touches_the_same_pixels(
             steps in prop::collection::vec((-0.2..0.3_f64, -40.0..40.0_f64, 0..50_u8), MANY..6000),

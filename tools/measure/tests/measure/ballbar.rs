@@ -45,6 +45,9 @@ fn a_radial_record_gives_ppm_urad_ms_and_um() {
 /// Another program's least squares on the same file.
 #[test]
 fn numpy_finds_the_same() {
+    if !test_needs::long() {
+        return;
+    }
     let mut run = Run::both(150.0, 25.0);
     run.rows = 735;
     let effects = "squareness.x.y urad = 25.0\nfollowing_error.x ms = 0.5\nreversal.y um = 3.0\nreversal.x um = -5.0\n\
@@ -100,6 +103,9 @@ fn squareness_alone_by_hand() {
 /// Two lobes are a scale mismatch, whatever else an angle might do.
 #[test]
 fn two_lobes_are_a_scale_mismatch() {
+    if !test_needs::long() {
+        return;
+    }
     let run = Run::both(150.0, 25.0);
     let found = one(&[run.record("b.run.toml", |[_, a, _]| 3.0 * (2.0 * a).cos())]);
     near(found.diagnosis.scale_mismatch_ppm, 40.0, 1e-6);
@@ -125,6 +131,9 @@ fn spikes_and_cyclic_errors_are_found_with_length_and_period() {
 /// A map of the axis was called a cyclic error of 39 mm, a lead that no screw has.
 #[test]
 fn a_period_of_no_screw_is_a_form_that_repeats() {
+    if !test_needs::long() {
+        return;
+    }
     for (mm, of_a_screw) in
         [(39.0, false), (22.0, false), (10.0, true), (12.7, true), (5.0, true), (25.4, true)]
     {
@@ -164,6 +173,9 @@ fn a_wave_smaller_than_the_map_beside_it_is_a_form() {
 
 #[test]
 fn one_way_at_one_feed_cannot_tell_squareness_from_a_lag_and_two_feeds_can() {
+    if !test_needs::long() {
+        return;
+    }
     let mut run = Run::both(150.0, 25.0);
     run.circles = vec![(1.0, 25.0)];
     let effects = "squareness.x.y urad = 25.0\nfollowing_error.x ms = 0.5";
@@ -188,6 +200,9 @@ fn one_way_at_one_feed_cannot_tell_squareness_from_a_lag_and_two_feeds_can() {
 /// One way a record, two feeds, two planes: what belongs together is put together.
 #[test]
 fn several_records_are_one_diagnosis_per_plane() {
+    if !test_needs::long() {
+        return;
+    }
     let mut noise = Noise(11);
     let effects = "squareness.x.y urad = 25.0\nfollowing_error.x ms = 0.5\nreversal.y um = 3.0\nsquareness.z.x urad = -40.0";
     let mut records = Vec::new();
@@ -209,6 +224,9 @@ fn several_records_are_one_diagnosis_per_plane() {
 
 #[test]
 fn two_axes_with_their_errors_are_a_circle_too() {
+    if !test_needs::long() {
+        return;
+    }
     let rows = Run::both(100.0, 20.0).rows();
     let by = |of: &dyn Fn(f64, f64) -> f64| rows.iter().map(|r| of(r[1], r[2])).collect::<Vec<_>>();
     let columns = vec![
@@ -253,6 +271,9 @@ fn an_arc_by_its_positions_has_its_own_centre() {
 /// A scale of 50 ppm on both, and no play, gave a hysteresis of the difference of their radii.
 #[test]
 fn circles_of_two_radii_share_no_figure() {
+    if !test_needs::long() {
+        return;
+    }
     let run = |radius_mm: f64, turn: f64| Run { circles: vec![(turn, 8.0)], ..Run::both(radius_mm, 8.0) };
     let oval = |r: f64| move |[_, a, _]: [f64; 3]| 0.05 * r * a.cos().powi(2);
     let pair = |a: f64, b: f64| {
@@ -471,6 +492,9 @@ fn intervals_hold_the_truth_beside_effects_that_have_no_law_here() {
 /// Several rows share a time, so the speed within the 0.3 s of a start is not known.
 #[test]
 fn a_coarse_clock_makes_no_spike() {
+    if !test_needs::long() {
+        return;
+    }
     let (radius_mm, start_s, pause_s) = (100.0, 0.3, 2.0);
     let mut noise = Noise(7);
     for (feed_mm_s, row_s) in repetitions([(41.7, 0.0025), (83.3, 0.002), (83.3, 0.0035)]) {

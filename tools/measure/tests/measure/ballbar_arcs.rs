@@ -106,6 +106,9 @@ fn a_recorded_pause_takes_nothing_of_a_circle() {
 /// What straight laws make at its centre is a shift.
 #[test]
 fn a_circle_away_from_zero_has_the_same_contributions() {
+    if !test_needs::long() {
+        return;
+    }
     let mut noise = Noise(11);
     let plain = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, turn]| {
         let (s, c) = a.sin_cos();
@@ -155,6 +158,9 @@ fn a_gap_is_no_part_of_a_circle() {
 /// What is told holds the truth, what cannot be told is not.
 #[test]
 fn an_arc_tells_what_it_shows_and_nothing_else() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in test_needs::repetitions(1..=6) {
         for degrees in [180.0_f64, 220.0, 270.0] {
             let arc = degrees.to_radians();
@@ -188,6 +194,9 @@ fn an_arc_tells_what_it_shows_and_nothing_else() {
 /// What the causes leave is never more than the data, whatever the data; and no value is told where there is none.
 #[test]
 fn one_way_nothing_is_told_beyond_the_data() {
+    if !test_needs::long() {
+        return;
+    }
     let jump = |record: &Record, um: f64| {
         let mut errors = of_role(record, "error.r").to_vec();
         let half = errors.len() / 2;
@@ -211,6 +220,9 @@ fn one_way_nothing_is_told_beyond_the_data() {
 /// A bar that is read absolutely is off by its length, and by nothing else.
 #[test]
 fn a_bar_read_absolutely_has_the_same_causes() {
+    if !test_needs::long() {
+        return;
+    }
     let record = known("b.run.toml", &[(1.0, 8.0), (-1.0, 8.0)], 7.0, 3);
     let errors = of_role(&record, "error.r");
     let far = with_errors(&record, errors.iter().map(|e| e + 150_000.0).collect());
@@ -224,6 +236,9 @@ fn a_bar_read_absolutely_has_the_same_causes() {
 /// One row that is off at a reversal is no spike.
 #[test]
 fn a_single_row_is_no_spike() {
+    if !test_needs::long() {
+        return;
+    }
     let record = known("b.run.toml", &[(1.0, 8.0), (-1.0, 8.0)], 7.0, 8);
     let mut errors = of_role(&record, "error.r").to_vec();
     let angles = of_role(&record, "angle");

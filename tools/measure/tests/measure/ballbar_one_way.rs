@@ -17,6 +17,9 @@ use test_needs::{cases, repetitions};
 /// The example's own machine: its wave is larger than its spike.
 #[test]
 fn a_spike_is_found_beside_a_larger_wave() {
+    if !test_needs::long() {
+        return;
+    }
     let effects = "scale.x ppm = 49.0\nsquareness.x.y urad = 42.0\nreversal.x um = 4.2\nreversal.y um = 7.5\n\
                    screw_periodic.x period_mm = 10.0; um = 3.1; phase_rad = 0.4\n\
                    reversal_spike.y um = 2.6; length_mm = 0.9";

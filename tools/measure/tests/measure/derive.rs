@@ -70,6 +70,9 @@ fn judged(t: &[f64], noise_mm: f64, resolution_mm: f64) -> ([f64; 2], f64, Vec<S
 
 #[test]
 fn a_known_motion_comes_back_in_phase() {
+    if !test_needs::long() {
+        return;
+    }
     let even: Vec<f64> = (0..4000).map(|n| f64::from(n) * 1e-3).collect();
     // Rows that come when they come: 0.4 to 1.6 ms apart.
     let uneven: Vec<f64> = noise(4000, 3)
@@ -101,6 +104,9 @@ fn a_known_motion_comes_back_in_phase() {
 
 #[test]
 fn the_stated_error_is_the_real_one_and_noise_alone_is_no_motion() {
+    if !test_needs::long() {
+        return;
+    }
     let t: Vec<f64> = (0..4000).map(|n| f64::from(n) * 1e-3).collect();
     for noise_um in [0.3, 3.0, 30.0] {
         let (errors, _, notes) = judged(&t, 1e-3 * noise_um, 0.0);

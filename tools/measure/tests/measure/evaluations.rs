@@ -14,6 +14,9 @@ use std::path::Path;
 /// The machine's form, the number of rows and the steps of the gauge do not matter.
 #[test]
 fn a_circles_scatter_is_its_noise() {
+    if !test_needs::long() {
+        return;
+    }
     for (rows, wave_um, noise_um, step_um) in
         [(60, 0.0, 0.3, 0.0), (720, 1.0, 0.3, 0.0), (720, 1.0, 0.05, 0.0), (720, 1.0, 0.05, 1.0)]
     {
@@ -37,6 +40,9 @@ fn a_circles_scatter_is_its_noise() {
 /// Without a radius lengths have no uncertainty, and that is said.
 #[test]
 fn a_circle_without_radius_says_what_has_no_uncertainty() {
+    if !test_needs::long() {
+        return;
+    }
     let full = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, _]| 2.0 * (2.0 * a).sin());
     let bare = Record::new(&full.path, Kind::Ballbar, full.columns.clone()).unwrap();
     let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();

@@ -49,6 +49,9 @@ fn runs_on_grids_with_a_common_step_show_no_period_below_two_of_them() {
 /// The true wave is between two of the grid's frequencies.
 #[test]
 fn a_wave_between_frequencies_of_the_grid_is_found_at_few_places() {
+    if !test_needs::long() {
+        return;
+    }
     let near = [
         7.9988, 49.121, 78.7187, 131.3605, 160.9588, 190.5607, 243.2015, 272.7999, 325.4426, 355.0392, 392.0,
     ];
@@ -75,6 +78,9 @@ fn a_verdict_that_is_not_separable_has_its_rivals() {
 /// An angular error that grows along Z looks the same, apart from the circle's centre.
 #[test]
 fn a_bow_that_a_circle_shows_has_the_angular_error_as_its_rival() {
+    if !test_needs::long() {
+        return;
+    }
     for (seed, bow_um) in [(1, 6.0), (2, -4.0), (3, 12.0)] {
         let mut normal = noise(seed);
         let angles: Vec<f64> = (0..720).map(|i| TAU * f64::from(i) / 720.0).collect();

@@ -105,6 +105,9 @@ fn a_servo_lag_is_named_by_its_axis() {
 
 #[test]
 fn a_screw_s_wave_is_found_on_the_circle() {
+    if !test_needs::long() {
+        return;
+    }
     let e = |a: f64, _: f64| 2.0 * (TAU * R * a.sin() / 10.0 + 0.4).sin() * a.sin();
     let mut record = circles(4, e);
     let circle = Circle { centre_mm: Some([0.0, 0.0]), ..record.circle().unwrap().clone() };

@@ -97,6 +97,9 @@ fn inches_that_only_the_model_shows_are_said() {
 /// The reversal is found, and then the scale is off by the factor of an inch.
 #[test]
 fn inches_beside_a_missing_effect_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     let run = |per: f64| {
         let mut d = Dice::new(7);
         let (mut p, mut way, mut e) = (Vec::new(), Vec::new(), Vec::new());
@@ -157,6 +160,9 @@ fn circle(seed: u64) -> Record {
 /// with the exchange undone.
 #[test]
 fn exchanged_errors_that_the_model_does_not_show_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = -13.2\n[[effect]]\nname = \"reversal.x\"\num = 2.9\n";
     let mut run = circle(3);
     let clean = with_model(model, &run);

@@ -79,6 +79,9 @@ fn run_of(step: &rtec_measure::plan::Step) -> TargetRun {
 /// The test uses the first ten machines whose verdict is open, each with another wave.
 #[test]
 fn the_planned_run_tells_what_the_verdict_could_not() {
+    if !test_needs::long() {
+        return;
+    }
     let targets_mm = (0..11).map(|k| 10.0 + 48.0 * f64::from(k)).collect();
     let even = TargetRun { targets_mm, cycles: 5, warmer_k: None };
     let mut resolved = Vec::new();
@@ -113,6 +116,9 @@ fn the_planned_run_tells_what_the_verdict_could_not() {
 /// Five machines have the one, five the other; the planned run warms the machine.
 #[test]
 fn the_planned_run_warms_the_machine_where_only_heat_tells() {
+    if !test_needs::long() {
+        return;
+    }
     let names_of = ["scale.x", "thermal_expansion.x"];
     let mut wrong = Vec::new();
     for k in 0..10 {

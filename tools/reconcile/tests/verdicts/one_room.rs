@@ -195,6 +195,9 @@ fn agree(record: &Record) -> bool {
 /// The formula's own difference is chosen, unless a reason for another is given.
 #[test]
 fn one_drift_is_one_law_or_both_say_why_not() {
+    if !test_needs::long() {
+        return;
+    }
     let mut alike = 0;
     for plan in &PLANS {
         let record = plan.record();
@@ -215,6 +218,9 @@ fn one_drift_is_one_law_or_both_say_why_not() {
 /// The data is in `../shared/data`, outside the project.
 #[test]
 fn a_real_spindle_has_one_choice_or_both_say_why_not() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(path) = test_needs::shared("data/spindle_thermal/first_half.csv") else { return };
     let text = std::fs::read_to_string(&path).unwrap();
     let mut lines = text.lines();

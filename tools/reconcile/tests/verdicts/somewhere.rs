@@ -74,6 +74,9 @@ fn with(effect: &Effect, rms_um: f64, mut record: Record) -> Option<Record> {
 
 #[test]
 fn every_effect_that_is_named_is_somewhere() {
+    if !test_needs::long() {
+        return;
+    }
     let dictionary = Dictionary::default();
     let ideal = Machine::ideal("m");
     let (mut found, mut silent) = (0, Vec::new());

@@ -44,6 +44,9 @@ fn arc(seed: u64, radius: f64, centre: [f64; 2], (from, to): (f64, f64), law: &L
 /// at that place is as large as the missing scale. Neither is a column in another unit, or at another place.
 #[test]
 fn what_only_looks_like_a_mistake_is_none() {
+    if !test_needs::long() {
+        return;
+    }
     let model =
         "[[effect]]\nname = \"scale.x\"\nppm = -13.0\n[[effect]]\nname = \"rotation.x.z\"\nurad = -11.5\n";
     for seed in repetitions(1..=3) {

@@ -93,6 +93,9 @@ fn without_a_verb_it_says_where_to_begin() {
 
 #[test]
 fn its_configuration_has_no_findings_and_the_effect_that_the_lathe_lacks_is_named() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     assert!(rtecctl(dir, "example lathe lathe").status.success());

@@ -121,7 +121,7 @@ const FORMATS: [(&str, &str); 6] = [
 #[test]
 fn every_table_leaves_what_was_said_by_another_programs_reading() {
     let dir = folder();
-    for (judge, flags) in FORMATS {
+    for (judge, flags) in test_needs::repetitions(FORMATS) {
         for (range, limit) in [("--from -100 --to 100", 0.5), ("--from -7.5 --to 31", 0.1)] {
             let words = format!("--axis x {range} --temperatures T1=24 --limit-um {limit} --out t {flags}");
             let (said, text) = export(dir.path(), &words);

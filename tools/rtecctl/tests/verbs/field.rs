@@ -90,11 +90,17 @@ fn run(dir: &Path, command: &str) -> (i32, String, String) {
 
 #[test]
 fn field_cases_print_what_is_right() {
+    if !test_needs::long() {
+        return;
+    }
     check("cases.toml");
 }
 
 #[test]
 fn further_field_cases_print_what_is_right() {
+    if !test_needs::long() {
+        return;
+    }
     check("further.toml");
 }
 

@@ -24,6 +24,9 @@ fn readable(text: &str) {
 
 #[test]
 fn figures_are_for_people_and_json_for_programs() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
     write(
@@ -175,6 +178,9 @@ fn nothing_that_was_read_is_written_over() {
 /// An unknown name is bad input.
 #[test]
 fn a_history_within_its_limits_has_judged_something() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     std::fs::write(at("a.toml"), "name = \"a\"\neffect = [{ name = \"scale.x\", ppm = 12.0 }]\n").unwrap();

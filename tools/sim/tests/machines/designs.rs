@@ -17,6 +17,9 @@ fn comparison(computer: &Computer) -> Comparison {
 /// CMTI 2014: the whole table, on the 8051 and on a DSP.
 #[test]
 fn the_table_is_what_the_papers_say() {
+    if !test_needs::long() {
+        return;
+    }
     for (computer, b_serves) in [(Computer::i8051(), false), (Computer::dsp(), true)] {
         let table = comparison(&computer);
         println!("{}", table.to_table());
@@ -319,6 +322,9 @@ fn when_the_computer_stops() {
 
 #[test]
 fn same_seed_same_bytes_and_every_design_draws() {
+    if !test_needs::long() {
+        return;
+    }
     let table = |seed| {
         serde_json::to_string(&compare(
             &Computer::dsp(),

@@ -69,6 +69,9 @@ fn fifteen_corrections_over_a_quarter_of_the_travel() {
 /// It reverses no axis, and the reversal is corrected, not doubled.
 #[test]
 fn a_following_error_does_not_double_the_reversal_at_rest() {
+    if !test_needs::long() {
+        return;
+    }
     let reversal = effect("reversal.x", "um = 10.2");
     for ms in [-0.964, 0.964] {
         let truth = model(&(reversal.clone() + &effect("following_error.x", &format!("ms = {ms}"))));
@@ -117,6 +120,9 @@ fn a_worn_tool_leaves_a_bump_that_the_finish_cut_does_not() {
 /// (WO 97/43703, figure 9 and tables 4 and 5)
 #[test]
 fn the_spindle_cycle_of_figure_9() {
+    if !test_needs::long() {
+        return;
+    }
     let minutes: f64 = FIGURE_9.iter().map(|c| c.1).sum();
     assert!((minutes - 435.0).abs() < 1e-9);
     let truth = model(&effect(
@@ -157,7 +163,9 @@ fn records_are_what_the_true_machine_says() {
         ),
     ];
     let ideal = Machine::ideal("m");
-    for (name, noise) in [("plate", 0.3), ("drift", 0.1), ("feed-sweep", 0.1), ("drilling", 0.5)] {
+    for (name, noise) in
+        test_needs::repetitions([("plate", 0.3), ("drift", 0.1), ("feed-sweep", 0.1), ("drilling", 0.5)])
+    {
         let lag = usize::from(name != "drilling");
         let truth = model(&effects[..effects.len() - 1 + lag].concat());
         let findings = run(name, &truth, &ideal, 2);
@@ -201,6 +209,9 @@ fn same_seed_same_bytes_another_seed_others() {
 /// Two of them then gave no more information than one.
 #[test]
 fn no_two_runs_share_their_noise() {
+    if !test_needs::long() {
+        return;
+    }
     let growth = "sensor = \"T13\"\nminus = \"T18\"\num_per_K = -2.0\num_per_K2 = 0.0";
     let truth = model(&effect("thermal_growth.z", growth));
     let ideal = Machine::ideal("m");
@@ -236,6 +247,9 @@ fn no_two_runs_share_their_noise() {
 /// Every experiment has a record and a plot.
 #[test]
 fn every_experiment_is_listed_once_and_tool_changes_repeat() {
+    if !test_needs::long() {
+        return;
+    }
     let mut names = EXPERIMENTS.map(|e| e.name);
     names.sort_unstable();
     assert!(names.windows(2).all(|w| w[0] != w[1]));
@@ -268,6 +282,9 @@ fn a_perfect_model_shows_the_part_not_the_machine() {
 /// The error at its tool point is computed by hand from positions and temperatures.
 #[test]
 fn a_chain_acts_in_an_experiment_and_is_corrected() {
+    if !test_needs::long() {
+        return;
+    }
     let chain = "tool_mm = [0.0, 0.0, -100.0]\n[[joint]]\nname = \"x slide\"\nbranch = \"tool\"\naxis = \"x\"\n\
                  component = [{ of = \"dx\", terms = [{ p = 1, value = 6.0 }] }, { of = \"ey\", terms = [{ p = 1, value = 40.0 }] }]\n";
     let chain = rtec_model::chain::Chain::parse(Path::new("c.toml"), chain).unwrap();
@@ -289,6 +306,9 @@ fn a_chain_acts_in_an_experiment_and_is_corrected() {
 /// It appears only between the near and the far ones.
 #[test]
 fn gauges_show_the_tilt() {
+    if !test_needs::long() {
+        return;
+    }
     let chain = "[[joint]]\nname = \"spindle\"\nbranch = \"tool\"\ncomponent = [\
                  { of = \"ey\", sensor = \"T13\", minus = \"T18\", terms = [{ dT = 1, value = 4.0 }] },\
                  { of = \"ex\", sensor = \"T13\", minus = \"T18\", terms = [{ dT = 1, value = -2.0 }] }]\n";

@@ -66,6 +66,9 @@ fn fast_probing_saves_time_and_keeps_the_micrometre() {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes() {
+    if !test_needs::long() {
+        return;
+    }
     let (a, b) = (run(&setup("c", 5)), run(&setup("c", 5)));
     assert_eq!(serde_json::to_string(&a).unwrap(), serde_json::to_string(&b).unwrap());
     assert_eq!(a.files, b.files);
@@ -85,6 +88,9 @@ fn machine(text: &str) -> Machine {
 /// The probe follows the tool's path and finds nothing.
 #[test]
 fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
+    if !test_needs::long() {
+        return;
+    }
     let knots = (0..=24).map(|k| 420.0 + 2.5 * f64::from(k));
     let um = knots.clone().map(|z| 14.0 * (std::f64::consts::TAU * (z - 420.0) / 60.0).cos());
     let list = |v: Vec<String>| v.join(", ");
@@ -114,6 +120,9 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
 /// measuring machine does.
 #[test]
 fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
+    if !test_needs::long() {
+        return;
+    }
     let wrong = machine(
         "[[effect]]\nname = \"scale.z\"\nppm = 150.0\n[[effect]]\nname = \"thermal_expansion.x\"\nsensor = \"T8\"\n\
          reference_degC = 20.0\nppm_per_K = 40.0\n[[effect]]\nname = \"squareness.x.z\"\nurad = -80.0\n",
@@ -203,6 +212,9 @@ fn trips_that_are_not_as_planned_name_their_point() {
 /// here). The rest is at the pole, where Z reverses.
 #[test]
 fn g01_lines_begin_beyond_the_arc() {
+    if !test_needs::long() {
+        return;
+    }
     let wrong = machine(
         "[[effect]]\nname = \"reversal.x\"\num = 30.0\n[[effect]]\nname = \"reversal.z\"\num = 40.0\n",
     );
@@ -216,6 +228,9 @@ fn g01_lines_begin_beyond_the_arc() {
 /// The cut begins all the same, and it catches up in the air.
 #[test]
 fn the_original_is_not_waited_for_at_rest() {
+    if !test_needs::long() {
+        return;
+    }
     let wrong =
         machine("[[effect]]\nname = \"offset.x\"\num = 9.0\n[[effect]]\nname = \"offset.z\"\num = 13.0\n");
     for flat_um in [12.0, 25.0] {

@@ -9,6 +9,9 @@ use test_needs::dice::Dice;
 /// A bar's length in inches, and one that is not the bar's.
 #[test]
 fn a_radius_in_inches_or_off_is_said() {
+    if !test_needs::long() {
+        return;
+    }
     let record = |radius_mm: f64, off_um: f64| {
         let angles: Vec<f64> = (0..720).map(|i| TAU * f64::from(i) / 360.0).collect();
         let e = angles.iter().map(|a| off_um + 2.0 * (2.0 * a).sin() + (a * 97.0).sin()).collect();

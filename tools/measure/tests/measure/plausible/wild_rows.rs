@@ -225,6 +225,9 @@ fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
 /// Bad readings that follow each other are as bad as one alone.
 #[test]
 fn adjacent_wild_readings_are_named() {
+    if !test_needs::long() {
+        return;
+    }
     type Run = fn(&Machine, &mut Dice) -> Vec<Record>;
     let runs: [(&str, Run); 4] =
         [("drift", drift), ("positioning", repeated), ("timed", positioning_timed), ("plate", plate)];

@@ -264,6 +264,9 @@ const CONDITIONS: &str = "machine = \"machining centre 12\"\naxis = \"Y, 800 mm\
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table of pages")]
 fn reports_are_pages_of_their_own() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();
     positioning(folder, "y", 800.0, |w| w);

@@ -6,6 +6,9 @@ use super::{characterise, rtecctl};
 /// The errors are as large as table 7's. The model was fitted on other runs.
 #[test]
 fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     characterise(dir.path());
     let mut without_cold = [0.0; 3];
@@ -55,6 +58,9 @@ fn a_tenth_of_the_drilling_errors_is_left_from_cold_and_from_warm() {
 /// Then a spindle cycle that no characterisation contains.
 #[test]
 fn few_of_twenty_sensors_leave_a_tenth_of_the_drift() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let fit = characterise(dir.path());
     rtecctl(

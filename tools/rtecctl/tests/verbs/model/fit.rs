@@ -40,6 +40,9 @@ fn a_fit_on_a_base_with_a_chain_may_be_written_anywhere() {
 /// The base's effects stay, and the model has the record's date.
 #[test]
 fn a_base_is_kept_and_the_date_is_the_records() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("true.toml"), TRUE_MACHINE).unwrap();
     std::fs::write(dir.path().join("ideal.toml"), "name = \"centre\"\n").unwrap();
@@ -95,6 +98,9 @@ fn returns_to_one_position_are_told_of_their_own_evaluation() {
 /// Both are compared with the law by hand.
 #[test]
 fn a_chain_is_shown_and_exported_along_an_axis() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     std::fs::write(at.join("m.toml"), "name = \"lathe\"\nchain = \"chain.toml\"\n").unwrap();
@@ -170,6 +176,9 @@ fn a_chain_is_shown_and_exported_along_an_axis() {
 /// The fit reports the zero that it removed, and a later run is judged with its own zero.
 #[test]
 fn a_run_s_own_zero_is_said_and_in_no_interval() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     for seed in [1, 7] {
@@ -196,6 +205,9 @@ fn a_run_s_own_zero_is_said_and_in_no_interval() {
 /// A lag of twenty minutes would be fitted as none.
 #[test]
 fn a_drift_test_of_few_minutes_is_not_fitted_in_silence() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     rtecctl(dir, "example lathe m");

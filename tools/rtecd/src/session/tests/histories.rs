@@ -344,7 +344,7 @@ fn history(seed: u64, planted: Option<Planted>, tally: &mut Tally) -> (Vec<Strin
 #[test]
 fn no_history_loses_a_count_in_silence() {
     let first = asked("RTEC_SEED", 1);
-    let seeds = first..first + asked("RTEC_HISTORIES", 200);
+    let seeds = first..first + asked("RTEC_HISTORIES", test_needs::fewer(200));
     let mut tally = Tally::default();
     let mut wrong = Vec::new();
     for seed in seeds {
@@ -386,10 +386,9 @@ fn a_seed_is_one_history() {
 
 #[test]
 fn planted_faults_are_found() {
-    for planted in Planted::ALL {
+    for planted in test_needs::repetitions(Planted::ALL) {
         let mut tally = Tally::default();
-        let found = (1..=80).filter(|&seed| !history(seed, Some(planted), &mut tally).0.is_empty()).count();
-        println!("{planted:?}: found in {found} of 80");
-        assert!(found > 0, "{planted:?}: {tally:?}");
+        let found = (1..=80).any(|seed| !history(seed, Some(planted), &mut tally).0.is_empty());
+        assert!(found, "{planted:?}: {tally:?}");
     }
 }

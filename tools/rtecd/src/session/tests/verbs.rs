@@ -221,7 +221,9 @@ fn every_verb_is_done_or_refused_in_every_mode() {
     ];
     let mut hand = Hand::new();
     let (mut done, mut refused) = (0, 0);
-    for (mode, put) in &modes {
+    let all = test_needs::long();
+    // In a short run four: correcting, probing, switched off, with a fault.
+    for (mode, put) in modes.iter().step_by(if all { 1 } else { 4 }) {
         for (verb, is) in &verbs {
             hand.running();
             put(&mut hand);
@@ -237,6 +239,7 @@ fn every_verb_is_done_or_refused_in_every_mode() {
             }
         }
     }
-    assert!(done > 80 && refused > 60, "{done} done, {refused} refused");
+    let least = if all { (80, 60) } else { (20, 15) };
+    assert!(done > least.0 && refused > least.1, "{done} done, {refused} refused");
     hand.running.stop();
 }
