@@ -222,13 +222,15 @@ fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
     assert!(found.iter().all(|n| *n >= 190), "{found:?}");
 }
 
+/// Random runs of a machine.
+type Run = fn(&Machine, &mut Dice) -> Vec<Record>;
+
 /// Bad readings that follow each other are as bad as one alone.
 #[test]
 fn adjacent_wild_readings_are_named() {
     if !test_needs::long() {
         return;
     }
-    type Run = fn(&Machine, &mut Dice) -> Vec<Record>;
     let runs: [(&str, Run); 4] =
         [("drift", drift), ("positioning", repeated), ("timed", positioning_timed), ("plate", plate)];
     for seed in 1..=20 {
