@@ -57,11 +57,9 @@ fn stands(
         if same_mode {
             continue;
         }
-        for form in Search::richer(&refined).iter().chain([&refined]) {
-            if let Some(other) = search.with(without, form) {
-                all.push((seed.family, name.clone(), form.cause.effect().cloned(), other.score));
-                keep(other);
-            }
+        if let Some(other) = search.with(without, &refined) {
+            all.push((seed.family, name, refined.cause.effect().cloned(), other.score));
+            keep(other);
         }
     }
     for seed in search.alike(own) {

@@ -1,5 +1,6 @@
 //! Growth of sets, and exchange and removal of their members.
 
+use super::seeds::moves;
 use super::{Member, Search, Seed, Set, same_period};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
@@ -323,10 +324,26 @@ impl Search<'_> {
         best
     }
 
-    /// Refines each member, given all others.
+    /// Refines each member's non-linear parameters given the others', twice.
     pub(super) fn together(&self, mut set: Set) -> Set {
-        for _ in 0..set.members.len() {
-            set = self.anew(&set, 0);
+        if set.members.len() < 2 {
+            return set;
+        }
+        for i in 0..set.members.len() {
+            let m = set.members[i].clone();
+            if m.cause.effect().is_none_or(|e| moves(self.family(m.family), e).is_empty()) {
+                continue;
+            }
+            let without = self.without(&set, i);
+            let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
+            let refined = self.refined(&without.factor, &seed);
+            let mut members = set.members.clone();
+            members[i].set_columns(self.columns(&refined.cause));
+            members[i].cause = refined.cause;
+            let new = self.grown_from(self.first(&set, i), members, i);
+            if new.score > set.score && self.possible(&new) {
+                set = new;
+            }
         }
         set
     }

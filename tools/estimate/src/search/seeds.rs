@@ -351,7 +351,7 @@ impl Search<'_> {
 
     /// Richer forms of a seed.
     /// They are growth with a square of ΔT, another reference temperature, and a wave that changes.
-    pub(crate) fn richer(seed: &Seed) -> Vec<Seed> {
+    pub(super) fn richer(seed: &Seed) -> Vec<Seed> {
         let mut out = Vec::new();
         let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
         let law = effect.description();
