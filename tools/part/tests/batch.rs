@@ -8,6 +8,7 @@ use rtec_files::InputError;
 use rtec_part::batch::{Batch, BatchFinding, Judgement, evaluate_columns};
 use rtec_part::cor::PointError;
 use std::fmt::Write as _;
+use test_needs::fewer;
 
 const JUDGEMENT: Judgement = Judgement { alpha: 0.01, least_um: 1.0 };
 
@@ -95,19 +96,19 @@ fn system_trend_and_chance_are_told_apart() {
 fn chance_alone_raises_few_alarms() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(61);
     let mut alarms = 0;
-    for _ in 0..400 {
+    let all = fewer(400);
+    for _ in 0..all {
         let mut text = "part,feature,error_um,angle_rad\n".to_owned();
         for part in 0..8 {
             for k in 0..10 {
                 let _ = writeln!(text, "{part},nose,{:.6},{}", 5.0 * normal(&mut rng), f64::from(k) * 0.1);
             }
         }
-        alarms += usize::from(
-            judged(&text, None).unwrap().places.iter().any(|p| p.finding != BatchFinding::Nothing),
-        );
+        alarms +=
+            u64::from(judged(&text, None).unwrap().places.iter().any(|p| p.finding != BatchFinding::Nothing));
     }
     // Two families of tests at 1 % each: 8 of 400 on average.
-    assert!(alarms <= 20, "{alarms}");
+    assert!(alarms <= all / 20, "{alarms} of {all}");
 }
 
 #[test]
@@ -311,8 +312,9 @@ fn clean_batches_have_no_wild_reading() {
     assert!(coarse.places[0].left_out.is_empty(), "{:?}", coarse.places[0]);
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(40);
     let (mut looked_at, mut said) = (0, 0);
+    let each = fewer(150);
     for parts in [3, 4, 5, 6, 8, 15, 40, 60] {
-        for _ in 0..150 {
+        for _ in 0..each {
             for errors_um in batches(&mut rng, parts) {
                 looked_at += 1;
                 said +=
@@ -322,7 +324,7 @@ fn clean_batches_have_no_wild_reading() {
     }
     println!("{said} of {looked_at} clean batches with a wild reading");
     // Chance gives one in a thousand: 6 of 6000.
-    assert!(said <= 15, "{said} of {looked_at}");
+    assert!(said <= looked_at / 400, "{said} of {looked_at}");
 }
 
 /// Four places of some parts, one reading of which is mistyped.
@@ -373,9 +375,10 @@ fn one_mistyped_reading_is_named_and_no_other() {
 fn clean_batches_have_no_step() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(42);
     let mut said = 0;
+    let each = fewer(40);
     for parts in [5, 8, 12, 20] {
         for gauge_um in [0.1, 1.0, 10.0] {
-            for _ in 0..40 {
+            for _ in 0..each {
                 let mut text = "part,feature,error_um,angle_rad\n".to_owned();
                 for k in 0..8 {
                     // At the border of two steps too.
@@ -386,14 +389,15 @@ fn clean_batches_have_no_step() {
                     }
                 }
                 let batch = judged(&text, None).unwrap();
-                said += usize::from(batch.places.iter().any(|p| p.step.is_some()));
+                said += u64::from(batch.places.iter().any(|p| p.step.is_some()));
                 assert!(batch.places.iter().filter_map(|p| p.step.as_ref()).all(|s| s.p_value < 0.01));
             }
         }
     }
-    println!("{said} of 480 files with a step");
+    let files = 12 * each;
+    println!("{said} of {files} files with a step");
     // One of a hundred by chance: 4.8 of 480.
-    assert!(said <= 11, "{said} of 480");
+    assert!(said <= files / 43, "{said} of {files}");
 }
 
 /// A step behind the third of twenty parts makes no trend, and is one.

@@ -846,8 +846,9 @@ mod tests {
             columns.iter().map(|c| c.iter().map(|v| v.to_bits()).collect()).collect()
         };
         let (mut good, mut bad) = (0, 0);
+        let all = test_needs::fewer(4000);
         let mut runner = proptest::test_runner::TestRunner::deterministic();
-        for _ in 0..test_needs::fewer(4000) {
+        for _ in 0..all {
             let mut rows = rows.new_tree(&mut runner).unwrap().current();
             // Most rows have the right length and time that increases, because otherwise hardly any would be read.
             for (n, row) in rows.iter_mut().enumerate() {
@@ -878,7 +879,7 @@ mod tests {
                 (ours, plain) => panic!("{csv}: {ours:?}, {plain:?}"),
             }
         }
-        assert!(good > 100 && bad > 100, "{good} read, {bad} refused");
+        assert!(good > all / 40 && bad > all / 40, "{good} read, {bad} refused");
     }
 
     #[test]
