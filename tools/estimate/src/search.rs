@@ -13,7 +13,7 @@ use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
 use crate::problem::{Base, Problem};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Difference, Effect};
-use seeds::{moves, turns_back};
+use seeds::turns_back;
 use std::cell::{OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -415,14 +415,11 @@ impl<'p> Search<'p> {
     /// The same set with one of its members moved to the end.
     /// Its non-linear parameters are refined and its level is chosen anew, given all others, if that is likelier.
     fn anew(&self, set: &Set, member: usize) -> Set {
-        let m = &set.members[member];
         let without = self.without(set, member);
-        let mut seed = m.seed();
-        if m.cause.effect().is_some_and(|e| !moves(self.family(m.family), e).is_empty()) {
-            seed.cause = self.refined(&without.factor, &seed).cause;
-            let at = |cause: &Cause| self.weight_at(m.family, cause.effect());
-            seed.weight += at(&seed.cause) - at(&m.cause);
-        }
+        let mut seed = set.members[member].seed();
+        let before = self.weight_at(seed.family, seed.cause.effect());
+        seed.cause = self.refined(&without.factor, &seed).cause;
+        seed.weight += self.weight_at(seed.family, seed.cause.effect()) - before;
         let new = self.with(&without, &seed).filter(|new| new.score > set.score);
         new.unwrap_or_else(|| self.of_last(set, member))
     }
