@@ -21,6 +21,12 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// Its variables and its manner.
+    #[must_use]
+    pub fn label(&self) -> String {
+        format!("unnamed {} {}", self.against.join(" "), self.manner)
+    }
+
     /// The shape that describes an effect without a name.
     /// `None` if the effect acts on nothing that was measured.
     #[must_use]

@@ -74,7 +74,7 @@ pub const SHAPE_RANK: usize = 12;
 /// Largest number of directions along each axis of a shape over a plane.
 pub const PLANE_RANK: usize = 5;
 /// Largest number of directions of a wave's changing size.
-pub const CHANGING: usize = 8;
+pub const CHANGING: usize = 16;
 /// Largest number of harmonics of a shape that repeats in time.
 pub const HARMONICS: usize = 5;
 /// Number of moments tried at which a saw-tooth falls back, per period.
@@ -91,5 +91,7 @@ pub const SHAPE_FEWEST_ROWS: usize = 12;
 pub const MOST_SENSORS: usize = 6;
 /// A run that pauses more often than this is a run in steps.
 pub const MOST_PAUSES: usize = 12;
+/// Fewest cycles that may each have their own level.
+pub const FEWEST_CYCLES: usize = 3;
 /// Largest number of positions that may each have their own error.
 pub const MOST_PLACES: usize = 150;

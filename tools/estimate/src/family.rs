@@ -5,7 +5,7 @@
 use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
 use crate::priors::{IMPLAUSIBLE, JUMP_UM_PROBABILITY, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
-use crate::rows::{Rows, is_placed};
+use crate::rows::{Rows, Segment, is_placed};
 use crate::setup;
 use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
@@ -78,7 +78,7 @@ impl Family {
     pub fn label(&self) -> String {
         match (&self.effect, &self.shape) {
             (Some(e), _) => e.name(),
-            (None, Some(s)) => format!("unnamed {} {}", s.against.join(" "), s.manner),
+            (None, Some(s)) => s.label(),
             (None, None) => String::new(),
         }
     }
@@ -313,11 +313,16 @@ impl Families {
     fn unnamed_waves(&mut self, rows: &Rows<'_>) {
         let in_time = |r: &Record| Some((r.time_s().to_vec(), vec![1.0; r.rows()]));
         for j in 0..rows.responses.len() {
-            self.unnamed_wave(rows, j, "time", &in_time);
+            let own: Vec<&Segment> = rows.segments.iter().filter(|s| s.response == j).collect();
+            self.unnamed_wave(rows, j, "time", &own, &in_time);
+            // What vibrates or switches in one record need not do so in another, and never in step.
+            for alone in own.chunks(1).filter(|_| own.len() > 1) {
+                self.unnamed_wave(rows, j, "time", alone, &in_time);
+            }
             if let Role::Force(axis) = &rows.responses[j] {
                 let place = Role::Position(axis.clone());
                 let along = |r: &Record| Some((r.data(&place)?.to_vec(), vec![1.0; r.rows()]));
-                self.unnamed_wave(rows, j, &place.to_string(), &along);
+                self.unnamed_wave(rows, j, &place.to_string(), &own, &along);
             }
             if !matches!(&rows.responses[j], Role::Error(axis) if axis.as_str() == "r") {
                 continue;
@@ -334,23 +339,24 @@ impl Families {
                     let share: Vec<f64> = r.data(&Role::Angle)?.iter().map(share).collect();
                     Some((share.iter().map(|s| circle.radius_mm * s).collect(), share))
                 };
-                self.unnamed_wave(rows, j, &format!("position.{axis}"), &along);
+                self.unnamed_wave(rows, j, &format!("position.{axis}"), &own, &along);
             }
         }
     }
 
-    /// Adds a wave without a name in one response.
+    /// Adds a wave without a name in these segments of one response.
     /// `of` gives the positions of a record's rows, and the share of the wave that each shows.
     fn unnamed_wave(
         &mut self,
         rows: &Rows<'_>,
         response: usize,
         against: &str,
+        segments: &[&Segment],
         of: &dyn Fn(&Record) -> Option<Shown>,
     ) {
         let mut along = Vec::new();
         let mut fastest = 0.0_f64;
-        for s in rows.segments.iter().filter(|s| s.response == response) {
+        for s in segments {
             let Some((places, shares)) = of(rows.record(s)) else { continue };
             let way: f64 = places.windows(2).map(|p| (p[1] - p[0]).abs()).sum();
             if way > 0.0 {

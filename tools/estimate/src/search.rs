@@ -8,7 +8,7 @@ mod seeds;
 use crate::bank::Look;
 use crate::cause::Cause;
 use crate::effort::{MOST_MEMBERS, MOST_SHAPES};
-use crate::family::{Families, Family};
+use crate::family::{Families, Family, Scan};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
 use crate::problem::{Base, Problem};
 use rtec_least_squares::{Factor, add, dot};
@@ -47,7 +47,7 @@ impl Member {
     }
 
     /// The seed that it grew from, with its present non-linear parameters.
-    fn seed(&self) -> Seed {
+    pub(crate) fn seed(&self) -> Seed {
         Seed { family: self.family, cause: self.cause.clone(), weight: self.weight, score: 0.0 }
     }
 
@@ -204,7 +204,10 @@ impl<'p> Search<'p> {
     /// Whitened columns of a cause.
     #[must_use]
     pub fn columns(&self, cause: &Cause) -> Vec<Vec<f64>> {
-        let mut columns = cause.columns(self.problem.rows);
+        self.whitened(cause.columns(self.problem.rows))
+    }
+
+    fn whitened(&self, mut columns: Columns) -> Columns {
         for c in &mut columns {
             self.base.noise.whiten(self.problem.rows, c);
         }
@@ -379,15 +382,32 @@ impl<'p> Search<'p> {
             .collect()
     }
 
-    /// Whether all effects are within their physical bounds.
+    /// Whether a member that only accompanies waves has its wave, in the set or in the model.
+    fn is_accompanied(&self, set: &Set, member: &Member) -> bool {
+        let (Scan::Beside { law, known }, Some(own)) =
+            (&self.family(member.family).scan, member.cause.effect())
+        else {
+            return true;
+        };
+        let near = |period: f64| (period / own.scalar(0) - 1.0).abs() < SAME_PERIOD;
+        known.iter().any(|period| near(*period))
+            || set
+                .members
+                .iter()
+                .filter_map(|m| m.cause.effect())
+                .any(|e| e.description().name == *law && e.axes() == own.axes() && near(e.scalar(0)))
+    }
+
+    /// Whether all effects are within their physical bounds, and no companion is alone.
     #[must_use]
     pub fn possible(&self, set: &Set) -> bool {
         let beta = self.coefficients(set);
         set.members.iter().zip(&beta).all(|(m, b)| {
-            self.family(m.family).replaces.is_some()
-                || m.cause
-                    .solved(self.problem.rows, b)
-                    .is_none_or(|e| e.is_physical() && !turns_back(self.problem.rows, &e))
+            self.is_accompanied(set, m)
+                && (self.family(m.family).replaces.is_some()
+                    || m.cause
+                        .solved(self.problem.rows, b)
+                        .is_none_or(|e| e.is_physical() && !turns_back(self.problem.rows, &e)))
         })
     }
 

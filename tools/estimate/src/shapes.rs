@@ -3,7 +3,8 @@
 
 use crate::cause::Shape;
 use crate::effort::{
-    CHANGING, CREEPS, MOST_PLACES, MOST_SENSORS, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS, SHAPE_RANK,
+    CHANGING, CREEPS, FEWEST_CYCLES, MOST_PLACES, MOST_SENSORS, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS,
+    SHAPE_RANK,
 };
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::{Rows, Segment};
@@ -30,7 +31,7 @@ pub struct Response<'r> {
 type Make = fn(&Response<'_>, &mut Vec<Shaped>);
 
 /// All kinds of shapes.
-pub const SHAPES: [Make; 11] = [
+pub const SHAPES: [Make; 12] = [
     along_scalars,
     wander,
     creep,
@@ -42,6 +43,7 @@ pub const SHAPES: [Make; 11] = [
     over_plane,
     two_temperatures,
     place_by_place,
+    cycle_by_cycle,
 ];
 
 /// All shapes that these rows could show.
@@ -223,13 +225,16 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
     for (label, data) in r.scalars() {
         for length in LENGTHS {
             // Named effects explain a line in temperature, speed or load, but not in time. Friction has several names.
-            let named: &[fn(f64) -> f64] = match label.as_str() {
-                l if l == "time" || l.starts_with("cycle") => &[],
-                l if l.starts_with("velocity") => &[|v| v, sign, f64::abs],
-                _ => &[|x| x],
+            let forms: &[&[fn(f64) -> f64]] = match label.as_str() {
+                l if l == "time" || l.starts_with("cycle") => &[&[]],
+                l if l.starts_with("velocity") => &[&[|v| v, sign, f64::abs]],
+                // Its line may be part of it: a resonance is not a line with a bump.
+                _ => &[&[|x| x], &[]],
             };
-            let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), named);
-            out.push((r.shape(&[&label], "smooth"), columns));
+            for named in forms {
+                let columns = r.smooth_without(&data, &|range| Kernel::Smooth(length * range), named);
+                out.push((r.shape(&[&label], "smooth"), columns));
+            }
         }
     }
 }
@@ -350,7 +355,7 @@ fn with_load(r: &Response<'_>, out: &mut Vec<Shaped>) {
 fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(angle) = r.role(&Role::Angle) else { return };
     let turns = r.own.windows(2).map(|w| (angle[w[1]] - angle[w[0]]).abs()).sum::<f64>() / TAU;
-    for harmonics in [4_i32, 10, 30].into_iter().filter(|h| 4.0 * f64::from(*h) * turns < r.own.len() as f64)
+    for harmonics in [4_i32, 10, 30].into_iter().filter(|h| 2.0 * f64::from(*h) * turns < r.own.len() as f64)
     {
         let mut columns = Vec::new();
         for k in 2..=harmonics {
@@ -442,6 +447,26 @@ fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
+/// A separate level in each cycle of each record: what was clamped or homed anew before it.
+fn cycle_by_cycle(r: &Response<'_>, out: &mut Vec<Shaped>) {
+    let Some(cycle) = r.role(&Role::Cycle) else { return };
+    let mut groups: BTreeMap<(usize, i64), Vec<usize>> = BTreeMap::new();
+    for (number, s) in r.rows.segments.iter().enumerate().filter(|(_, s)| s.response == r.number) {
+        for i in s.rows.clone() {
+            groups.entry((number, cycle[i] as i64)).or_default().push(i);
+        }
+    }
+    if groups.len() < FEWEST_CYCLES || groups.len() > MOST_PLACES || 2 * groups.len() > r.own.len() {
+        return;
+    }
+    let columns = groups.into_values().map(|rows| {
+        let mut own = vec![0.0; r.rows.n];
+        rows.into_iter().for_each(|i| own[i] = CONTRIBUTION);
+        own
+    });
+    out.push((r.shape(&["cycle"], "differs from cycle to cycle"), columns.collect()));
+}
+
 fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let warm: Vec<(String, Vec<f64>)> =
         r.scalars().into_iter().filter(|(l, _)| l.starts_with("temperature")).collect();
@@ -467,7 +492,12 @@ pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<
         return Vec::new();
     }
     let range = knots[knots.len() - 1] - knots[0];
-    let found = directions(&knots, Kernel::Smooth(0.15 * range), &[], CHANGING);
+    let mut found = directions(&knots, Kernel::Kinked(LENGTHS[1] * range), &[], CHANGING);
+    // However often its size bends, it bends as much.
+    for d in &mut found {
+        let size = (dot(d, d) / d.len() as f64).sqrt();
+        d.iter_mut().for_each(|x| *x /= size);
+    }
     let mut out = Vec::new();
     for b in basis {
         for d in &found {

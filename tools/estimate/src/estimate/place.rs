@@ -62,6 +62,15 @@ fn stands(
             keep(other);
         }
     }
+    // A wave's rival is the same wave, whose size changes along its travel.
+    let changing = own.cause.effect().and_then(|_| search.changing(&without.factor, &own.seed()));
+    if let Some(seed) = changing
+        && let Cause::Shape(shape) = &seed.cause
+        && let Some(other) = search.with(without, &seed)
+    {
+        all.push((seed.family, shape.0.label(), None, other.score));
+        keep(other);
+    }
     for seed in search.alike(own) {
         let refined = search.refined(&without.factor, &seed);
         let seen = |a: &Stand| {

@@ -30,7 +30,7 @@ impl Search<'_> {
         let mut out: Vec<Set> = Vec::new();
         let mut forms: Vec<(f64, usize, Member)> = Vec::new();
         let mut pairs: Vec<Set> = Vec::new();
-        let mut waves = 0;
+        let mut waves: Vec<usize> = Vec::new();
         for (number, seed) in seeds.into_iter().take(TRIED).enumerate() {
             if seed.score < (top - HOPELESS).max(WORTHLESS) {
                 break;
@@ -38,9 +38,9 @@ impl Search<'_> {
             let seed = self.refined(&set.factor, &seed);
             let mut own = Self::richer(&seed);
             let wave = matches!(self.family(seed.family).scan, Scan::Wave { .. });
-            if wave && waves < 2 {
-                waves += 1;
-                own.extend(self.changing(&seed));
+            if wave && !waves.contains(&seed.family) {
+                waves.push(seed.family);
+                own.extend(self.changing(&set.factor, &seed));
             }
             if wave {
                 pairs.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));
@@ -308,7 +308,7 @@ impl Search<'_> {
 
     /// A set without one of its weaker members; the others on its axis are re-selected.
     pub(super) fn simpler(&self, set: &Set) -> Set {
-        let mut best = self.one_for_two(set);
+        let mut best = self.one_wave_for_two(&self.one_for_two(set));
         for i in 0..set.members.len() {
             let Some(axis) = axis_of(&set.members[i]) else { continue };
             let without = self.without(set, i);

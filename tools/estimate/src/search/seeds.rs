@@ -3,7 +3,7 @@
 use super::{Columns, Member, Search, Seed, Set, difference, gain, gain_of_one, log_sum};
 use crate::bank::Look;
 use crate::cause::{Cause, Shape};
-use crate::effort::{DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT};
+use crate::effort::{CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT};
 use crate::family::{Families, Family, Scan};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
 use crate::rows::Rows;
@@ -371,23 +371,62 @@ impl Search<'_> {
     }
 
     /// A wave whose size changes along its travel, from a seed that is a wave.
-    /// It has no name.
-    pub(super) fn changing(&self, seed: &Seed) -> Option<Seed> {
-        let Scan::Wave { along, .. } = &self.family(seed.family).scan else { return None };
-        let effect = seed.cause.effect()?;
-        let shape = Shape::like(self.problem.rows, effect, "periodic, of changing size")?;
-        let family = self
-            .families
-            .list
-            .iter()
-            .position(|f| f.shape.as_ref().is_some_and(|s| s.response == shape.response))?;
-        let basis = seed.cause.columns(self.problem.rows);
-        let columns = changing_wave(self.problem.rows, &basis, &along.places(self.problem.rows.n));
-        if columns.is_empty() {
-            return None;
-        }
+    /// It has no name. What comes and goes has its strongest peaks beside its own frequency, so those near the
+    /// seed's are tried too.
+    pub(crate) fn changing(&self, factor: &Factor, seed: &Seed) -> Option<Seed> {
+        let family = self.family(seed.family);
+        let Scan::Wave { along, unit, .. } = &family.scan else { return None };
+        let rows = self.problem.rows;
+        let shape = match &seed.cause {
+            Cause::Shape(both) if both.1.len() == 2 => both.0.clone(),
+            cause => Shape::like(rows, cause.effect()?, "")?,
+        };
+        let of = |f: &Family| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
+        let number = self.families.list.iter().position(of)?;
+        let shape = Shape { manner: "periodic, of changing size".to_owned(), ..shape };
+        let places = along.places(rows.n);
+        let own = |basis: &[Vec<f64>]| {
+            let columns = changing_wave(rows, basis, &places);
+            let gain =
+                (!columns.is_empty()).then(|| self.gain(factor, &self.whitened(columns.clone())).total)?;
+            Some((gain, columns))
+        };
+        let beside = |k: i32| {
+            let frequency = 1.0 / (seed.cause.effect()?.scalar(0) * unit) + f64::from(k) / along.span();
+            (along.range()[0]..along.range()[1]).contains(&frequency).then_some(())?;
+            own(&self.wave(family, frequency, 1)?.columns(rows))
+        };
+        let half = CHANGING as i32 / 2;
+        let near = (-half..=half).filter(|k| *k != 0).filter_map(beside);
+        let columns = near.chain(own(&seed.cause.columns(rows))).max_by(|a, b| a.0.total_cmp(&b.0))?.1;
         let cause = Cause::Shape(Arc::new((shape, columns)));
-        Some(Seed { family, cause, weight: seed.weight, score: seed.score })
+        Some(Seed { family: number, cause, weight: seed.weight, score: seed.score })
+    }
+
+    /// One wave of changing size instead of a wave and another one, or a shape, along the same axis.
+    /// Waves close to each other beat, and look like one that comes and goes.
+    pub(super) fn one_wave_for_two(&self, set: &Set) -> Set {
+        let mut best = set.clone();
+        for (j, wave) in set.members.iter().enumerate() {
+            let is_wave = matches!(self.family(wave.family).scan, Scan::Wave { .. });
+            let Some(like) = wave.cause.effect().filter(|_| is_wave) else { continue };
+            let Some(like) = Shape::like(self.problem.rows, like, "") else { continue };
+            let same = |m: &Member| match &m.cause {
+                Cause::Shape(own) => own.0.response == like.response && own.0.against == like.against,
+                _ => m.family == wave.family,
+            };
+            for i in (0..set.members.len()).filter(|i| *i != j && same(&set.members[*i])) {
+                let mut others = self.without(&self.without(set, i.max(j)), i.min(j));
+                let alone = |s: &Set| s.members.iter().position(|m| !self.is_accompanied(s, m));
+                while let Some(companion) = alone(&others) {
+                    others = self.without(&others, companion);
+                }
+                let one = self.changing(&others.factor, &wave.seed()).and_then(|s| self.with(&others, &s));
+                best =
+                    one.into_iter().fold(best, |best, one| if one.score > best.score { one } else { best });
+            }
+        }
+        best
     }
 }
 

@@ -5,8 +5,9 @@
 
 use crate::{answer, names, record};
 use rtec_measure::plausible::What;
+use rtec_model::circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Axis, Kind, Record};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
@@ -57,6 +58,92 @@ fn a_saw_over_time_is_missing() {
         let said = answer("", &[record("a", Kind::Drift, vec![("t", "time", t), ("e", "error.x", e)])], &[]);
         let manners: Vec<&str> = said.unexplained.iter().map(|s| s.manner.as_str()).collect();
         assert_eq!((said.verdict, manners), (Verdict::UnknownEffect, vec!["saw-tooth"]));
+    }
+}
+
+/// Clamped or homed anew before each cycle, a line has another level in each.
+#[test]
+fn what_differs_from_cycle_to_cycle_is_no_lost_count() {
+    let line = |name: &str, seed: u64, cycles: usize| {
+        let mut d = Dice::new(seed);
+        let levels: Vec<f64> = (0..cycles).map(|_| 1.5 * d.normal()).collect();
+        let mut rows: Vec<Vec<f64>> = vec![Vec::new(); 5];
+        for row in 0..14 * 2 * cycles {
+            let (lap, at) = (row / 14, row % 14);
+            let place = if lap % 2 == 0 { at } else { 13 - at };
+            let direction = if lap % 2 == 0 { 1.0 } else { -1.0 };
+            let e = levels[lap / 2] + 0.3 * d.normal();
+            let row = [5.0 * row as f64, 20.0 * place as f64, direction, (lap / 2 + 1) as f64, e];
+            rows.iter_mut().zip(row).for_each(|(c, v)| c.push(v));
+        }
+        let roles =
+            [("t", "time"), ("x", "position.x"), ("d", "direction.x"), ("n", "cycle"), ("e", "error.x")];
+        let columns = roles.into_iter().zip(rows).map(|((n, r), v)| (n, r, v)).collect();
+        record(name, Kind::Positioning, columns)
+    };
+    for seed in repetitions(1..9) {
+        nameless("", &[line("a", seed, 5), line("b", seed + 50, 3)]);
+    }
+}
+
+/// Two circles during which the ballbar vibrates, each at a frequency of its own, stronger and weaker.
+#[test]
+fn a_vibration_of_each_run_is_no_map() {
+    let bar = |name: &str, seed: u64, rows_per_wave: f64, way: f64| {
+        let mut d = Dice::new(seed);
+        let n = 0..720;
+        let angle = n.clone().map(|i| way * TAU * f64::from(i) / 720.0).collect();
+        let vibration = |i: f64| {
+            let turns = i / rows_per_wave;
+            4.0 * (TAU * turns + seed as f64).sin() * (1.0 + 0.6 * (TAU * turns / 11.0).sin())
+        };
+        let e = n.clone().map(|i| vibration(f64::from(i)) + 0.3 * d.normal()).collect();
+        let t = n.map(|i| 0.1 * f64::from(i)).collect();
+        let r =
+            record(name, Kind::Ballbar, vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)]);
+        let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
+        r.with_circle(Circle { radius_mm: 100.0, plane, centre_mm: Some([0.0, 0.0]) }).unwrap()
+    };
+    for (seed, there, back) in [(0, 10.0, 10.0), (3, 28.4, 20.8), (7, 33.0, 15.4), (13, 10.0, 37.0)] {
+        nameless("", &[bar("there", seed, there, 1.0), bar("back", seed + 9, back, -1.0)]);
+    }
+}
+
+/// A wave that comes and goes along the travel, and turns its sign.
+#[test]
+fn a_wave_of_changing_size_is_not_two_waves() {
+    for (seed, period_mm) in [(0, 8.0), (1, 10.0), (6, 10.0), (10, 8.0)] {
+        let mut d = Dice::new(seed);
+        let waves: Vec<[f64; 3]> = (1..=5)
+            .map(|k| {
+                let k = f64::from(k);
+                [2.0 * d.normal() / (1.0 + 0.3 * k), k + 0.2 * d.normal(), TAU * d.normal()]
+            })
+            .collect();
+        let place = |i: u32| 1.01 * f64::from(i) + 0.3 * f64::from(i * 7 % 11) / 11.0;
+        let x: Vec<f64> = (0..620).chain((0..620).rev()).map(place).collect();
+        let size = |x: f64| waves.iter().map(|[a, f, at]| a * (TAU * f * x / 630.0 + at).sin()).sum::<f64>();
+        let e = x.iter().map(|x| size(*x) * (TAU * x / period_mm).sin() + 0.1 * d.normal()).collect();
+        let t = (0..1240).map(|i| 3.0 * f64::from(i)).collect();
+        let way = (0..1240).map(|i| if i < 620 { 1.0 } else { -1.0 }).collect();
+        let columns =
+            vec![("t", "time", t), ("x", "position.x", x), ("d", "direction.x", way), ("e", "error.x", e)];
+        nameless("", &[record("line", Kind::Positioning, columns)]);
+    }
+}
+
+/// A part that resonates at one speed of the spindle: no line in the speed with a bump beside it.
+#[test]
+fn a_resonance_is_one_error_without_a_name() {
+    for seed in repetitions(1..4) {
+        let mut d = Dice::new(seed);
+        let speeds = [0.0, 2500.0, 5200.0, 6000.0, 7100.0, 8000.0, 6600.0, 4000.0, 1200.0];
+        let rpm: Vec<f64> = (0..270).map(|i| speeds[i / 30]).collect();
+        let bell = |n: f64| if n > 0.0 { 5.0 / (1.0 + ((n - 7000.0) / 700.0).powi(2)) } else { 0.0 };
+        let e = rpm.iter().map(|n| bell(*n) + 0.1 * d.normal()).collect();
+        let t = (0..270).map(|i| 20.0 * f64::from(i)).collect();
+        let columns = vec![("t", "time", t), ("n", "spindle_speed", rpm), ("e", "error.z", e)];
+        nameless("", &[record("speeds", Kind::Drift, columns)]);
     }
 }
 
