@@ -1,10 +1,10 @@
-//! What other tools wrote, as run records.
+//! Reads files of other tools as run records.
 //!
-//! | module | what | structure from |
+//! | module | contents | structure from |
 //! |---|---|---|
-//! | `table` | any table whose columns somebody names, with units, factors and times | |
-//! | `own` | the same, described by a file of the user's own | |
-//! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no file of the maker's was seen |
+//! | `table` | any table with named columns, units, factors and times | |
+//! | `own` | the same, described by the user's file | |
+//! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no original file was available |
 //! | `etalon` | Etalon's exchange format | ISG kernel documentation, 296430091 |
 //! | `halsampler` | LinuxCNC's `halsampler` | its source, `sampler_usr.c` |
 //! | `shdr` | a log of `MTConnect`'s SHDR lines | the agent's own logs |
@@ -12,7 +12,7 @@
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |
 //!
-//! `request`: which of them, as somebody asks for it. Times: `rtec_files::clock`.
+//! `request` holds the options of an import. For times see `rtec_files::clock`.
 
 mod cmm;
 mod ecmc;
@@ -44,12 +44,12 @@ fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
     Column { name: name.to_owned(), role, unit, data }
 }
 
-/// A record of what was read.
-/// A log (for a rehearsal, say) need not have a response.
+/// A record of these columns.
+/// A log, for example for a rehearsal, needs no response.
 fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record, InputError> {
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {
-        // It is looked at as any record is, with a response that goes again.
+        // Checked like any record, with a temporary response.
         let axis =
             rtec_model::record::Axis::new("r").unwrap_or_else(|| unreachable!("a letter is an axis name"));
         let zeros = vec![0.0; columns[0].data.len()];

@@ -10,17 +10,17 @@ use std::path::Path;
 /// Columns are `Meas X`, `Meas Y`, `Nom X`, `Nom Y`, `Nom D`, …, mm.
 ///
 /// # Errors
-/// No line with the headings, a row that is too short or holds no numbers.
+/// No line with the headings; a row that is too short or has no numbers.
 pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputError> {
     const HEADINGS: [&str; 5] = ["Meas X", "Meas Y", "Nom X", "Nom Y", "Nom D"];
     let mut places: Option<[usize; 5]> = None;
     let mut rows: Vec<[f64; 5]> = Vec::new();
-    // The decimal mark that the rows so far show.
+    // The decimal mark, as far as the rows show it.
     let mut marks = None;
     for (i, line) in text.lines().enumerate() {
         let at = |found: String, expected: &str| InputError::at(from, i + 1, 1, found, expected);
         let Some(places) = places else {
-            // Headings hold single spaces and stand two or more apart.
+            // Headings contain single spaces and are two or more apart.
             let heads: Vec<&str> = line.split("  ").map(str::trim).filter(|h| !h.is_empty()).collect();
             if HEADINGS.iter().all(|h| heads.contains(h)) {
                 places = Some(HEADINGS.map(|h| heads.iter().position(|x| *x == h).unwrap_or_default()));
@@ -49,7 +49,7 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
         ));
     }
     let axis = |name: &str| Axis::new(name).unwrap_or_else(|| unreachable!("a letter is an axis name"));
-    // To a millionth of a nanometre: what is left of decimal numbers in a float is no error.
+    // Rounded to 1e-9 µm, which removes floating-point noise of decimal numbers.
     let um = |mm: f64| (1e12 * mm).round() / 1e9;
     let get = |of: &dyn Fn(&[f64; 5]) -> f64| rows.iter().map(of).collect::<Vec<_>>();
     let columns = vec![

@@ -9,11 +9,11 @@ use std::path::Path;
 /// Reads the data file of ecmc's ISO 230-2 test.
 /// It holds `TGT_DATA[i]`, `REF_DATA_FWD[i,j]`, `REF_DATA_BWD[i,j]`, mm.
 ///
-/// Rows follow the test: cycle by cycle, forward up the targets, backward down them. *Forward* and *backward* are
-/// taken as the file names them.
+/// Rows follow the test: cycle by cycle, forward up the targets, backward down them. *Forward* and *backward*
+/// are as the file names them.
 ///
 /// # Errors
-/// An assignment that is not understood, an index outside its range, a reading or target that is missing.
+/// An invalid assignment, an index outside its range, a missing reading or target.
 pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
     let mut targets: BTreeMap<usize, f64> = BTreeMap::new();
     let mut readings: BTreeMap<(usize, bool, usize), f64> = BTreeMap::new();
@@ -44,7 +44,7 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
             Some((name, _)) if name.starts_with("TGT_") || name.starts_with("REF_") => {
                 return Err(at(name, "TGT_DATA, REF_DATA_FWD or REF_DATA_BWD"));
             }
-            // Names of the sources and counts, keys of another test or a later version: the data speak for themselves.
+            // Names, counts and keys of other tests or versions are ignored.
             _ => {}
         }
     }

@@ -1,5 +1,6 @@
 //! Etalon's exchange format, variant "Vendor".
-//! Like an INI file, `//` begins a comment, a block per error component, in mm and rad (ISG kernel documentation, 296430091).
+//! An INI-like file with `//` comments and one block per error component, in mm and rad (ISG kernel
+//! documentation, 296430091).
 //!
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 
@@ -59,7 +60,7 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
                         .trim();
                     open = Some(i + 1);
                 }
-                // A key of another program; numbers behind a misspelt `Gridpoints` are found by themselves.
+                // A key of another program; a misspelt `Gridpoints` is found by its numbers.
                 _ if line.contains('=') => continue,
                 _ => return Err(at(format!("`{line}`"), "VALUE = …, or Gridpoints = {")),
             }
@@ -81,12 +82,12 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
     }
 }
 
-/// Reads the errors of an axis' motion.
-/// `EXA`, `EYA`, `EZA` of axis A become `error.x`, `error.y`, `error.z` over its position. The sign is as in the file. Angles and other
-/// blocks are named in the note and left out.
+/// Reads the errors of an axis's motion.
+/// `EXA`, `EYA`, `EZA` of axis A become `error.x`, `error.y`, `error.z` over its position, with the file's
+/// sign. Angles and other blocks are left out and named in the note.
 ///
 /// # Errors
-/// A line that is not understood, no such block, blocks of unequal positions, positions that do not rise.
+/// An invalid line, no such block, blocks with different positions, positions that do not rise.
 pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
     let blocks = blocks(from, text)?;
     let moving = axis.as_str().to_ascii_uppercase();
