@@ -85,8 +85,8 @@ fn cause_step(record: &Record, column: &Column) -> Option<f64> {
     step_of(&column.data)
 }
 
-/// What to know of a response whose readings are all alike.
-/// They do not show the gauge's step, so nothing bounds what is smaller. `None` where they vary.
+/// A message about a response whose readings are all equal; `None` if they vary.
+/// They do not show the gauge's resolution, so nothing bounds smaller effects.
 pub(crate) fn unread(record: &Record, column: &Column) -> Option<String> {
     column.data.iter().all(|v| v - column.data[0] == 0.0).then(|| {
         format!(
@@ -213,8 +213,8 @@ impl Problem {
             for rows in &rounded.alike {
                 add(&mut rows.iter().map(|i| (*i, rounded.sd)));
             }
-            // A parameter that changes readings by less than a step changes none: within rows that read alike it may have any value that
-            // keeps the largest change within a step. The difference of two rounding errors has twice the variance of one.
+            // Among equal readings a parameter is only bounded: its effect must stay within one step. The
+            // difference of two rounding errors has twice the variance of one.
             for column in &self.columns {
                 let bounds = |rows: &Vec<usize>| span(rows.iter().map(|i| column[*i]));
                 let ranges: Vec<[f64; 2]> = rounded.alike.iter().map(bounds).collect();
@@ -519,8 +519,8 @@ fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<
     Some(columns)
 }
 
-/// Why the records do not determine an effect.
-/// `blank` says which responses have readings that are all alike.
+/// The error for records that do not determine an effect.
+/// `blank` lists responses whose readings are all equal.
 fn not_shown(effect: Option<&Effect>, blank: &[String]) -> InputError {
     let name = effect.map_or(String::new(), Effect::identity);
     let (found, expected) = if let Some(said) = blank.first() {

@@ -1,5 +1,5 @@
-//! A fit from records as people give them.
-//! It reports and leaves out doubted data, then chooses sensors or fits named effects. It also makes the
+//! A fit from records as users give them.
+//! It reports and leaves out suspicious data, then selects sensors or fits named effects. It also makes the
 //! document for programs.
 
 use crate::least::{self, NamedReport};
@@ -60,14 +60,14 @@ impl Default for Asked {
     }
 }
 
-/// A fit, and the mistakes that its records show.
+/// A fit, and the suspicions against its records.
 #[derive(Debug)]
 pub struct Fit {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// A report per response.
     pub reports: Vec<Report>,
-    /// Mistakes that the records show.
+    /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
     /// The training records as used for the fit.
     pub records: Vec<Record>,
@@ -80,7 +80,7 @@ pub struct NamedFit {
     pub machine: Machine,
     /// The report of the fit.
     pub report: NamedReport,
-    /// Mistakes that the records show.
+    /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
     /// The records as used for the fit.
     pub records: Vec<Record>,
@@ -91,8 +91,8 @@ pub struct NamedFit {
 /// or has minutes for seconds.
 const SHORT_S: f64 = 1800.0;
 
-/// Chooses sensors and fits growth. `holdout` only affects the last figures.
-/// Messages go to `say`. A model of doubted records is only for inspection: call [`Fit::is_to_be_written`]
+/// Selects sensors and fits growth. `holdout` only affects the last figures.
+/// Messages go to `say`. A model of suspicious records is only for inspection: call [`Fit::is_to_be_written`]
 /// before it is kept.
 ///
 /// # Errors
@@ -213,7 +213,7 @@ impl Fit {
         self.of(|r| serde_json::to_value(r))
     }
 
-    /// The choice of sensors alone as a document for programs.
+    /// The selection of sensors alone as a document for programs.
     ///
     /// # Errors
     /// A figure that JSON does not have.

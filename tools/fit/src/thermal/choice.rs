@@ -1,4 +1,4 @@
-//! The choice of sensors alone, for comparison with another choice.
+//! Selection of sensors without a fit, for comparison with another selection.
 
 use super::Options;
 use super::problem::Problem;
@@ -8,8 +8,9 @@ use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::record::{Record, Role};
 
-/// The temperature differences that [`super::fit`] chooses for a response.
-/// They are chosen before blocks of time are left out to test them. Empty if the temperatures explain no more than chance.
+/// The temperature differences that [`super::fit`] selects for a response.
+/// They are those before blocks of time are left out to test them. Empty if the temperatures explain no more
+/// than chance.
 ///
 /// # Errors
 /// As [`super::fit`].

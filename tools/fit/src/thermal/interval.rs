@@ -1,5 +1,5 @@
 //! The 95 % prediction interval.
-//! It combines what the fit cannot know at a row with the residuals of unseen blocks.
+//! It combines what the fit cannot know in a row with the residuals of unseen blocks.
 
 use super::problem::Problem;
 use super::rows::Rows;

@@ -186,7 +186,8 @@ fn fit_response(
     options: &Options,
     machine: &mut Machine,
 ) -> Result<Report, InputError> {
-    // Structure and values are those of the true temperatures; what a prediction is worth, those of the logs that it will read.
+    // Select terms and fit values on smoothed temperatures. Judge predictions on raw logs, as the live model
+    // reads them.
     let (quiet, spread): (Vec<Record>, Vec<Spread>) = train.iter().map(|r| smoothed(r)).unzip();
     let quiet: &[&Record] = &quiet.iter().collect::<Vec<_>>();
     let mut problem = Problem::new(quiet, response, options)?;
@@ -205,8 +206,8 @@ fn fit_response(
     };
     let mut warnings: Vec<String> = problem.still.iter().map(still).collect();
     if !terms.is_empty() && blocks.mean_square() > baselines["mean"].mean_square() {
-        // Nested cross-validation rejects it: structures chosen without a block predict that block worse than
-        // the mean.
+        // Nested cross-validation rejects it: structures selected without a block predict that block worse
+        // than the mean.
         warnings.push(format!(
             "{} is left out: chosen without a block of rows, it says less of that block than the mean does; a run in which these temperatures move more \
              would tell",
@@ -424,8 +425,9 @@ fn enter(
 }
 
 /// Adds a fitted effect to a machine.
-/// A zero from an earlier fit and this fit's zero are merged.
-/// It is in what was fitted where these runs have it.
+/// The set-up zeros of an earlier fit and of this one are added. The earlier one counts only if it acts in
+/// these
+/// runs, because then it was subtracted before this fit.
 fn take_in(
     machine: &mut Machine,
     effect: Effect,

@@ -51,7 +51,7 @@ pub(super) struct Problem {
     pub(super) coolant: Option<Vec<f64>>,
     pub(super) speed: Option<Vec<f64>>,
     pub(super) square: bool,
-    /// What the temperatures of each record may be off by, where that is known.
+    /// Uncertainty of each record's smoothed temperatures, if known.
     pub(super) spread: Vec<Spread>,
 }
 
@@ -128,7 +128,7 @@ impl Problem {
         let taus = lag_grid(records, options.lag);
         let bins = Bins::new(records, rows.div_ceil(BINS));
         let binned = sensors.iter().map(|s| bins.sensor(s, &taus)).collect();
-        // A run that logs no coolant is dry. One that logs no speed may have had any.
+        // A run without a coolant column is dry. One without a speed column may have had any speed.
         let everywhere =
             |role: &Role| *role == Role::Coolant || records.iter().all(|r| r.column(role).is_some());
         let varies = |v: &Vec<f64>| v.iter().any(|x| (x - v[0]).abs() > 1e-9);
@@ -176,7 +176,7 @@ impl Problem {
         self.taus.len() - 1
     }
 
-    /// A text that says how the environment's sensor was chosen.
+    /// How the environment's sensor was chosen, in words.
     pub(super) fn environment_by(&self, options: &Options) -> String {
         match (&options.environment, self.environment) {
             (Some(_), _) => "given".to_owned(),
