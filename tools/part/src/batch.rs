@@ -171,8 +171,8 @@ pub struct Batch {
 /// `seen` are the errors that probing on the machine found on the same feature.
 ///
 /// # Errors
-/// A bad file, an invalid word or a missing column. A place measured twice on one part; fewer than three parts
-/// at a place; other features besides the one that was `seen`.
+/// A bad file, an invalid word or a missing column. A place measured twice on one part; fewer than three
+/// parts at a place; other features besides the one that was `seen`.
 pub fn evaluate_columns(
     file: &Path,
     columns: &[String],
@@ -395,7 +395,7 @@ fn is_other_unit(largest: f64) -> bool {
     largest > 0.0 && largest < LEAST_TOLD_UM
 }
 
-/// Largest contradiction by rounding of nominal, measured and error to 1 µm each.
+/// Largest contradiction that rounding of three values to 1 µm explains, µm.
 const ROUNDING_UM: f64 = 1.6;
 
 /// Two-sided probability of a t this large by chance.
@@ -437,19 +437,19 @@ impl Line {
     }
 }
 
-/// Probability that chance makes a reading of a batch wild.
+/// Probability of a false outlier in a batch.
 const CHANCE: f64 = 1e-3;
-/// Largest share of wild readings at a place.
+/// Largest share of outliers at a place.
 const MOST_WILD: f64 = 0.25;
-/// Largest difference of neighbouring wild readings that form a state.
-/// It is a share of their own distance. A state is a worn or another tool.
+/// Difference of neighbouring outliers that form a state, as share of distance.
+/// A state is another tool, or a worn one.
 const STATE_SHARE: f64 = 0.5;
 
 /// A reading and how far it is from the others.
 struct Farthest {
     /// Index among the readings.
     at: usize,
-    /// Probability of such a distance of the farthest reading by chance.
+    /// Probability of such a largest distance by chance.
     p_value: f64,
 }
 

@@ -607,10 +607,10 @@ fn coordinates(points: &[Zx]) -> Vec<f64> {
 }
 
 /// Largest distance of a part from its place in the path, mm.
-/// The second constant is the largest distance of a trip beyond a touch's end, mm.
 const OFF_WAY_MM: f64 = 5.0;
+/// Largest distance of a trip beyond a touch's end, mm.
 const PAST_MM: f64 = 1.0;
-/// Largest part of a face's normal across the part's axis.
+/// Largest component of a face's normal across the part's axis.
 /// A face is within 10° of square to the axis.
 const FACE: f64 = 0.17;
 /// Smallest cosine of two directions that count as one: 26°.

@@ -407,8 +407,8 @@ impl TwoStep {
 /// A form error has one sign: a worn tool leaves material, a chipped one removes it. The other side has the
 /// good points, which the first circle is pulled away from.
 ///
-/// Of white noise the rule drops about 30 % of the points, all on one side. The size is then off by about half
-/// an SD, whatever the number of points. `part errors` uses [`beyond_noise`] instead.
+/// Of white noise the rule drops about 30 % of the points, all on one side. The size is then off by about
+/// half an SD, whatever the number of points. `part errors` uses [`beyond_noise`] instead.
 ///
 /// # Errors
 /// As [`least_squares`].
@@ -438,7 +438,7 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
     TwoStep::without(shape, points, rejected)
 }
 
-/// Share of features in which chance sets a point apart.
+/// Probability per feature that a good point is left out.
 const CHANCE: f64 = 0.01;
 
 /// Sums over points, from which the residual squares of a linear fit follow.
@@ -489,7 +489,7 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
     let (n, off_um) = (points.len(), deviations_um(robust, points));
     let mean =
         points.iter().fold(Zx::new(0.0, 0.0), |s, p| s + robust.normal_at(*p)) * (1.0 / n.max(1) as f64);
-    // How far a small change of the shape moves its surface at each point.
+    // Change of the surface at each point per small change of the shape.
     let (parameters, slopes): (usize, Vec<[f64; 2]>) = match *robust {
         FittedShape::Circle { .. } => {
             let normal = |p: &Zx| robust.normal_at(*p) - mean;

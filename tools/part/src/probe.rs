@@ -15,8 +15,8 @@ pub struct Trip {
     pub point: usize,
     /// The tip's centre at the trip, in part coordinates.
     pub tip_centre: Zx,
-    /// Half the width of the position's uncertainty, in µm.
-    /// It is the time between two looks times the speed, or a count if an axis stood still.
+    /// Half width of the position's uncertainty, µm.
+    /// It is the time between two polls times the speed, or a count if an axis stood still.
     pub uncertainty_um: f64,
     /// Time of the trip on the corrector's clock.
     pub t_s: f64,
