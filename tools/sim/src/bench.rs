@@ -170,11 +170,11 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
 }
 
 /// A computer that corrects one axis.
-/// It looks when it has time, and its writes take effect later.
+/// It polls when it has time, and its writes take effect later.
 struct Rig<'a, G> {
     gates: G,
     computer: Option<&'a Computer>,
-    /// Whether each look is one pass of a loop (Design B).
+    /// Whether each poll is one pass of a loop (Design B).
     passes: bool,
     edges: &'a [Edge],
     next: usize,
@@ -183,7 +183,7 @@ struct Rig<'a, G> {
     /// Whether it runs on when the computer stops, as a circuit does.
     goes_on: bool,
     scale: Decoder,
-    /// State of the scale at the last look.
+    /// State of the scale at the last poll.
     seen: State,
     outputs: u64,
     t_ns: u64,
@@ -234,7 +234,7 @@ impl<G: Gates> Rig<'_, G> {
 
 impl<G: Gates> Card for Rig<'_, G> {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
-        // Time of the next look. A circuit, or a computer that waits for an edge, looks at once.
+        // Time of the next poll. A circuit, or a computer that waits for an edge, polls at once.
         let waits = |rig: &Self| rig.next_edge_ns().min(wake_ns);
         let mut look_ns = match self.computer {
             None => waits(self).max(self.t_ns),

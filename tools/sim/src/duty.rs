@@ -156,7 +156,7 @@ impl Duty {
             machine: &machine,
             begin_s: self.begin_s,
             design: GateDesign::C,
-            // A mock card's time stops between a look and the write after it, so a decoder could check
+            // A mock card's time stops between a poll and the write after it, so a decoder could check
             // nothing.
             decoder_hz: f64::INFINITY,
             seed: self.seed,

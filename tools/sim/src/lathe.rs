@@ -50,7 +50,7 @@ pub struct Bench {
     pub decel_mm_s2: f64,
     /// Gain of the position loop, 1/s.
     pub gain: f64,
-    /// Time between two looks of the corrector, ns.
+    /// Time between two polls of the corrector, ns.
     pub poll_ns: f64,
     /// Time between two totals from the control side, ms.
     pub control_ms: f64,

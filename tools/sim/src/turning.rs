@@ -1,5 +1,5 @@
 //! The experiment of NISTIR 4854 (section 2), step by step.
-//! Steps are semi-finish cut, probing, errors, table, finish cut and inspection, on the simulated machine.
+//! Semi-finish cut, probing, errors, table, finish cut and inspection on the simulated machine.
 
 use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;

@@ -278,8 +278,7 @@ pub(super) fn drilling(
 }
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
-/// Each axis has a table and a plot, and the largest deviation is given.
-/// They are of the holes as they were measured, as `rtec-papers` has them.
+/// Each axis has a table, a plot and its largest deviation. Holes are as measured, as in `rtec-papers`.
 fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
     let off_um = |record: &Record, p: usize| -> Vec<f64> {
         let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);
