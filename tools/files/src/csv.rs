@@ -81,7 +81,7 @@ pub struct Commented {
 }
 
 /// A row that [`Reader::plain_row`] has found.
-/// It has the length of the row's text, and of its line with the line's end, bytes.
+/// Lengths of its text, and of its line with the end, bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct PlainRow {
     text: usize,
@@ -386,7 +386,7 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Reads the row of names, which must hold these; further names are ignored.
+    /// Reads the row of names, which must contain these; further names are ignored.
     /// `otherwise` tells the user of another option.
     ///
     /// # Errors

@@ -1,5 +1,5 @@
 //! One table of keys per section of a TOML file.
-//! The table reads and checks the section, and makes its part of the reference page. A [`Section`] takes each
+//! The table reads and checks the section, and documents it on the reference page. A [`Section`] takes each
 //! key once and collects every finding of its file.
 
 use crate::input::InputError;
