@@ -1,5 +1,5 @@
 //! A drift test of any number of rows, in the memory of some.
-//! Its file is gone through three times.
+//! Its file is read three times, six times if rows are left out.
 
 use super::figures::{Look, Row, Sums};
 use super::scatter::Scatter;
