@@ -60,7 +60,7 @@ use std::path::Path;
 /// More of them cost the sensor.
 const FEW: f64 = 0.1;
 
-/// What kind of mistake it looks like (formats.md, "Reconciliation": `what`).
+/// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum What {
     /// Another unit than the column says.
