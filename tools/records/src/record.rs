@@ -1,5 +1,5 @@
 //! Run records on file: `NAME.run.toml` beside a CSV.
-//! They are read strictly and written whole (guide, reference page "records").
+//! They are read strictly and written whole (tools/guide/reference/records.md).
 
 use rtec_files::clock::{self, absolute_ns, of_day_ns};
 use rtec_files::csv::{self, Reader, Style};

@@ -58,7 +58,7 @@ use std::path::Path;
 /// A sensor with at most this share of bad rows loses only those rows.
 const FEW: f64 = 0.1;
 
-/// The kind of a suspected mistake.
+/// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum What {
     /// Another unit than the column states.

@@ -17,7 +17,7 @@ use rtec_model::record::Role;
 use serde_json::Value;
 use std::path::PathBuf;
 
-/// Judge a model on records: what is left, how often its interval holds, where it is asked too much
+/// Test a model on records: what is left, how often its interval holds, where it is used outside its range
 #[derive(Debug, clap::Args)]
 pub(crate) struct ValidateArgs {
     /// The machine model
