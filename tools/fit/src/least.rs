@@ -12,7 +12,7 @@ use crate::thermal::{Fitted, Intervals, jackknife_interval};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::text::short;
-use rtec_least_squares::{Solution, equal_rows};
+use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
 use rtec_model::effect::{Dictionary, Difference, Effect, Need, Quantity, Search};
@@ -307,7 +307,7 @@ impl Problem {
         let of = |b: usize| {
             let own =
                 |v: &Vec<f64>| v.iter().zip(blocks).filter(|(_, of)| **of == b).map(|(v, _)| *v).collect();
-            equal_rows(&self.columns.iter().map(own).collect::<Vec<_>>(), &own(&self.y))
+            compress_rows(&self.columns.iter().map(own).collect::<Vec<_>>(), &own(&self.y))
         };
         (0..BLOCKS).map(of).collect()
     }

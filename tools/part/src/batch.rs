@@ -138,7 +138,7 @@ pub struct Judgement {
 
 /// A change of one feature's table.
 #[derive(Debug, Clone, Serialize)]
-pub struct TableChange {
+pub struct ProposedCorrection {
     /// Name of the feature, as the file has it.
     pub feature: String,
     /// The error to add at an angle.
@@ -152,7 +152,7 @@ pub struct Batch {
     /// Every place, features and angles ascending.
     pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle, to be added to the table if the user decides so.
-    pub offer_table: Vec<TableChange>,
+    pub offer_table: Vec<ProposedCorrection>,
     /// The offered changes in words, with the person concerned.
     pub offers: Vec<String>,
     /// Step in which the errors are written, µm, if the parts scatter by less.
@@ -284,7 +284,7 @@ fn judge(
         .filter(|p| p.finding == BatchFinding::Systematic)
         .filter_map(|p| {
             let error = PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None };
-            Some(TableChange { feature: p.feature.clone(), error })
+            Some(ProposedCorrection { feature: p.feature.clone(), error })
         })
         .collect();
     let offers = places.iter().filter_map(offer).collect();

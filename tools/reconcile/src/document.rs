@@ -3,8 +3,8 @@
 use crate::SEED;
 use crate::answer::Finding;
 use crate::gap::Gap;
+use crate::localisation::{LEAST_P, Place};
 use crate::verdict::{Reconciliation, Refined, SetUp};
-use crate::where_found::{LEAST_P, Place};
 use rtec_estimate::Rival;
 use rtec_model::effect::{Against, Difference, Effect, Search};
 use serde_json::{Map, Value, json};

@@ -1,8 +1,8 @@
 //! `report.html`: the answer as one page with plots.
 
 use crate::gap::Trace;
+use crate::localisation::{LEAST_P, Place};
 use crate::verdict::{Reconciliation, Verdict};
-use crate::where_found::{LEAST_P, Place};
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::words::escaped;
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};

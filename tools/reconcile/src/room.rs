@@ -50,7 +50,8 @@ pub(crate) fn other_sensors(
         let ours: Vec<&Difference> = ours.collect();
         // The rows are few or unsuitable for a fit, so there is no other choice.
         let response = Role::Error(axis);
-        let Ok(theirs) = thermal::chosen(&beyond.iter().collect::<Vec<_>>(), &response, &options) else {
+        let Ok(theirs) = thermal::select_differences(&beyond.iter().collect::<Vec<_>>(), &response, &options)
+        else {
             continue;
         };
         let theirs: Vec<&Difference> = theirs.iter().collect();

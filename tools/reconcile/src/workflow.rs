@@ -4,14 +4,14 @@ use crate::Options;
 use crate::advice::advice;
 use crate::answer::{Answer, Finding, analyse, stated};
 use crate::doubt::{self, Doubts, doubts};
-use crate::drawn::{MOST_ROWS, at_least_every, bounded};
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::interval;
+use crate::localisation::{self, Place};
 use crate::mistakes;
 use crate::room;
+use crate::subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::unexplained::stand_in;
 use crate::verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
-use crate::where_found::{self, Place};
 use rtec_estimate::Rival;
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
@@ -134,7 +134,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     if let (Some(left), Some(date)) = (&blocked, &options.date) {
         interval::state(&mut model, &used, left, date);
     }
-    let mut places = where_found::places(&used, machine);
+    let mut places = localisation::places(&used, machine);
     if why_nothing.is_none() {
         let like = |e: &Effect, p: f64| Some((Shape::like(&rows_of, e, "")?, p));
         let named = effects.iter().filter_map(|(f, _)| like(&f.effect, f.p_value));
@@ -142,7 +142,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         let shapes = answer.unexplained.iter().map(|s| (s.clone(), options.level));
         let found = named.chain(corrected).chain(shapes);
         let share = |s: &Shape| gap::explained(&traces_of, &s.response);
-        where_found::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
+        localisation::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let advice = match why_nothing {

@@ -88,7 +88,7 @@ pub struct RecordPieces {
     sidecar: Sidecar,
     /// Length of the CSV, bytes.
     bytes: u64,
-    rows: Rows<File>,
+    rows: RowReader<File>,
     /// Number of rows before the present piece.
     before: usize,
 }
@@ -115,7 +115,7 @@ impl RecordPieces {
         let (csv_path, mut file) = sidecar.open(path)?;
         let bytes = file.metadata().map_or(0, |m| m.len());
         let marks = sidecar.marks(&csv_path, &mut file)?;
-        let rows = Rows::new(&csv_path, file, &sidecar, marks)?;
+        let rows = RowReader::new(&csv_path, file, &sidecar, marks)?;
         has_response(path, &rows.columns)?;
         Ok(Some(Self { path: path.to_owned(), sidecar, bytes, rows, before: 0 }))
     }
@@ -126,7 +126,7 @@ impl RecordPieces {
     /// When the file has changed.
     pub fn rewind(&mut self) -> Result<(), InputError> {
         let (csv_path, file) = self.sidecar.open(&self.path)?;
-        self.rows = Rows::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
+        self.rows = RowReader::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
         self.before = 0;
         Ok(())
     }
@@ -193,7 +193,7 @@ fn of_parts(
 ) -> Result<Record, InputError> {
     let marks = sidecar.marks(csv_path, &mut csv)?;
     let mut csv = Hashed { input: csv, hash: Sha256::new() };
-    let mut rows = Rows::new(csv_path, &mut csv, &sidecar, marks)?;
+    let mut rows = RowReader::new(csv_path, &mut csv, &sidecar, marks)?;
     rows.expect(bytes);
     while rows.next(|_| ())? {}
     let (written, columns) = (rows.written(), rows.columns);
@@ -360,7 +360,7 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
 }
 
 /// Reads and checks the rows of a record's CSV one by one.
-struct Rows<R> {
+struct RowReader<R> {
     reader: Reader<R>,
     /// Format of the numbers; `None` for decimal points and commas between cells.
     marks: Option<TableMarks>,
@@ -383,7 +383,7 @@ struct Rows<R> {
     fields: Vec<f64>,
 }
 
-impl<R: Read> Rows<R> {
+impl<R: Read> RowReader<R> {
     fn new(path: &Path, csv: R, sidecar: &Sidecar, marks: Option<TableMarks>) -> Result<Self, InputError> {
         let mut reader = Reader::new(path, csv)?;
         let header = reader.header_with("a header line", &sidecar.names())?;

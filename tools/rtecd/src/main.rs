@@ -224,7 +224,8 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
             let open = || {
-                card::io_bar(&id, bar, &profile, Access::Drive).and_then(|base| card::ports(base, &profile))
+                card::first_io_port(&id, bar, &profile, Access::Drive)
+                    .and_then(|base| card::ports(base, &profile))
             };
             let Some(card) = patience.open(log, open)? else { return Ok(()) };
             work(card, config, Kind::Real, outside, log)

@@ -122,9 +122,9 @@ fn full_cycle<C: Card>(
 /// At A = B = low this equals an inversion. Elsewhere a level that is already high hides it (NISTIR 4832, The
 /// "Original RTEC").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Or;
+pub struct OrGates;
 
-impl Gates for Or {
+impl Gates for OrGates {
     fn out(self, scale: State, outputs: u8) -> State {
         State::from_bits(scale.bits() | outputs)
     }
@@ -400,7 +400,7 @@ impl BenchRun<'_> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
             AnyDesign::Original => {
-                self.go(Or, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
+                self.go(OrGates, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
             }
             AnyDesign::A => {
                 self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok(), |_| (0.0, None))

@@ -3,7 +3,7 @@
 //! hold starts the cycle.
 
 use crate::insertion::GateDesign;
-use crate::lathe::{Bench, Cut, Lathe, Move, RAPID_MM_S, Stand, arc_moves, cut_away, probing_moves};
+use crate::lathe::{Bench, Cut, Lathe, LatheState, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
 use crate::wires::MachineWires;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -151,7 +151,7 @@ impl Duty {
             Some(file) => Machine::read(file)?,
             None => Machine::ideal("ideal lathe"),
         };
-        let stand = Stand {
+        let stand = LatheState {
             bench: &self.bench,
             machine: &machine,
             begin_s: self.begin_s,

@@ -5,7 +5,7 @@ use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
 use crate::insertion::GateDesign;
-use crate::lathe::{Lathe, Move, Stand, axes, cut_away};
+use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;
 use crate::workpiece::Workpiece;
@@ -81,7 +81,7 @@ pub enum RunError {
 
 /// The control law with its inputs, and with lags known since the machine's start.
 fn control(
-    stand: &Stand,
+    stand: &LatheState,
     table: Option<(&FinishTable, f64)>,
     model: Option<&Machine>,
     lead_s: f64,
@@ -127,7 +127,7 @@ const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard
 /// The corrected axes: homed, enabled, and in probing mode if `probing`.
 fn corrected(
     card: &mut Polled<Lathe>,
-    stand: &Stand,
+    stand: &LatheState,
     probing: bool,
     report: &mut impl FnMut(Event) -> bool,
 ) -> Result<CorrectedMachine, StartError> {
@@ -158,7 +158,7 @@ fn corrected(
 /// # Errors
 /// The engine refuses the configuration, there is no move, or the controller gave up.
 pub fn run(
-    stand: &Stand,
+    stand: &LatheState,
     cut: &FinishCut,
     moves: &[Move],
     job: Job,

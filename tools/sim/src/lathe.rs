@@ -147,7 +147,7 @@ const JERK_MM_S3: f64 = 100_000.0;
 
 /// A machine with its errors, some time after it was switched on.
 #[derive(Debug, Clone, Copy)]
-pub struct Stand<'a> {
+pub struct LatheState<'a> {
     /// Machine, tool and probe.
     pub bench: &'a Bench,
     /// The machine's errors.
@@ -282,7 +282,7 @@ impl Lathe {
     /// A machine at rest at `start` (machine mm), after the stand's warm-up time.
     /// Its program is for a probe with `tip_mm`, or for the tool.
     pub(crate) fn new(
-        stand: &Stand,
+        stand: &LatheState,
         start: Zx,
         origin: Zx,
         moves: &[Move],

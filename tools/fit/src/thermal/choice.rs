@@ -14,7 +14,11 @@ use rtec_model::record::{Record, Role};
 ///
 /// # Errors
 /// As [`super::fit`].
-pub fn chosen(train: &[&Record], response: &Role, options: &Options) -> Result<Vec<Difference>, InputError> {
+pub fn select_differences(
+    train: &[&Record],
+    response: &Role,
+    options: &Options,
+) -> Result<Vec<Difference>, InputError> {
     let quiet: Vec<Record> = train.iter().map(|r| quiet::temperatures(r)).collect();
     let problem = Problem::new(&quiet.iter().collect::<Vec<_>>(), response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();

@@ -44,7 +44,7 @@ mod select;
 mod term;
 
 pub use charts::{prediction_chart, residual_chart};
-pub use choice::chosen;
+pub use choice::select_differences;
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};

@@ -1,7 +1,7 @@
 //! Checks the records of a session against one another.
 
+use super::sensor_regression::{sensor_regression, with_lags};
 use super::stats::{median, middle_range, range};
-use super::told::{told, with_lags};
 use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
@@ -242,7 +242,7 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
         return false;
     }
     let opposite = |a: &Record, ea: &[f64], b: &Record, eb: &[f64]| {
-        let told = told(a, ea, &names);
+        let told = sensor_regression(a, ea, &names);
         let says = told.says(b, &names);
         let ratio = middle_range(&says) / middle_range(eb).max(1e-12);
         told.left < 0.25 * middle_range(ea) / 3.3
@@ -295,7 +295,7 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
 fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
     let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
     let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return None };
-    let (of_p, of_q) = (told(a, ap, rest), told(a, aq, rest));
+    let (of_p, of_q) = (sensor_regression(a, ap, rest), sensor_regression(a, aq, rest));
     let (says_p, says_q) = (of_p.says(b, rest), of_q.says(b, rest));
     let away = |t: &[f64], says: &[f64]| {
         let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();

@@ -175,6 +175,6 @@ fn farthest(
 }
 
 /// Whether this small-sample test applies to a column of `rows` rows.
-pub(super) fn is_few(rows: usize) -> bool {
+pub(super) fn is_small_sample(rows: usize) -> bool {
     (FEWEST..FEW).contains(&rows)
 }

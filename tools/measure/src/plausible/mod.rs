@@ -18,7 +18,7 @@
 //! | `pieces` | a record too long for memory, piece by piece |
 //! | `between` | records against one another: repeated, a sign, a unit, two sensors exchanged |
 //! | `step` | a lasting step of an error; it may be lost counts, so it is no suspicion |
-//! | `told` | regression of a sensor on other sensors |
+//! | `sensor_regression` | regression of a sensor on other sensors |
 //! | `turned` | rows against other rows: direction, sign or unit wrong from a row on, exchanged columns, a clock put forward |
 //! | `units` | minutes, hours, inches |
 //! | `stats` | medians, robust spreads, differences |
@@ -31,12 +31,12 @@ mod peaks;
 mod pieces;
 mod repeats;
 mod rows;
+mod sensor_regression;
 mod sensors;
 mod slips;
 mod stats;
 mod step;
 mod stuck;
-mod told;
 mod turned;
 mod units;
 

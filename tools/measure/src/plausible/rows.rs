@@ -317,7 +317,7 @@ fn longest_run(v: &[f64]) -> usize {
 /// Rows far from their neighbours in time and in position and direction.
 fn wild(record: &Record, c: &Column) -> Wild {
     let n = c.data.len();
-    if lone::is_few(n) {
+    if lone::is_small_sample(n) {
         let Lone { rows, spread } = lone::of_response(record, c);
         return Wild { rows, spread };
     }

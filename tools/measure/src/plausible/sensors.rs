@@ -405,8 +405,8 @@ fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
     let alone = |i: usize, off: f64| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * off.abs());
     if n < SHORTEST {
         let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
-        let found =
-            lone::is_few(n).then(|| lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
+        let found = lone::is_small_sample(n)
+            .then(|| lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
         return found.map_or_else(Vec::new, |found| found.rows);
     }
     let (left, limit) = (off_near(&c.data), limit_k(&c.data));

@@ -27,7 +27,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         return;
     }
     for c in record.columns.iter().filter(|c| matches!(c.role, Role::Position(_))) {
-        let way = Way { motion: motion(record, c), ..Way::of(&c.data) };
+        let way = PositionSequence { motion: motion(record, c), ..PositionSequence::of(&c.data) };
         let beside: Vec<usize> = (1..record.rows() - 1).filter(|i| way.is_beside(*i)).collect();
         if beside.len() * record.rows() > MOST_PAIRS {
             continue;
@@ -52,7 +52,7 @@ fn said(c: &Column, row: usize, meant: f64, rows: usize) -> String {
 }
 
 /// The positions of a run in row order.
-struct Way<'p> {
+struct PositionSequence<'p> {
     p: &'p [f64],
     /// Positions closer than this are one place, mm.
     near: f64,
@@ -68,7 +68,7 @@ fn motion<'r>(record: &'r Record, position: &Column) -> Option<[&'r [f64]; 2]> {
     Some([record.data(&Role::Time)?, record.data(&velocity)?])
 }
 
-impl<'p> Way<'p> {
+impl<'p> PositionSequence<'p> {
     fn of(p: &'p [f64]) -> Self {
         let own = steps(p);
         let sizes: Vec<f64> = own.iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();

@@ -1,7 +1,7 @@
 //! Frozen sensors, found by their own noise and course and by other sensors.
 
+use super::sensor_regression::{SensorRegression, sensor_regression};
 use super::stats::{quantum, range, steps};
-use super::told::{SensorRegression, told};
 use super::{Suspicion, What};
 use rtec_model::effect::sign;
 use rtec_model::record::{Column, Record, Role};
@@ -196,7 +196,7 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
         let common = |n: &&str| *n != c.name && known.temperature(n).is_some();
         let rest: Vec<&str> = record.names(&Role::Temperature).filter(common).collect();
         let Some(y) = known.temperature(&c.name).filter(|_| !rest.is_empty()) else { return false };
-        let told = told(known, y, &rest);
+        let told = sensor_regression(known, y, &rest);
         // Prediction error where the sensor still moves, near the run.
         let wrong = beside_the_run(record, c, (start, end), &rest);
         // Predict only within the range of temperatures that the regression was fitted on.
@@ -257,7 +257,13 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
         return None;
     }
     let known = record.select(&far);
-    Some(wrong_beside(record, c, (start, end), &told(&known, known.temperature(&c.name)?, rest), rest))
+    Some(wrong_beside(
+        record,
+        c,
+        (start, end),
+        &sensor_regression(&known, known.temperature(&c.name)?, rest),
+        rest,
+    ))
 }
 
 /// Detects a sensor frozen in every row while all others change in most rows.

@@ -2,8 +2,8 @@
 //! Finds runs with a wrong direction, a sign or a unit that changes midway, exchanged columns and a clock put
 //! forward.
 
+use super::sensor_regression::sensor_regression;
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
-use super::told::told;
 use super::{Suspicion, What, motion, repeats};
 use crate::iso230::correlation;
 use rtec_model::effect::sign;
@@ -292,7 +292,7 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
     let candidates: Vec<usize> = (n / 20 + 3..n - n / 20 - 3).filter(|k| steps_over(*k)).collect();
     let left = |at: usize| {
         let data: Vec<f64> = c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { -v }).collect();
-        told(record, &data, &names).left
+        sensor_regression(record, &data, &names).left
     };
     let as_it_is = left(n);
     let (turned, at) = candidates.into_iter().map(|k| (left(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -300,7 +300,7 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
     let step = median(c.data[at..at + 3].to_vec()) - median(c.data[at - 3..at].to_vec());
     let stepped: Vec<f64> =
         c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { v - step }).collect();
-    let stepped = told(record, &stepped, &names).left;
+    let stepped = sensor_regression(record, &stepped, &names).left;
     let squares = turned * turned;
     (squares < TURNED * as_it_is * as_it_is && squares < NO_STEP * stepped * stepped).then_some(at)
 }

@@ -65,7 +65,7 @@ impl Span {
 
 /// Sums over the first and the last 1 % of the rows.
 #[derive(Debug, Clone, Copy, Default)]
-struct EndSums {
+struct FirstLastSums {
     early: f64,
     late: f64,
 }
@@ -77,7 +77,7 @@ struct SensorSums {
     /// Number of its readings.
     rows: usize,
     span: Span,
-    ends: EndSums,
+    ends: FirstLastSums,
     /// Readings in the first 1 % of the rows.
     early_rows: usize,
     /// Readings in the last 1 % of the rows.
@@ -152,7 +152,7 @@ pub(super) struct Look {
     first_hour: Span,
     all: Span,
     last_hour: Span,
-    ends: EndSums,
+    ends: FirstLastSums,
     tt: f64,
     te: f64,
     ee: f64,
@@ -178,7 +178,7 @@ impl Look {
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
         let (early, late) = (self.seen < self.few, self.seen >= self.of.rows - self.few);
         self.seen += 1;
-        let at_ends = |ends: &mut EndSums, v: f64| {
+        let at_ends = |ends: &mut FirstLastSums, v: f64| {
             ends.early += if early { v } else { 0.0 };
             ends.late += if late { v } else { 0.0 };
         };
@@ -219,7 +219,7 @@ impl Look {
     /// The figures; `names` are those of the sensors.
     pub(super) fn figures<'n>(&self, names: impl Iterator<Item = &'n str>) -> Figures {
         let few = self.few as f64;
-        let change = |ends: EndSums| ends.late / few - ends.early / few;
+        let change = |ends: FirstLastSums| ends.late / few - ends.early / few;
         // Slope of the straight line through the rows.
         let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
         Figures {

@@ -55,7 +55,7 @@ impl SensorRegression {
     }
 }
 
-pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegression {
+pub(super) fn sensor_regression(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegression {
     let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
     let n = y.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
