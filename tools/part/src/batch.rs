@@ -7,6 +7,7 @@ use crate::determine::is_times;
 use crate::written_step::{left_in_mean, written_step_mm};
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
+use rtec_model::record::span;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -239,7 +240,7 @@ fn judge(
         .collect();
     if seen.is_some() && places.iter().all(|p| p.seen_on_machine_um.is_none()) {
         let ends = |angles: &mut dyn Iterator<Item = f64>| {
-            let (low, high) = angles.fold((f64::MAX, f64::MIN), |(l, h), a| (l.min(a), h.max(a)));
+            let [low, high] = span(angles);
             if low > high { "no angle".to_owned() } else { format!("angle_rad {low:.3} to {high:.3}") }
         };
         let found = ends(&mut places.iter().filter_map(|p| p.angle_rad));

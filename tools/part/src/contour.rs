@@ -328,19 +328,23 @@ pub struct Contour {
     pub cleaned: Vec<String>,
 }
 
+/// A straight line's direction within (−90, 90] degrees.
+pub(crate) fn folded_deg(deg: f64) -> f64 {
+    if deg > 90.0 {
+        deg - 180.0
+    } else if deg <= -90.0 {
+        deg + 180.0
+    } else {
+        deg
+    }
+}
+
 impl FeatureKind {
     pub(crate) fn of(segment: &Segment) -> Self {
         match segment {
             Segment::Line { a, b } => {
                 let d = *b - *a;
-                let deg = d.x.atan2(d.z).to_degrees();
-                let deg = if deg > 90.0 {
-                    deg - 180.0
-                } else if deg <= -90.0 {
-                    deg + 180.0
-                } else {
-                    deg
-                };
+                let deg = folded_deg(d.x.atan2(d.z).to_degrees());
                 if deg.abs() < 1e-4 {
                     Self::Cylinder { radius_mm: a.x }
                 } else if (deg.abs() - 90.0).abs() < 1e-4 {

@@ -159,8 +159,7 @@ pub fn run_record(
 ) -> Option<Record> {
     let (z, x) = (Axis::new("z")?, Axis::new("x")?);
     let column = |name: &str, role: Role, value: &dyn Fn(usize) -> f64| {
-        let unit = role.unit().unwrap_or("1").to_owned();
-        Column { name: name.to_owned(), role, unit, data: (0..trips.len()).map(value).collect() }
+        Column::new(name, role, (0..trips.len()).map(value).collect())
     };
     let sign = |v: f64| if v.abs() < 1e-9 { 0.0 } else { v.signum() };
     let off = |n: usize| (trips[n].tip_centre - expected[n]).dot(approach[n] * -1.0) * 1e3;

@@ -147,10 +147,7 @@ impl Duty {
             .map(|(a, b)| Move { segment: Segment::Line { a, b }, feed_mm_s: RAPID_MM_S, cutting: false })
             .collect();
         moves.extend(program);
-        let machine = match &self.machine {
-            Some(file) => Machine::read(file)?,
-            None => Machine::ideal("ideal lathe"),
-        };
+        let machine = Machine::read_or_ideal(self.machine.as_deref(), "ideal lathe")?;
         let stand = LatheState {
             bench: &self.bench,
             machine: &machine,

@@ -8,6 +8,7 @@ use crate::insertion::GateDesign;
 use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;
+use crate::sim::keep;
 use crate::workpiece::Workpiece;
 use rtec_correct::AxisSetup;
 use rtec_correct::part_table::PartTable;
@@ -176,10 +177,7 @@ pub fn run(
     let over = |lathe: &Lathe| lathe.finished() || lathe.machine().fault().is_some();
     let mut card = Polled::new(lathe, over, stand.bench.poll_ns, stand.seed);
     let mut events = Vec::new();
-    let mut report = |event: Event| {
-        events.push(event);
-        true
-    };
+    let mut report = |event: Event| keep(&mut events, event);
     let mut corrected = corrected(&mut card, stand, tip_mm.is_some(), &mut report)?;
     let (mut control_ns, period_ns) = (0_u64, (stand.bench.control_ms * 1e6) as u64);
     let mut waiting = true;
