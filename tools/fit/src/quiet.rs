@@ -8,7 +8,7 @@
 //! likelihood chooses smoothness and noise. A log that jumps stays unchanged.
 
 use rtec_measure::steps::step_of;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, median};
 use statrs::function::erf::erfc;
 use std::f64::consts::{PI, SQRT_2};
 
@@ -124,11 +124,7 @@ impl Bends {
         if gaps.iter().any(|g| *g <= 0.0) {
             return None;
         }
-        let usual = {
-            let mut sorted = gaps.clone();
-            sorted.sort_by(f64::total_cmp);
-            sorted[sorted.len() / 2]
-        };
+        let usual = median(gaps.iter().copied());
         for gap in &mut gaps {
             *gap /= usual;
         }
@@ -239,7 +235,7 @@ impl Bends {
     }
 }
 
-/// LDLᵀ factor of a symmetric matrix with two bands beside the diagonal.
+/// `LDLᵀ` factor of a symmetric matrix with two bands beside the diagonal.
 struct Factor {
     d: Vec<f64>,
     one: Vec<f64>,

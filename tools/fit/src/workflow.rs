@@ -16,48 +16,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The options of a fit, as the user gives them.
-#[derive(Debug, Clone)]
-#[allow(clippy::struct_excessive_bools)] // each is an option of its own
+#[derive(Debug, Clone, Default)]
 pub struct Asked {
     /// Differences to choose from, as `T0` (to the environment) or `T8-T18`.
     /// Empty for all sensors.
     pub sensors: Vec<String>,
-    /// The sensor of the environment; `None` for the coldest on average.
-    pub environment: Option<String>,
-    /// Blocks of the cross-validation, 3 to 50.
-    pub folds: usize,
-    /// Whether to offer lags.
-    pub lag: bool,
-    /// Whether to offer squares.
-    pub square: bool,
-    /// Whether to offer the spindle's speed.
-    pub speed: bool,
-    /// A known model, whose effects are kept.
-    pub base: Option<Machine>,
     /// The model's date, days since 1970-01-01.
     /// `None` means the day of the latest record, or today if none has one.
     pub date: Option<i64>,
-    /// Days for which the model may be used without a new check.
-    pub valid_days: i64,
     /// Whether to fit even if a record's unit, sign, direction or column looks wrong.
     pub despite_suspicions: bool,
-}
-
-impl Default for Asked {
-    fn default() -> Self {
-        Self {
-            sensors: Vec::new(),
-            environment: None,
-            folds: 10,
-            lag: true,
-            square: true,
-            speed: true,
-            base: None,
-            date: None,
-            valid_days: 365,
-            despite_suspicions: false,
-        }
-    }
+    /// The other options; their sensors and date are not read.
+    pub options: Options,
 }
 
 /// A fit, and the suspicions against its records.
@@ -141,17 +111,8 @@ pub fn fit(
             "--sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
         )));
     }
-    let options = Options {
-        sensors,
-        environment: asked.environment.clone(),
-        folds: asked.folds,
-        lag: asked.lag,
-        square: asked.square,
-        speed: asked.speed,
-        base: asked.base.clone(),
-        date: asked.date.unwrap_or_else(|| day_of(&train)),
-        valid_days: asked.valid_days,
-    };
+    let options =
+        Options { sensors, date: asked.date.unwrap_or_else(|| day_of(&train)), ..asked.options.clone() };
     let (machine, reports) =
         thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
     for r in &reports {
@@ -184,11 +145,14 @@ pub fn fit_named(
     if !asked.despite_suspicions {
         plausible::refuse(&doubts, &paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
     }
-    let base =
-        asked.base.clone().unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
+    let base = asked
+        .options
+        .base
+        .clone()
+        .unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
     let day = date::format(asked.date.unwrap_or_else(|| day_of(&records)));
     let borrowed: Vec<&Record> = records.iter().collect();
-    let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.valid_days)?;
+    let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.options.valid_days)?;
     for w in &report.warnings {
         say(Said::Warning(w.clone()));
     }

@@ -15,9 +15,9 @@ use crate::derive::noise;
 use crate::iso230::{Budget, Round, error_axes, lacks};
 use crate::steps::step_of;
 use rtec_files::InputError;
-use rtec_model::circle::{Circle, rates};
+use rtec_model::circle::{Circle, rates, turn_rad};
 use rtec_model::effect::Dictionary;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -272,7 +272,7 @@ fn round_errors(points: &[(f64, f64)], [radius, a, b]: [f64; 3]) -> Option<[f64;
 fn range_about(points: &[(f64, f64)]) -> Option<f64> {
     let [_, a, b] = round_fit(points)?;
     let left = points.iter().map(|(p, e)| e - a * p.cos() - b * p.sin());
-    let (lo, hi) = left.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let [lo, hi] = span(left);
     Some(hi - lo)
 }
 
@@ -316,7 +316,7 @@ impl Trace {
 
     /// Angle that a contour covers without gaps, rad.
     fn turned(&self, rows: &Range<usize>) -> f64 {
-        let step = |i: usize| turned_rad(self.angle[i], self.angle[i + 1]).abs();
+        let step = |i: usize| turn_rad(self.angle[i], self.angle[i + 1]).abs();
         let steps = rows.len().saturating_sub(1);
         let all = (rows.start..rows.start + steps).map(step);
         let gap = MISSING_DEG.to_radians().max(2.5 * all.clone().sum::<f64>() / steps.max(1) as f64);
@@ -331,7 +331,7 @@ impl Trace {
         let mut turned = 0.0;
         let path: Vec<f64> = (0..self.angle.len())
             .map(|i| {
-                turned += turned_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
+                turned += turn_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
                 turned
             })
             .collect();
@@ -356,7 +356,7 @@ impl Trace {
                 * inner
                     .clone()
                     .skip(1)
-                    .map(|i| turned_rad(self.angle[i - 1], self.angle[i]).abs())
+                    .map(|i| turn_rad(self.angle[i - 1], self.angle[i]).abs())
                     .sum::<f64>();
             (span_s > 0.0).then(|| path_mm / span_s * 60.0)
         };
@@ -365,9 +365,7 @@ impl Trace {
             let [radius, a, b] = round_fit(&points)?;
             let standard_error_um = round_errors(&points, [radius, a, b])?;
             let centred = |(p, e): &(f64, f64)| e - a * p.cos() - b * p.sin();
-            let all = || points.iter().map(centred);
-            let (f_max, f_min) =
-                (all().fold(f64::NEG_INFINITY, f64::max), all().fold(f64::INFINITY, f64::min));
+            let [f_min, f_max] = span(points.iter().map(centred));
             Some(Contour {
                 record: self.name.clone(),
                 direction: if *turn > 0.0 { "ccw" } else { "cw" },
@@ -386,11 +384,6 @@ impl Trace {
     }
 }
 
-/// Signed angle from one angle to the next, the shorter way, rad.
-fn turned_rad(from: f64, to: f64) -> f64 {
-    (to - from + PI).rem_euclid(TAU) - PI
-}
-
 /// Relative change of speed that is another feed; below it an axis is at rest.
 const FEED_SHARE: f64 = 0.2;
 
@@ -405,7 +398,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let look = (n / 400).max(1);
     let sense = |i: usize| {
         let (a, b) = (i.saturating_sub(look), (i + look).min(n - 1));
-        let d = turned_rad(angle[a], angle[b]);
+        let d = turn_rad(angle[a], angle[b]);
         if d > 0.0 {
             1.0
         } else if d < 0.0 {
@@ -419,7 +412,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
         None => vec![1.0; n],
     };
     let turned = |rows: &Range<usize>| -> f64 {
-        rows.clone().skip(1).map(|i| turned_rad(angle[i - 1], angle[i]).abs()).sum()
+        rows.clone().skip(1).map(|i| turn_rad(angle[i - 1], angle[i]).abs()).sum()
     };
     let mut found: Vec<(Range<usize>, f64)> = Vec::new();
     let mut usual = 0.0;
@@ -489,7 +482,7 @@ pub fn in_motion(record: &Record) -> Record {
     let speed = |row: usize| {
         let gap = row == 0 || t[row] - t[row - 1] > 2.5 * usual_s.max(f64::MIN_POSITIVE);
         let (from, to) = if gap { (row, (row + 1).min(n - 1)) } else { (row - 1, row) };
-        turned_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
+        turn_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
     };
     let rate = rates(angle, t);
     let of = |(rows, _): (Range<usize>, f64)| {

@@ -9,7 +9,7 @@
 use rtec_files::InputError;
 use rtec_least_squares::Factor;
 use rtec_model::machine::{Machine, Prediction};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, median};
 use std::ops::Range;
 
 /// Rows that a window needs: a cubic, and one more for the noise.
@@ -156,12 +156,6 @@ fn steps<'a>(t: &'a [f64], runs: &'a [Range<usize>]) -> impl Iterator<Item = f64
     runs.iter().flat_map(|run| t[run.clone()].windows(2).map(|w| w[1] - w[0]))
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// Standard deviation of the noise of `p` over `t`, in the unit of `p`.
 /// From the median residual of a row from a cubic through its four neighbours, which a few jerks do not
 /// change. Only moving rows count, because a scale at rest shows no noise. A run has at least five rows.
@@ -177,7 +171,7 @@ pub(crate) fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
         }
     }
     // 0.6745: the median of the absolute value of a standard normal deviate.
-    median(left.into_iter()) / 0.6745
+    median(left) / 0.6745
 }
 
 /// Residual of five values from a cubic over rising times, in their unit.

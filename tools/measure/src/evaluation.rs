@@ -9,7 +9,7 @@ use crate::steps;
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
 use rtec_files::{InputError, Said};
-use rtec_model::record::{Column, Kind, Record, Role, sha256_of};
+use rtec_model::record::{Column, Kind, Record, Role, median, sha256_of};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -42,16 +42,16 @@ impl Standard {
     /// # Errors
     /// There is none.
     pub fn of(record: &Record) -> Result<Self, InputError> {
-        match (iso230::standard_for(record.kind), record.kind) {
+        match record.kind {
             // Errors across the moving axis only are straightness, not positioning.
-            (Some("iso230-2"), _) if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
+            Kind::Positioning if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
                 Ok(Self::Straightness)
             }
-            (Some("iso230-2"), _) => Ok(Self::Iso230_2),
-            (Some("iso230-3"), _) => Ok(Self::Iso230_3),
-            (Some("ballbar"), _) => Ok(Self::Ballbar),
-            (_, Kind::Plate) => Ok(Self::Plate),
-            (_, kind) => Err(InputError::whole(
+            Kind::Positioning => Ok(Self::Iso230_2),
+            Kind::Drift => Ok(Self::Iso230_3),
+            Kind::Ballbar => Ok(Self::Ballbar),
+            Kind::Plate => Ok(Self::Plate),
+            kind => Err(InputError::whole(
                 &record.path,
                 format!("a run of kind {}", kind.name()),
                 "--standard, as no evaluation belongs to this kind",
@@ -537,11 +537,10 @@ const SHORTEST_GAP_S: f64 = 300.0;
 /// The longest gap in an evenly logged record, as a message.
 fn gaps(record: &Record) -> Option<String> {
     let time = record.data(&Role::Time)?;
-    let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
+    let steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
     let at = (0..steps.len()).max_by(|a, b| steps[*a].total_cmp(&steps[*b]))?;
     let longest = steps[at];
-    steps.sort_by(f64::total_cmp);
-    let usual = steps[steps.len() / 2];
+    let usual = median(steps.iter().copied());
     let many = steps.iter().filter(|s| **s > GAP * usual).count();
     (usual > 0.0 && longest > GAP * usual && longest >= SHORTEST_GAP_S && 10 * many <= steps.len()).then(|| {
         format!(

@@ -11,7 +11,7 @@ use crate::{
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -318,9 +318,8 @@ fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
     let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
-    let range =
-        x.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - x.iter().fold(f64::INFINITY, |a, b| a.min(*b));
-    if x.len() < FEWEST || range < LEAST_RANGE_K {
+    let [low, high] = span(x);
+    if x.len() < FEWEST || high - low < LEAST_RANGE_K {
         return None;
     }
     let slope = xy / xx;

@@ -36,12 +36,19 @@ pub use shdr::shdr;
 pub use table::{Form, ImportColumn, table};
 
 use rtec_files::InputError;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
-fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
-    let unit = role.unit().unwrap_or("1").to_owned();
-    Column { name: name.to_owned(), role, unit, data }
+/// A record of targets on an axis; a row is cycle, position, direction and error.
+fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record, InputError> {
+    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
+    let columns = vec![
+        Column::new("cycle", Role::Cycle, get(0)),
+        Column::new(axis.as_str(), Role::Position(axis.clone()), get(1)),
+        Column::new("direction", Role::Direction(axis.clone()), get(2)),
+        Column::new("error", Role::Error(axis.clone()), get(3)),
+    ];
+    Record::new(to, Kind::Positioning, columns)
 }
 
 /// A record of these columns.
@@ -50,10 +57,9 @@ fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Resu
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {
         // Checked like any record, with a temporary response.
-        let axis =
-            rtec_model::record::Axis::new("r").unwrap_or_else(|| unreachable!("a letter is an axis name"));
+        let axis = Axis::new("r").unwrap_or_else(|| unreachable!("a letter is an axis name"));
         let zeros = vec![0.0; columns[0].data.len()];
-        columns.push(column("\u{0}", Role::Error(axis), zeros));
+        columns.push(Column::new("\u{0}", Role::Error(axis), zeros));
     }
     let mut record = Record::new(to, kind, columns)?;
     if bare {

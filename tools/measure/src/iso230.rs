@@ -27,7 +27,7 @@ pub use positioning::{
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use std::collections::BTreeMap;
@@ -146,13 +146,8 @@ pub(crate) fn alike(position: &[f64], share: f64) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..position.len()).collect();
     order.sort_by(|a, b| position[*a].total_cmp(&position[*b]));
     let gap = (position[order[order.len() - 1]] - position[order[0]]) * share;
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    for row in order {
-        match groups.last_mut() {
-            Some(g) if position[row] - position[g[g.len() - 1]] <= gap => g.push(row),
-            _ => groups.push(vec![row]),
-        }
-    }
+    let near = |a: &usize, b: &usize| position[*b] - position[*a] <= gap;
+    let mut groups: Vec<Vec<usize>> = order.chunk_by(near).map(<[usize]>::to_vec).collect();
     for g in &mut groups {
         g.sort_unstable();
     }
@@ -480,14 +475,4 @@ pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
         Some((axis.to_string(), found))
     };
     error_axes(record).into_iter().filter_map(of).collect()
-}
-
-/// The evaluation that fits a record's kind.
-pub fn standard_for(kind: Kind) -> Option<&'static str> {
-    match kind {
-        Kind::Positioning => Some("iso230-2"),
-        Kind::Drift => Some("iso230-3"),
-        Kind::Ballbar => Some("ballbar"),
-        _ => None,
-    }
 }

@@ -240,7 +240,6 @@ impl TargetRun {
 /// The plan's step for such a run; the gauge reads the error of axis `response`.
 pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> Step {
     let n = &axis.name;
-    let targets: Vec<String> = run.targets_mm.iter().map(|t| format!("{t:.3}")).collect();
     let warm = run.warmer_k.map_or_else(String::new, |k| {
         format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
     });
@@ -260,20 +259,24 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
         run: format!(
             "targets {} mm from the lower end, up and down, {} cycles, the end targets from beyond them, 3 s at rest before each \
              reading{warm}; the record states turns = \"overtravel\"",
-            targets.join(" "),
+            listed(&run.targets_mm),
             run.cycles
         ),
-        columns: words(&[
-            "time",
-            &format!("position.{n}"),
-            &format!("direction.{n}"),
-            "cycle",
-            &format!("error.{response}"),
-            TEMPERATURES,
-        ]),
+        columns: columns_along(n, response),
         evaluate: "reconcile, together with the records of the verdict".to_owned(),
         minutes: run.minutes(),
     }
+}
+
+/// The columns of a run from target to target along an axis.
+fn columns_along(axis: &str, response: &str) -> Vec<String> {
+    let [position, direction] = ["position", "direction"].map(|role| format!("{role}.{axis}"));
+    words(&["time", &position, &direction, "cycle", &format!("error.{response}"), TEMPERATURES])
+}
+
+/// Targets in mm, with blanks between them.
+fn listed(targets_mm: &[f64]) -> String {
+    targets_mm.iter().map(|t| format!("{t:.3}")).collect::<Vec<_>>().join(" ")
 }
 
 /// Travel beyond the first and the last target, needed for their approach, mm.
@@ -302,9 +305,7 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
 
 fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     let n = &axis.name;
-    let words_of: Vec<String> = targets_mm.iter().map(|t| format!("{t:.3}")).collect();
-    let (position, direction, error) =
-        (format!("position.{n}"), format!("direction.{n}"), format!("error.{n}"));
+
     let evaluate = if cycles == 1 {
         "iso230-2: E, B, M of a long axis; scale, reversal, position map"
     } else {
@@ -322,9 +323,9 @@ fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
         run: format!(
             "targets {} mm from the lower end, up and down, {how_often}, each approached from beyond the one before, 3 s at \
              rest before each reading",
-            words_of.join(" ")
+            listed(targets_mm)
         ),
-        columns: words(&["time", &position, &direction, "cycle", &error, TEMPERATURES]),
+        columns: columns_along(n, n),
         evaluate: evaluate.to_owned(),
         minutes: MINUTES_EACH * (targets_mm.len() * 2 * cycles) as f64,
     }
@@ -335,10 +336,7 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
     let (n, b) = (&axis.name, &across.name);
     let margin_mm = margin_mm(axis);
     let length_mm = axis.travel_mm - 2.0 * margin_mm;
-    let places: Vec<String> = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11))
-        .iter()
-        .map(|t| format!("{t:.3}"))
-        .collect();
+    let places = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11));
     Step {
         number: 0,
         // Named as the effect `straightness.B.A`: the error of B while A moves.
@@ -351,16 +349,9 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
         run: format!(
             "{} mm from the lower end, up and down, three cycles, 3 s at rest before each reading; where the straightedge's \
              form is not known, once more with it turned over",
-            places.join(" ")
+            listed(&places)
         ),
-        columns: words(&[
-            "time",
-            &format!("position.{n}"),
-            &format!("direction.{n}"),
-            "cycle",
-            &format!("error.{b}"),
-            TEMPERATURES,
-        ]),
+        columns: columns_along(n, b),
         evaluate: format!(
             "straightness about the least-squares line (the effect straightness.{b}.{n} is E{0}{1} of ISO 230-1: error of {0} while {1} \
              moves); squareness where the straightedge was squared",

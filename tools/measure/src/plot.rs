@@ -150,18 +150,6 @@ impl From<Chart> for Picture {
     }
 }
 
-impl From<Polar> for Picture {
-    fn from(polar: Polar) -> Self {
-        Self::Polar(polar)
-    }
-}
-
-impl From<Vectors> for Picture {
-    fn from(vectors: Vectors) -> Self {
-        Self::Vectors(vectors)
-    }
-}
-
 /// Colours that colour-blind readers can distinguish (Okabe and Ito).
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),

@@ -45,7 +45,7 @@ pub(crate) struct Suspected {
     odds: f64,
     /// Names of the effects that are found with the mistake corrected.
     without: Vec<String>,
-    /// Indices of the model's effects that are still replaced with the mistake corrected.
+    /// Indices of the model's effects that are still replaced with it corrected.
     replaced: Vec<usize>,
 }
 

@@ -3,17 +3,13 @@
 
 use crate::answer::Finding;
 use rtec_fit::thermal;
-use rtec_model::effect::{Against, Difference, Heat};
+use rtec_model::effect::{Difference, Heat};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Kind, Record, Role};
 
 /// The two sensors of a difference, in either order.
 fn pair(d: &Difference) -> [Option<&str>; 2] {
-    let minus = match &d.against {
-        Against::Sensor(m) => Some(m.as_str()),
-        Against::Standard | Against::Reference(_) => None,
-    };
-    let mut both = [Some(d.sensor.as_str()), minus];
+    let mut both = [Some(d.sensor.as_str()), d.minus()];
     both.sort_unstable();
     both
 }

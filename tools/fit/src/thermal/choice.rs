@@ -24,10 +24,8 @@ pub fn select_differences(
     let all: Vec<usize> = (0..problem.folds).collect();
     let terms = problem.select(&all).map_or_else(Vec::new, |s| s.structure.terms);
     let mut out: Vec<Difference> = Vec::new();
-    for (sensor, minus) in terms.iter().filter_map(|t| pair_of(*t)) {
-        let name = &problem.sensors[sensor];
-        let difference =
-            minus.map_or_else(|| Difference::single(name), |m| Difference::pair(name, &problem.sensors[m]));
+    for pair in terms.iter().filter_map(|t| pair_of(*t)) {
+        let difference = problem.difference(pair);
         if !out.contains(&difference) {
             out.push(difference);
         }

@@ -60,7 +60,7 @@ use problem::Problem;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
+use rtec_model::effect::{Difference, Effect, Heat, ValueError};
 use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Reach, Source};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
@@ -114,20 +114,15 @@ impl Options {
         let own = |e: &&Effect| e.description().heat == Heat::Growth;
         let of = |e: &Effect| {
             let d = e.delta.as_ref().filter(|_| e.axes().first() == response.axis())?;
-            let minus = match &d.against {
-                Against::Sensor(m) => Some(m.clone()),
-                _ => None,
-            };
-            Some((d.sensor.clone(), minus))
+            Some((d.sensor.clone(), d.minus().map(str::to_owned)))
         };
         self.base.iter().flat_map(Machine::effects).filter(own).filter_map(of).collect()
     }
 
     /// Whether the options name this sensor.
     fn names(&self, sensor: &str) -> bool {
-        let minus = |d: &Difference| matches!(&d.against, Against::Sensor(m) if m == sensor);
         self.environment.as_deref() == Some(sensor)
-            || self.sensors.iter().any(|d| d.sensor == sensor || minus(d))
+            || self.sensors.iter().any(|d| d.sensors().any(|own| own == sensor))
     }
 
     /// Whether the base has an effect of this name.
@@ -411,17 +406,23 @@ fn enter(
     let mut fitted = Vec::new();
     for (effect, interval) in effects {
         fitted.push(Fitted::of(&effect, &interval));
-        let provenance = Provenance {
-            added_by: Some("model fit".to_owned()),
-            date: Some(date::format(options.date)),
-            from: train.iter().map(|r| Source::of(r)).collect(),
-            interval,
-            set_up: effect.description().may_be_set_up(),
-        };
+        let provenance = provenance(&effect, train, date::format(options.date), interval);
         own.push(effect.clone(), provenance.clone())?;
         take_in(machine, effect, provenance, train)?;
     }
     Ok(fitted)
+}
+
+/// The provenance of a fitted effect.
+pub(crate) fn provenance(
+    effect: &Effect,
+    records: &[&Record],
+    date: String,
+    interval: Intervals,
+) -> Provenance {
+    let from = records.iter().map(|r| Source::of(r)).collect();
+    let set_up = effect.description().may_be_set_up();
+    Provenance { added_by: Some("model fit".to_owned()), date: Some(date), from, interval, set_up }
 }
 
 /// Adds a fitted effect to a machine.

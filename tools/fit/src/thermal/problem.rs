@@ -8,7 +8,7 @@ use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_least_squares::dot;
 use rtec_model::effect::laws::thermal_growth;
-use rtec_model::effect::{Against, Dictionary, Lag, Lags, STANDARD_DEGC};
+use rtec_model::effect::{Dictionary, Difference, Lag, Lags, STANDARD_DEGC};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
 
@@ -95,6 +95,12 @@ fn place_of((sensor, minus): Pair, sensors: usize) -> usize {
 }
 
 impl Problem {
+    /// The difference of these sensors by their names.
+    pub(super) fn difference(&self, (sensor, minus): Pair) -> Difference {
+        let name = &self.sensors[sensor];
+        minus.map_or_else(|| Difference::single(name), |m| Difference::pair(name, &self.sensors[m]))
+    }
+
     pub(super) fn new(records: &[&Record], response: &Role, options: &Options) -> Result<Self, InputError> {
         let first = records[0];
         let sensors: Vec<String> = first.names(&Role::Temperature).map(str::to_owned).collect();
@@ -302,9 +308,9 @@ fn differences(
     let (mut offered, mut pairs): (Vec<Pair>, Vec<Pair>) = (Vec::new(), Vec::new());
     for d in &options.sensors {
         let s = place(first, sensors, &d.sensor)?;
-        offered.push(match &d.against {
-            Against::Sensor(m) => (s, Some(place(first, sensors, m)?)),
-            _ => (s, environment.filter(|e| *e != s)),
+        offered.push(match d.minus() {
+            Some(m) => (s, Some(place(first, sensors, m)?)),
+            None => (s, environment.filter(|e| *e != s)),
         });
     }
     if offered.is_empty() {

@@ -300,7 +300,7 @@ impl Problem {
             // The same difference a second time would only correct an inexact lag.
             let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
             let few = |(s, m): &Pair| {
-                let term = Term::Thermal { sensor: *s, minus: *m, lag: 0, square: false };
+                let term = Term::plain((*s, *m));
                 Self::sensor_count(&[now.terms.as_slice(), &[term]].concat()) <= SENSORS
             };
             let offered: Vec<_> = candidates.iter().copied().filter(new).filter(few).collect();
@@ -402,7 +402,7 @@ impl Problem {
         let rows: Vec<usize> = self.stretches(folds).flatten().collect();
         let warmth = |j: &Judged| {
             let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
-            let u = self.column(Term::Thermal { sensor, minus, lag: 0, square: false });
+            let u = self.column(Term::plain((sensor, minus)));
             rows.iter().map(|i| u[*i]).sum::<f64>() / rows.len() as f64
         };
         let hottest = singles.iter().max_by(|a, b| warmth(a).total_cmp(&warmth(b)));
@@ -583,7 +583,7 @@ impl Problem {
         let Term::Thermal { sensor, minus, lag, .. } = j.terms[j.terms.len() - 1] else {
             unreachable!("only differences are ranked")
         };
-        let plain = Term::Thermal { sensor, minus, lag: 0, square: false };
+        let plain = Term::plain((sensor, minus));
         let t = &self.binned[sensor][0];
         let bound = |f: fn(f64, f64) -> f64| t.iter().copied().fold(t[0], f);
         Ranked {

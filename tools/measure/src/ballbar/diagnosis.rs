@@ -12,7 +12,7 @@ use rtec_files::InputError;
 use rtec_least_squares::{Directions, orthonormal};
 use rtec_model::circle::{rates, tick};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
-use rtec_model::record::{Axis, Role, rounding_error};
+use rtec_model::record::{Axis, Role, median, rounding_error};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -1013,9 +1013,7 @@ fn at_feed(trace: &Trace) -> Vec<bool> {
     let speed: Vec<f64> = rates(&trace.angle, t).iter().map(|r| r.abs()).collect();
     let mut all = vec![true; n];
     for (rows, _) in &trace.contours {
-        let mut by_size = speed[rows.clone()].to_vec();
-        by_size.sort_by(f64::total_cmp);
-        let usual = by_size[by_size.len() / 2];
+        let usual = median(speed[rows.clone()].iter().copied());
         let keeps = |row: &usize| (speed[*row] - usual).abs() <= AT_FEED * usual;
         if 2 * rows.clone().filter(keeps).count() > rows.len() {
             rows.clone().for_each(|row| all[row] = keeps(&row));

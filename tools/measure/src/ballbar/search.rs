@@ -5,7 +5,7 @@ use super::{law, structure};
 use nalgebra::{DMatrix, DVector};
 use rtec_least_squares::{Factor, orthonormal};
 use rtec_model::effect::{Dictionary, Effect, laws};
-use rtec_model::record::{Axis, Role};
+use rtec_model::record::{Axis, Role, median, span};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Gain, in squared standard deviations, from which a spike is fitted.
@@ -199,12 +199,11 @@ impl Fit<'_> {
     fn best_wave(&self, d: &Dictionary, axis: &Axis) -> Option<Effect> {
         let wave = law(d, laws::screw_periodic::NAME, &[axis])?;
         let places = self.traces.iter().filter_map(|t| t.record.data(&Role::Position(axis.clone())));
-        let mut steps: Vec<f64> =
-            places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).collect();
-        steps.sort_by(f64::total_cmp);
-        let all = || places.clone().flatten().copied();
-        let span = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
-        let shortest = PERIODS_MM[0].max(2.5 * steps.get(steps.len() / 2)?);
+        let mut steps = places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).peekable();
+        steps.peek()?;
+        let [low, high] = span(places.clone().flatten());
+        let span = high - low;
+        let shortest = PERIODS_MM[0].max(2.5 * median(steps));
         let (from, to) = (1.0 / PERIODS_MM[1].min(span / 3.0), 1.0 / shortest);
         if to <= from {
             return None;

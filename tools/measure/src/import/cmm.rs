@@ -1,6 +1,5 @@
 //! Hole tables of coordinate measuring machines.
 
-use super::column;
 use crate::plate::NOMINAL_DIAMETER;
 use rtec_files::{InputError, Numbers};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -53,11 +52,11 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
     let um = |mm: f64| (1e12 * mm).round() / 1e9;
     let get = |of: &dyn Fn(&[f64; 5]) -> f64| rows.iter().map(of).collect::<Vec<_>>();
     let columns = vec![
-        column("x", Role::Position(axis("x")), get(&|r| r[2])),
-        column("y", Role::Position(axis("y")), get(&|r| r[3])),
-        column("ex", Role::Error(axis("x")), get(&|r| um(r[0] - r[2]))),
-        column("ey", Role::Error(axis("y")), get(&|r| um(r[1] - r[3]))),
-        Column { unit: "mm".to_owned(), ..column(NOMINAL_DIAMETER, Role::Channel, get(&|r| r[4])) },
+        Column::new("x", Role::Position(axis("x")), get(&|r| r[2])),
+        Column::new("y", Role::Position(axis("y")), get(&|r| r[3])),
+        Column::new("ex", Role::Error(axis("x")), get(&|r| um(r[0] - r[2]))),
+        Column::new("ey", Role::Error(axis("y")), get(&|r| um(r[1] - r[3]))),
+        Column { unit: "mm".to_owned(), ..Column::new(NOMINAL_DIAMETER, Role::Channel, get(&|r| r[4])) },
     ];
     Record::new(to, Kind::Plate, columns)
 }

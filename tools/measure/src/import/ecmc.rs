@@ -1,8 +1,8 @@
 //! The data file of ecmc's ISO 230-2 test.
 
-use super::column;
+use super::of_targets;
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -80,15 +80,7 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
     if rows.len() != readings.len() {
         return Err(whole(format!("{} readings for {} places", readings.len(), rows.len()), "one per place"));
     }
-    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
-    let name = axis.as_str();
-    let columns = vec![
-        column("cycle", Role::Cycle, get(0)),
-        column(name, Role::Position(axis.clone()), get(1)),
-        column("direction", Role::Direction(axis.clone()), get(2)),
-        column("error", Role::Error(axis.clone()), get(3)),
-    ];
-    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    let mut record = of_targets(to, axis, &rows)?;
     record.note = Some("forward and backward as the imported file names them".to_owned());
     Ok(record)
 }

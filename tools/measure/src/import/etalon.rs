@@ -4,9 +4,9 @@
 //!
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 
-use super::{add_note, column};
+use super::add_note;
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
 struct Block {
@@ -116,7 +116,7 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
         }
         let Some(response) = Axis::new(&component.to_lowercase()) else { continue };
         let um = block.points.iter().map(|p| 1000.0 * p.1).collect();
-        columns.push(column(&block.name, Role::Error(response), um));
+        columns.push(Column::new(&block.name, Role::Error(response), um));
     }
     if columns.is_empty() {
         let names: Vec<&str> = blocks.iter().map(|b| b.name.as_str()).collect();
@@ -124,7 +124,7 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
             format!("gridpoints of EX{moving}, EY{moving} or EZ{moving}: the errors while {moving} moves");
         return Err(InputError::whole(from, format!("blocks {}", names.join(", ")), expected));
     }
-    columns.insert(0, column(axis.as_str(), Role::Position(axis.clone()), positions));
+    columns.insert(0, Column::new(axis.as_str(), Role::Position(axis.clone()), positions));
     let mut record = Record::new(to, Kind::Positioning, columns)?;
     add_note(
         &mut record,

@@ -2,11 +2,11 @@
 //! Values are separated by blanks, with a blank at the end. With `-t` the sample's number comes first. A line
 //! `overrun` marks lost samples. The file has no times, so the period is an option.
 
+use super::add_note;
 use super::table::{Form, ImportColumn, table};
-use super::{add_note, column};
 use rtec_files::InputError;
 use rtec_files::words::is_comment;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
 /// How the log was sampled.
@@ -94,7 +94,7 @@ pub fn halsampler(
         let (a, b) = (times[k] / period_s, times[k + 1] / period_s);
         return Err(InputError::whole(from, format!("sample {b} after {a}"), "numbers that rise"));
     }
-    let mut columns = vec![column("t", Role::Time, times.iter().map(|t| t - start).collect())];
+    let mut columns = vec![Column::new("t", Role::Time, times.iter().map(|t| t - start).collect())];
     columns.append(&mut record.columns);
     let mut record = super::record_of(to, kind, columns, form.log)?;
     add_note(&mut record, &format!("halsampler, {period_s} s a sample"));

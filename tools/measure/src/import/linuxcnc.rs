@@ -1,9 +1,8 @@
 //! LinuxCNC's compensation file, read as LinuxCNC reads it.
 
-use super::column;
 use crate::export::linuxcnc::{MOST, Unit};
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
 /// Reads a LinuxCNC compensation file (`COMP_FILE`).
@@ -83,9 +82,9 @@ pub fn linuxcnc_comp(
     let down = rows.iter().rev().map(|r| (r[0], -1.0, error(r[0], r[2])));
     let all: Vec<(f64, f64, f64)> = up.chain(down).collect();
     let columns = vec![
-        column(axis.as_str(), Role::Position(axis.clone()), all.iter().map(|r| r.0).collect()),
-        column("direction", Role::Direction(axis.clone()), all.iter().map(|r| r.1).collect()),
-        column("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
+        Column::new(axis.as_str(), Role::Position(axis.clone()), all.iter().map(|r| r.0).collect()),
+        Column::new("direction", Role::Direction(axis.clone()), all.iter().map(|r| r.1).collect()),
+        Column::new("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
     ];
     Record::new(to, Kind::Positioning, columns)
 }

@@ -5,9 +5,9 @@
 //! available. Targets are in mm, deviations in µm, measured less target. Targets are identified by number,
 //! not by the order of rows.
 
-use super::{add_note, column};
+use super::{add_note, of_targets};
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record};
 use std::path::Path;
 
 /// Decodes a text in any encoding: UTF-16 or UTF-8 if it is, otherwise Latin-1.
@@ -96,14 +96,7 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     let runs = count(section("RUNS")?, "Run-count")?;
     let listed = deviations(from, section("DEVIATIONS")?, targets.len(), runs)?;
     let (rows, notes) = rows(from, &listed, &targets)?;
-    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
-    let columns = vec![
-        column("cycle", Role::Cycle, get(0)),
-        column(axis.as_str(), Role::Position(axis.clone()), get(1)),
-        column("direction", Role::Direction(axis.clone()), get(2)),
-        column("error", Role::Error(axis.clone()), get(3)),
-    ];
-    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    let mut record = of_targets(to, axis, &rows)?;
     if let Ok(user) = section("USER-TEXT") {
         for key in ["Machine", "Serial No", "Date", "By", "Axis", "Location", "TITLE"] {
             // Free text becomes a note.

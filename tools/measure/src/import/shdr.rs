@@ -2,7 +2,7 @@
 //! Lines that are not samples of a wanted key are ignored.
 
 use super::table::ImportColumn;
-use super::{add_note, column, record_of};
+use super::{add_note, record_of};
 use rtec_files::InputError;
 use rtec_files::clock::{self, Counted, day, iso8601_ns};
 use rtec_files::words::is_comment;
@@ -101,12 +101,13 @@ pub fn shdr(
     let Some((first, text)) = start else {
         return Err(InputError::whole(from, "no time at which all wanted keys are known", "at least one"));
     };
-    let mut columns = vec![column("t", Role::Time, times.iter().map(|t| (t - first) as f64 / 1e9).collect())];
+    let mut columns =
+        vec![Column::new("t", Role::Time, times.iter().map(|t| (t - first) as f64 / 1e9).collect())];
     columns.extend(
         wanted
             .iter()
             .zip(data)
-            .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) }),
+            .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) }),
     );
     let mut record = record_of(to, kind, columns, log)?;
     let counted = text.parse().ok().and_then(clock::counted);

@@ -1,7 +1,7 @@
 //! Imports any table with named columns.
 //! Options: separator, number format, roles and units.
 
-use super::{add_note, column, record_of};
+use super::{add_note, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
@@ -297,7 +297,7 @@ pub fn table(
     let columns = wanted
         .iter()
         .zip(data)
-        .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
+        .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) });
     let mut record = record_of(to, kind, columns.collect(), form.log)?;
     let by_name = (!by_name.is_empty())
         .then(|| format!("{}: read by its name: {}", from.display(), by_name.join(", ")));

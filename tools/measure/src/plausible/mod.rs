@@ -49,7 +49,7 @@ pub use step::steps_of;
 use crate::steps;
 use rtec_files::{InputError, Said};
 use rtec_model::record::{Column, Record, Role};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -59,7 +59,8 @@ use std::path::Path;
 const FEW: f64 = 0.1;
 
 /// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum What {
     /// Another unit than the column states.
     Unit,
@@ -107,12 +108,6 @@ impl What {
 impl fmt::Display for What {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl Serialize for What {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(self.name())
     }
 }
 

@@ -3,6 +3,7 @@
 use super::stats::{distinct, median, middle_range, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use crate::iso230::{Round, correlation, line};
+use rtec_model::circle::turn_rad;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
 /// The longest axes of machine tools, mm.
@@ -38,7 +39,7 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         return;
     }
     let between = steps(&t.data);
-    let usual = median(between.iter().copied().filter(|d| *d > 0.0).collect());
+    let usual = median(between.iter().copied().filter(|d| *d > 0.0));
     let limit = match record.kind {
         Kind::Drift => 3600.0,
         Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep => 60.0,
@@ -84,7 +85,7 @@ fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(a) = record.column(&Role::Angle) else { return };
     let [lo, hi] = span(&a.data);
     let nice = a.data.iter().filter(|v| ((**v * 4.0) - (**v * 4.0).round()).abs() < 1e-6).count();
-    let coarse = median(steps(&a.data).iter().map(|d| d.abs()).collect()) > 0.2;
+    let coarse = median(steps(&a.data).iter().map(|d| d.abs())) > 0.2;
     let halves = range(&a.data) / 180.0;
     let whole = halves > 0.9 && (halves - halves.round()).abs() < 0.01;
     if range(&a.data) > 80.0
@@ -111,11 +112,8 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
     let places = x.iter().zip(y).map(|(x, y)| round.angle(*x, *y));
     let off = |sign: f64| {
-        let of = |(p, a): (f64, &f64)| {
-            ((p - sign * a + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI)
-                .abs()
-        };
-        median(places.clone().zip(&angle.data).map(of).collect())
+        let of = |(p, a): (f64, &f64)| turn_rad(sign * a, p).abs();
+        median(places.clone().zip(&angle.data).map(of))
     };
     if off(1.0) > OTHER_ANGLE_RAD {
         let [a, b] = &circle.plane;

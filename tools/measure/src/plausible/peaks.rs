@@ -111,16 +111,8 @@ pub(super) fn causes(record: &Record) -> Vec<bool> {
     };
     for c in &record.columns {
         match &c.role {
-            Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) => {
-                let turns: Vec<usize> = (1..n).filter(|i| c.data[*i] * c.data[i - 1] < 0.0).collect();
-                if let Some(by) = after_turns(turns.len(), n) {
-                    for i in turns {
-                        around(i, by);
-                    }
-                }
-            }
-            Role::Position(_) => {
-                let d = steps(&c.data);
+            Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) | Role::Position(_) => {
+                let d = if matches!(c.role, Role::Position(_)) { steps(&c.data) } else { c.data.clone() };
                 let turns: Vec<usize> = (1..d.len()).filter(|i| d[*i] * d[i - 1] < 0.0).collect();
                 if let Some(by) = after_turns(turns.len(), n) {
                     for i in turns {

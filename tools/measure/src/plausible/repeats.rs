@@ -28,7 +28,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         }
         let mut away = vec![0.0; record.rows()];
         for g in groups.iter().filter(|g| g.len() >= 3) {
-            let middle = median(g.iter().map(|i| c.data[*i]).collect());
+            let middle = median(g.iter().map(|i| c.data[*i]));
             for i in g {
                 away[*i] = c.data[*i] - middle;
             }
@@ -90,18 +90,11 @@ pub(super) fn groups(p: &[f64], d: &[f64]) -> Vec<Vec<usize>> {
     order.sort_by(|a, b| p[*a].total_cmp(&p[*b]));
     let (lo, hi) = (order.first().map_or(0.0, |i| p[*i]), order.last().map_or(0.0, |i| p[*i]));
     let apart = (hi - lo) / 200.0;
-    let mut targets: Vec<Vec<usize>> = Vec::new();
-    for i in order {
-        match targets.last_mut() {
-            Some(t) if p[i] - p[t[t.len() - 1]] <= apart => t.push(i),
-            _ => targets.push(vec![i]),
-        }
-    }
-    let ways = |t: Vec<usize>| {
-        let (up, down): (Vec<usize>, Vec<usize>) = t.into_iter().partition(|i| d[*i] > 0.0);
+    let ways = |t: &[usize]| {
+        let (up, down): (Vec<usize>, Vec<usize>) = t.iter().partition(|i| d[**i] > 0.0);
         [up, down]
     };
-    targets.into_iter().flat_map(ways).filter(|g| !g.is_empty()).collect()
+    order.chunk_by(|a, b| p[*b] - p[*a] <= apart).flat_map(ways).filter(|g| !g.is_empty()).collect()
 }
 
 /// Resolution of the values, if at most half of them differ; else 0.

@@ -2,7 +2,7 @@
 
 use super::lone::{self, Lone};
 use super::peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
-use super::stats::{distinct, median, medians_of_others, quantum, range, spread, steps};
+use super::stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use crate::steps::repeats;
 use rtec_model::record::{Column, Record, Role};
@@ -40,14 +40,7 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Rows far from others, and the spread of the others.
-#[derive(Default)]
-struct Wild {
-    rows: Vec<usize>,
-    spread: f64,
-}
-
-fn far_off(record: &Record, c: &Column, Wild { rows, spread }: &Wild, out: &mut Vec<Suspicion>) {
+fn far_off(record: &Record, c: &Column, Lone { rows, spread }: &Lone, out: &mut Vec<Suspicion>) {
     let Some(first) = rows.first() else { return };
     let text = format!(
         "{} of {} rows are far off those beside them, as {:.2} (the others spread by {spread:.2})",
@@ -140,7 +133,7 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
 /// A clock finer than half a row never shows one time twice.
 fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     let between = steps(time);
-    if 2.0 * quantum(time) <= median(between.iter().copied().filter(|d| *d > 0.0).collect()) {
+    if 2.0 * quantum(time) <= median(between.iter().copied().filter(|d| *d > 0.0)) {
         return false;
     }
     let is_cause = |c: &&Column| !c.role.is_measured() && c.role != Role::Time;
@@ -272,16 +265,7 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     if n < 40 {
         return;
     }
-    let mut best = (0, 0);
-    let mut start = 0;
-    for i in 0..=n {
-        if i == n || c.data[i].to_bits() != c.data[start].to_bits() {
-            if i - start > best.1 - best.0 {
-                best = (start, i);
-            }
-            start = i;
-        }
-    }
+    let best = longest_run(&c.data);
     let length = best.1 - best.0;
     let outside: Vec<f64> = (0..n).filter(|i| *i < best.0 || *i >= best.1).map(|i| c.data[i]).collect();
     if outside.len() < 20 || length < SHORTEST {
@@ -295,7 +279,8 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
         length >= FLAT && p >= 0.7 && distinct(&outside) * 4 > outside.len() && chance < (1e-8_f64).ln();
     // A noisy gauge: the probability of equal neighbours is taken from the other rows, times three.
     let alike = 3.0 * ((1.0 - p) * (outside.len() - 1) as f64 + 1.0) / outside.len() as f64;
-    let usual = longest_run(&outside);
+    let (from, to) = longest_run(&outside);
+    let usual = to - from;
     let noisy = rough(&outside) && alike < 0.8 && length >= 3 * usual;
     if long || noisy && (length - 1) as f64 * alike.max(0.1).ln() + (n as f64).ln() < (1e-5_f64).ln() {
         let rows: Vec<usize> = (best.0..best.1).collect();
@@ -304,25 +289,14 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Length of the longest run of equal values, rows.
-fn longest_run(v: &[f64]) -> usize {
-    let (mut best, mut now) = (0, 0);
-    for w in v.windows(2) {
-        now = if w[0].to_bits() == w[1].to_bits() { now + 1 } else { 0 };
-        best = best.max(now);
-    }
-    best + usize::from(!v.is_empty())
-}
-
 /// Rows far from their neighbours in time and in position and direction.
-fn wild(record: &Record, c: &Column) -> Wild {
+fn wild(record: &Record, c: &Column) -> Lone {
     let n = c.data.len();
     if lone::is_small_sample(n) {
-        let Lone { rows, spread } = lone::of_response(record, c);
-        return Wild { rows, spread };
+        return lone::of_response(record, c);
     }
     if n < lone::FEW || range(&c.data) <= 0.0 {
-        return Wild::default();
+        return Lone::default();
     }
     let may_peak = excused(record);
     let in_time: Vec<usize> = (0..n).collect();
@@ -348,9 +322,9 @@ fn wild(record: &Record, c: &Column) -> Wild {
         lefts.push((left, alone, scale));
     }
     let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else {
-        return Wild::default();
+        return Lone::default();
     };
-    let none = Wild { rows: Vec::new(), spread: scale };
+    let none = Lone { rows: Vec::new(), spread: scale };
     if scale <= 0.0 {
         return none;
     }
@@ -385,7 +359,7 @@ fn wild(record: &Record, c: &Column) -> Wild {
     }
     let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
     let few = rows.len() as f64 <= FEW_ROWS * n as f64;
-    if enough && few && 2 * bulk <= rows.len() { Wild { rows, spread: scale } } else { none }
+    if enough && few && 2 * bulk <= rows.len() { Lone { rows, spread: scale } } else { none }
 }
 
 /// Robust standard deviation; from the 90th percentile if most values are 0.
@@ -412,24 +386,18 @@ fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
     let Some(p) = read_along(record, c).and_then(|a| record.data(&Role::Position(a.clone()))) else {
         return Vec::new();
     };
-    let mut found: Vec<Vec<usize>> = Vec::new();
-    for rows in ways {
+    let of_way = |rows: &Vec<usize>| {
         let near = 0.2 * range(p) / rows.len().max(1) as f64;
-        for (k, i) in rows.iter().enumerate() {
-            match found.last_mut().filter(|_| k > 0 && p[*i] - p[rows[k - 1]] <= near) {
-                Some(place) => place.push(*i),
-                None => found.push(vec![*i]),
-            }
-        }
-    }
-    found
+        rows.chunk_by(|a, b| p[*b] - p[*a] <= near).map(<[usize]>::to_vec).collect::<Vec<_>>()
+    };
+    ways.iter().flat_map(of_way).collect()
 }
 
 /// Each row's deviation from the median of its place.
 fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     let mut left = vec![0.0; v.len()];
     for place in places {
-        let usual = median(place.iter().map(|i| v[*i]).collect());
+        let usual = median(place.iter().map(|i| v[*i]));
         for i in place {
             left[*i] = v[*i] - usual;
         }

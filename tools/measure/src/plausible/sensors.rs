@@ -53,7 +53,7 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     // The sensor's usual value at other times, or else that of the others.
     let usual = if rest.is_empty() {
         let near = others.iter().flat_map(|o| &o.data).copied().filter(|v| *v > DEGC[0] && *v < DEGC[1]);
-        median(near.collect())
+        median(near)
     } else {
         median(rest.clone())
     };
@@ -146,10 +146,9 @@ fn loose(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
 
 /// Standard deviation of a sensor's noise, from second differences, K.
 fn noise_k(v: &[f64]) -> f64 {
-    let mut second: Vec<f64> = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    second.sort_by(f64::total_cmp);
+    let second = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs());
     // The median of a normal variable's size is 0.6745 σ; a second difference has six times the variance.
-    second.get(second.len() / 2).copied().unwrap_or(0.0) / 0.6745 / 6_f64.sqrt()
+    median(second) / 0.6745 / 6_f64.sqrt()
 }
 
 /// Whether a neighbouring value is near: the sensor got there gradually.
@@ -320,13 +319,12 @@ const PAUSE: f64 = 3.0;
 fn excursions(record: &Record, c: &Column, others: &[&Column]) -> Vec<usize> {
     let (v, time, n) = (&c.data, record.time_s(), c.data.len());
     let own = steps(v);
-    let mut moves: Vec<f64> = own.iter().map(|d| d.abs()).collect();
-    moves.sort_by(f64::total_cmp);
+
     if n < EXCURSION_ROWS {
         return Vec::new();
     }
     let usual_s = median(steps(time));
-    let usual_k = moves[moves.len() / 2];
+    let usual_k = median(own.iter().map(|d| d.abs()));
     // Too few rows for a robust spread.
     let least = if n < SHORTEST { FAILS_K } else { limit_k(v).min(FAILS_K) };
     let far = |k: f64| k.abs() >= least && k.abs() > LEAP_OVER_USUAL * usual_k;

@@ -1,16 +1,7 @@
 //! Medians, robust spreads, differences.
 
+pub(super) use rtec_model::record::median;
 use rtec_model::record::span;
-
-/// The median, the upper one of an even number; 0 of no values.
-pub(super) fn median(mut v: Vec<f64>) -> f64 {
-    if v.is_empty() {
-        return 0.0;
-    }
-    let n = v.len();
-    let (_, m, _) = v.select_nth_unstable_by(n / 2, f64::total_cmp);
-    *m
-}
 
 /// For each value the median of the other values.
 pub(super) fn medians_of_others(v: &[f64]) -> Vec<f64> {
@@ -26,7 +17,7 @@ pub(super) fn medians_of_others(v: &[f64]) -> Vec<f64> {
 
 /// Robust standard deviation about 0: 1.4826 times the median absolute value.
 pub(super) fn spread(v: &[f64]) -> f64 {
-    1.4826 * median(v.iter().map(|v| v.abs()).collect())
+    1.4826 * median(v.iter().map(|v| v.abs()))
 }
 
 /// Largest less smallest value; 0 of no values.
@@ -53,6 +44,20 @@ pub(super) fn quantum(v: &[f64]) -> f64 {
     if least.is_finite() { least } else { 0.0 }
 }
 
+/// The longest run of one value: first row and the row after the last.
+pub(super) fn longest_run(v: &[f64]) -> (usize, usize) {
+    let (mut best, mut start) = ((0, 0), 0);
+    for i in 0..=v.len() {
+        if i == v.len() || v[i].to_bits() != v[start].to_bits() {
+            if i - start > best.1 - best.0 {
+                best = (start, i);
+            }
+            start = i;
+        }
+    }
+    best
+}
+
 /// Number of different values.
 pub(super) fn distinct(v: &[f64]) -> usize {
     let mut v = v.to_vec();
@@ -77,7 +82,7 @@ mod tests {
         let value = |i: usize| ((i * i * 7 + 3 * i) % 11) as f64;
         for n in 1..14 {
             let v: Vec<f64> = (0..n).map(value).collect();
-            let without = |i: usize| median((0..n).filter(|j| *j != i).map(|j| v[j]).collect());
+            let without = |i: usize| median((0..n).filter(|j| *j != i).map(|j| v[j]));
             assert_eq!(medians_of_others(&v), (0..n).map(without).collect::<Vec<_>>());
         }
         let many: Vec<f64> = (0..100_000).map(value).collect();

@@ -1,10 +1,10 @@
 //! Frozen sensors, found by their own noise and course and by other sensors.
 
 use super::sensor_regression::{SensorRegression, sensor_regression};
-use super::stats::{quantum, range, steps};
+use super::stats::{longest_run, quantum, range, steps};
 use super::{Suspicion, What};
 use rtec_model::effect::sign;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Shortest run of equal readings that is examined, rows.
@@ -71,20 +71,6 @@ pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
 
 fn temperatures(record: &Record) -> impl Iterator<Item = &Column> {
     record.columns.iter().filter(|c| c.role == Role::Temperature)
-}
-
-/// The longest run of one value: first row and the row after the last.
-fn longest_run(v: &[f64]) -> (usize, usize) {
-    let (mut best, mut start) = ((0, 0), 0);
-    for i in 0..=v.len() {
-        if i == v.len() || v[i].to_bits() != v[start].to_bits() {
-            if i - start > best.1 - best.0 {
-                best = (start, i);
-            }
-            start = i;
-        }
-    }
-    best
 }
 
 /// Standard deviation of a sensor's row-to-row noise, and its resolution.
@@ -202,8 +188,7 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
         // Predict only within the range of temperatures that the regression was fitted on.
         let seen = |n: &&str| {
             let (Some(a), Some(b)) = (known.temperature(n), asked.temperature(n)) else { return false };
-            let bounds = |v: &[f64]| v.iter().fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(*x), h.max(*x)));
-            let ((l, h), (from, to)) = (bounds(a), bounds(b));
+            let ([l, h], [from, to]) = (span(a), span(b));
             from > l - 0.5 * (h - l) - 0.5 && to < h + 0.5 * (h - l) + 0.5
         };
         let moved = moves_on(told.says(&asked, &rest));

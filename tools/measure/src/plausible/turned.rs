@@ -77,7 +77,7 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
     let times = median(bends[..at - 2].to_vec()) / median(bends[at..].to_vec());
     let [rows, other] = if times > 1.0 { [at..n, 0..at] } else { [0..at, at..n] };
-    let size = |rows: std::ops::Range<usize>| median(c.data[rows].iter().map(|x| x.abs()).collect());
+    let size = |rows: std::ops::Range<usize>| median(c.data[rows].iter().map(|x| x.abs()));
     let (small, large) = (size(rows.clone()), size(other));
     if A_THOUSAND.contains(&times.max(1.0 / times)) && small > 0.0 && large > A_THOUSAND.start() * small {
         let rows: Vec<usize> = rows.collect();

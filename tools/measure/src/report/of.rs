@@ -2,37 +2,28 @@
 
 use super::{Report, Run, Table};
 use crate::ballbar::{Ballbar, Contour};
+use crate::export::number;
 use crate::history::History;
 use crate::iso230::{Budget, Conditions, Diagonals, Drift, Figures, Positioning, Returns, Straightness};
 use crate::plate::Plate;
-use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
+use crate::plot::{Chart, Colour, Picture, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
 
 /// µm (or µrad) with two decimals, or one from 100 up; `None` is a dash.
 fn um(v: impl Into<Option<f64>>) -> String {
-    v.into().map_or_else(|| "–".to_owned(), |v| fixed(v, if v.abs() >= 99.95 { 1 } else { 2 }))
-}
-
-/// A number with this many decimals; zero has no sign.
-fn fixed(v: f64, decimals: usize) -> String {
-    let text = format!("{v:.decimals$}");
-    if text.bytes().any(|b| (b'1'..=b'9').contains(&b)) {
-        text
-    } else {
-        text.trim_start_matches('-').to_owned()
-    }
+    v.into().map_or_else(|| "–".to_owned(), |v| number(v, if v.abs() >= 99.95 { 1 } else { 2 }))
 }
 
 /// A length in mm to 0.1 µm, without trailing zeros.
 pub(crate) fn short(v: f64) -> String {
-    fixed(v, 4).trim_end_matches('0').trim_end_matches('.').to_owned()
+    number(v, 4).trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
     of.map_or_else(
         || "–".to_owned(),
-        |[lo, hi]| format!("{} … {}", fixed(*lo, decimals), fixed(*hi, decimals)),
+        |[lo, hi]| format!("{} … {}", number(*lo, decimals), number(*hi, decimals)),
     )
 }
 
@@ -223,7 +214,7 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         report.table(table);
         diagnosis(&mut report, b);
         for plot in circles(b) {
-            report.plot(plot)?;
+            report.plot(Picture::Polar(plot))?;
         }
         let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
         let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
@@ -261,7 +252,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     let mut add = |cause: &str, key: &str, v: Option<f64>, unit: &str, decimals: usize| {
         if let Some(v) = v {
             let shown = interval(d.interval_95.get(key), decimals);
-            table.row([cause.to_owned(), fixed(v, decimals), unit.to_owned(), shown, share(cause)]);
+            table.row([cause.to_owned(), number(v, decimals), unit.to_owned(), shown, share(cause)]);
         }
     };
     add("scale mismatch", "scale_mismatch_ppm", d.scale_mismatch_ppm, "ppm", 1);
@@ -292,7 +283,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     if let Some(n) = &d.not_separable {
         let cause = format!("{}, not separable one way at one feed", n.causes.join(" or "));
         let shown = interval(Some(&n.interval_95), 2);
-        table.row([cause, fixed(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
+        table.row([cause, number(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
     }
     report.table(table);
     let title = format!(
@@ -509,7 +500,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     let (j, je, pe) = (&p.joint, &p.joint.standard_error, &p.standard_error);
     let none = || "–".to_owned();
     let row = |name: &str, value: f64, error: f64, decimals: usize, unit: &str| {
-        [name.to_owned(), fixed(value, decimals), fixed(error, decimals), unit.to_owned()]
+        [name.to_owned(), number(value, decimals), number(error, decimals), unit.to_owned()]
     };
     let angle = |name: &str, deg: f64, error: Option<f64>| match error {
         Some(error) => row(name, deg, error, 1, "°"),
@@ -560,7 +551,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         table.row(left(&format!("left over, holes of {diameter} mm"), *v));
     }
     report.table(table);
-    report.plot(p.plot(record))?;
+    report.plot(Picture::Vectors(p.plot(record)))?;
     Ok(report)
 }
 

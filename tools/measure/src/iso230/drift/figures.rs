@@ -155,7 +155,6 @@ pub(super) struct Look {
     ends: FirstLastSums,
     tt: f64,
     te: f64,
-    ee: f64,
     /// The rows of the last hour.
     window: VecDeque<(f64, f64)>,
     max_rate_per_h: Option<f64>,
@@ -193,7 +192,6 @@ impl Look {
         let (about_t, about_e) = (t - self.mean_t, e - self.mean_e);
         self.tt += about_t * about_t;
         self.te += about_t * about_e;
-        self.ee += about_e * about_e;
         self.slide(t, e);
         for (sensor, v) in self.sensors.iter_mut().zip(degc) {
             sensor.see(v[row], [about_t, about_e], [early, late]);
