@@ -209,7 +209,7 @@ mod tests {
         }
     }
 
-    /// The cycle of formats.md: 00 → 10 → 11 → 01 → 00.
+    /// The cycle of tools/guide/reference/traces.md: 00 → 10 → 11 → 01 → 00.
     const CYCLE: [(bool, bool); 4] = [(false, false), (true, false), (true, true), (false, true)];
 
     #[test]

@@ -8,8 +8,8 @@ positions in counts of 1 um, sensors, the operator's total on X, and the totals 
 shift inserts at once. Prints how many totals agree, count for count; every disagreement with both totals and how near
 the law was to another decision. Exit codes: 0 all agree, 1 a disagreement, 2 bad input.
 
-Written from formats.md and the documentation of rtec-correct; the program was read where these leave a choice open.
-Effects are formats.md's laws in closed form; the lag is the superposition of the answers to every kink of its input; the
+Written from the guide's reference and the documentation of rtec-correct; the program was read where these leave a choice
+open. Effects are the laws of tools/guide/reference/effects.md in closed form; the lag is the superposition of the answers to every kink of its input; the
 travel of a spike is a path length. Standard library only, Python 3.11.
 """
 

@@ -2,7 +2,8 @@
 """Blind judge of `rtecctl reconcile`: records as a machine shop makes them.
 
 A generator with a hidden truth and a judge of the verdict, written from
-formats.md and estimation.md alone.  It does not know how the program works.
+the formats of files and documents (tools/guide/reference) and from the model
+of estimation (tools/guide/contributor/estimate.md) alone.
 
     /usr/bin/python3 tests/judges/shop.py --from 1 --count 40            all classes
     /usr/bin/python3 tests/judges/shop.py --class nameless -v            what failed, and why

@@ -1,6 +1,6 @@
 """Scores a verdict of `rtecctl reconcile` against a case's hidden truth.
 
-The leniencies are those of formats.md "Details that decide" and nothing else:
+These answers count as right too, and no others:
 another sensor among the alternatives, squareness and rotation of one pair of
 axes, growth for a lag that fits equally, and names that the data cannot tell
 apart if the verdict lists the true one beside it.

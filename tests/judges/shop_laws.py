@@ -1,4 +1,4 @@
-"""The laws of formats.md "Effect names", written from that page alone.
+"""The laws of tools/guide/reference/effects.md, written from their formulas alone.
 
 `Run` holds one record as it truly happened.  `columns` gives, for every
 linear parameter of an effect, the error it makes per unit in each response.
@@ -271,7 +271,7 @@ def total(effects, run):
 
 
 def setup_columns(run, response):
-    """Columns of the set-up's free terms in one response (estimation.md's table)."""
+    """Columns of the set-up's free terms in one response (tools/guide/contributor/estimate.md)."""
     if response.startswith("force"):
         return []
     out = [np.ones(run.n)]

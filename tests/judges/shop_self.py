@@ -21,7 +21,7 @@ HEAD = {"file", "kind", "count_um", "radius_mm", "plane", "zero", "centre_mm", "
 
 
 def read_record(path):
-    """A record from its files, as formats.md describes them; raises on a breach."""
+    """A record from its files, as tools/guide/reference/records.md describes them; raises on a breach."""
     with open(path, "rb") as f:
         head = tomllib.load(f)
     assert set(head) <= HEAD, f"unknown key {set(head) - HEAD}"
@@ -239,7 +239,7 @@ def check(options, run_all, figures):
                     if open(path).read() != open(os.path.join(second, os.path.basename(path))).read():
                         breaches.append(f"{kind} {seed}: not the same twice")
                         break
-    say(f"{len(sizes)} records of {min(sizes)} to {max(sizes)} rows obey formats.md, the same for the same seed", not breaches)
+    say(f"{len(sizes)} records of {min(sizes)} to {max(sizes)} rows obey the format, the same for the same seed", not breaches)
     for line in breaches[:5]:
         print("          ", line)
     values = np.array([f for f, _ in fits])

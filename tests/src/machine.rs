@@ -30,7 +30,7 @@ const STEP_NS: u64 = 50_000;
 const HYSTERESIS_COUNTS: f64 = 0.25;
 
 /// The error of an axis: the tool's position minus the scale's.
-/// It depends on the scale's position p (formats.md: `scale` and `screw_periodic` with phase 0).
+/// It depends on the scale's position p (effects `scale` and `screw_periodic` with phase 0).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AxisError {
     /// Scale error, µm per m.

@@ -1,6 +1,6 @@
 //! Values that no machine exceeds, by law and parameter.
-//! They come from formats.md, "Bounds", and from the sizes of machine tools. The cases are within them, and every
-//! answer must be too.
+//! They come from the bounds in tools/guide/reference/effects.md, and from the sizes of machine tools. The cases are
+//! within them, and every answer must be too.
 
 /// Law, parameter, lowest and highest value.
 ///

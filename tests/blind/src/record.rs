@@ -155,7 +155,7 @@ pub const QUOTED: &[Quoted] = &[
     ),
     quoted(
         "RTEC_HISTORIES=1000 RTEC_SEED=4007",
-        "1000 lives",
+        "1000 runs",
         &["no count lost in silence"],
         &[README, FIGURES],
     ),

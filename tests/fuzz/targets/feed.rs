@@ -13,7 +13,7 @@ fuzz_target!(|data: &[u8]| {
         feed.poll(0.0);
         match feed.value("T1") {
             Ok(_) => {}
-            Err(trouble) => rtec_fuzz::fit(trouble),
+            Err(trouble) => rtec_fuzz::fit(&trouble),
         }
     }
     assert_eq!(all.value("T1").is_ok(), one.value("T1").is_ok());

@@ -7,7 +7,7 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::described::Described;
-use rtec_sim::designs::safe_range_of;
+use rtec_sim::designs::safe_range;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
 use serde::Deserialize;
 
@@ -265,7 +265,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     );
     let dsp = Computer::dsp();
     let config = AxisConfig::default();
-    let (low, high) = safe_range_of(AnyDesign::Ecc, &dsp, config, circuit.pll, seed);
+    let (low, high) = safe_range(AnyDesign::Ecc, &dsp, config, circuit.pll, seed);
     let put_in = "what the paper measured of its PLL is put into the model; here it is found again from what reaches the \
                   controller, by bisection";
     rows.given().number(

@@ -30,11 +30,11 @@ mod mqtt;
 use clap::Parser;
 use mqtt::{Connection, Login};
 use rtec_control::client::Client;
-use rtec_control::config::{Config, INSTALLED};
+use rtec_control::config::{Config, ControlConfig};
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Observed, Response, word};
 use serde_json::{Value, json};
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -232,15 +232,7 @@ impl Bridge<'_> {
 
 /// Connects to the view socket, or to the control socket where this user may not.
 fn connect(args: &Args) -> anyhow::Result<Client> {
-    let mut control = match &args.config {
-        Some(file) => Config::load(file)?.control,
-        None => Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded()).control,
-    };
-    if let Some(socket) = &args.socket {
-        control = Config::embedded().control;
-        socket.clone_into(&mut control.socket);
-    }
-    let sockets = control.sockets();
+    let sockets = ControlConfig::of(args.config.as_deref(), args.socket.as_deref())?.sockets();
     Ok(Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path])?)
 }
 

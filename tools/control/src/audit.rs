@@ -212,7 +212,7 @@ fn head_path(file: &Path) -> PathBuf {
     with_suffix(file, "head")
 }
 
-fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
+pub(crate) fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
     let mut name = file.as_os_str().to_owned();
     name.push(format!(".{suffix}"));
     PathBuf::from(name)

@@ -97,7 +97,7 @@ pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::
             let base = match place {
                 PortPlace::Parport(file) => return on_registers(Parport::open(file)?, profile, access, what),
                 PortPlace::Io(base) => *base,
-                PortPlace::Pci(id, bar) => io_bar(id, *bar, profile, access)?,
+                PortPlace::Pci(id, bar) => first_io_port(id, *bar, profile, access)?,
             };
             on_registers(Ports::open(base, profile.size())?, profile, access, what)
         }
@@ -178,7 +178,7 @@ pub fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, M
 ///
 /// # Errors
 /// When the PCI card is not as it should be.
-pub fn io_bar(id: &PciId, number: u8, profile: &Profile, access: Access) -> Result<u16, OpenError> {
+pub fn first_io_port(id: &PciId, number: u8, profile: &Profile, access: Access) -> Result<u16, OpenError> {
     Ok(bar(id, number, Space::Io, profile, access)?.start as u16)
 }
 

@@ -185,11 +185,9 @@ impl Client {
         }
         // A daemon that refuses a connection answers before it reads. That answer can still be read.
         let sent = self.stream.get_mut().write_all(rest);
-        match self.answer() {
-            Err(ClientError::Io(_)) if sent.is_err() => {
-                Err(sent.err().map_or_else(unreachable_io, Into::into))
-            }
-            answer => answer,
+        match (self.answer(), sent) {
+            (Err(ClientError::Io(_)), Err(sent)) => Err(sent.into()),
+            (answer, _) => answer,
         }
     }
 
@@ -236,10 +234,6 @@ pub fn read_answer(input: impl BufRead) -> Result<Response, ClientError> {
         found: quoted(String::from_utf8_lossy(&line).trim()),
         why: why.to_string(),
     })
-}
-
-fn unreachable_io() -> ClientError {
-    io::Error::from(ErrorKind::BrokenPipe).into()
 }
 
 /// Refuses another user's process, which could accept commands and ignore them.

@@ -122,7 +122,7 @@ pub fn read(config: &Config) -> Result<Reading, OpenError> {
             read_registers(config, &Ports::open(*base, profile.size())?, profile)
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let base = card::io_bar(id, *bar, profile, Access::Read)?;
+            let base = card::first_io_port(id, *bar, profile, Access::Read)?;
             read_registers(config, &Ports::open(base, profile.size())?, profile)
         }
     }

@@ -1,5 +1,6 @@
 //! One program at a time: locks for a control socket and for a card's file.
 
+use crate::audit::with_suffix;
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg, OFlag};
 use std::fs::{File, OpenOptions};
@@ -69,18 +70,12 @@ fn own() -> OpenOptions {
     options
 }
 
-fn beside(socket: &Path) -> PathBuf {
-    let mut name = socket.as_os_str().to_owned();
-    name.push(".lock");
-    PathBuf::from(name)
-}
-
 /// Takes the lock beside a control socket and writes our process number to it.
 ///
 /// # Errors
 /// When another process has it, or it cannot be made.
 pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
-    let path = beside(socket);
+    let path = with_suffix(socket, "lock");
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
     let mut held = lock(&path, "lock", own().create(true).truncate(false))?;
     held.set_len(0).and_then(|()| held.rewind()).map_err(io)?;
@@ -94,7 +89,7 @@ pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
 /// # Errors
 /// When the daemon runs.
 pub fn keep_out(socket: &Path) -> Result<Option<LockGuard>, LockError> {
-    let path = beside(socket);
+    let path = with_suffix(socket, "lock");
     if path.exists() { lock(&path, "lock", &own()).map(Some) } else { Ok(None) }
 }
 

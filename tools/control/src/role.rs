@@ -66,10 +66,6 @@ impl Role {
 
 impl fmt::Display for Role {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::View => "view",
-            Self::Operate => "operate",
-            Self::SetUp => "set up",
-        })
+        f.write_str(&self.word().replace('_', " "))
     }
 }

@@ -3,10 +3,8 @@
 use crate::config::{CardConfig, Config};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
-use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_sensors::{SensorSource, log};
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// A file that belongs to a machine.
@@ -56,17 +54,9 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<SetupFile>, InputError> {
         }
     }
     if let Some(model) = &config.model.file {
-        add("model", model.clone());
-        if model.exists() {
-            let text = rtec_files::text::read(model)?;
-            let beside = RefCell::new(Vec::new());
-            Machine::parse_from(model, &text, Dictionary::default(), &|path| {
-                beside.borrow_mut().push(path.to_owned());
-                rtec_files::text::read(path)
-            })?;
-            for path in beside.into_inner() {
-                add("model", path);
-            }
+        let files = if model.exists() { Machine::read_with_files(model)?.1 } else { vec![model.clone()] };
+        for path in files {
+            add("model", path);
         }
     }
     add("devices", file.with_file_name("devices"));

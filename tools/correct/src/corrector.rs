@@ -40,8 +40,8 @@ struct AxisState {
     table_um: f64,
     total: Total,
     /// Reason why the total is held, and why its thermal part is.
-    holds: Option<String>,
-    stands: Option<String>,
+    hold_reason: Option<String>,
+    thermal_hold_reason: Option<String>,
 }
 
 /// The control law: it computes the total that each axis should have now.
@@ -230,7 +230,7 @@ impl Corrector {
         self.changed |= was;
         for axis in &mut self.axes {
             (axis.model_um, axis.slow_um, axis.turning_um) = (0.0, 0.0, 0.0);
-            (axis.holds, axis.stands) = (None, None);
+            (axis.hold_reason, axis.thermal_hold_reason) = (None, None);
         }
         was
     }
@@ -271,7 +271,7 @@ impl Corrector {
         let off_mm = table.off_mm(Zx::new(z_mm, x_mm));
         let axis = table.axes.into_iter().find_map(|n| {
             let (name, s) = (&self.setups[n].name, &status.axes[n]);
-            let why = match &self.axes[n].holds {
+            let why = match &self.axes[n].hold_reason {
                 _ if !s.homed => "is not homed",
                 _ if s.faults.any() => "has a fault",
                 Some(why) => why,
@@ -363,7 +363,7 @@ impl Corrector {
     /// It is the requested total if no source acts on the axis.
     pub fn goal(&self, n: usize, status: &AxisStatus) -> i64 {
         let axis = &self.axes[n];
-        if self.asks(n) && axis.holds.is_none() {
+        if self.asks(n) && axis.hold_reason.is_none() {
             axis.total.goal(axis.model_um + axis.table_um)
         } else {
             status.requested
@@ -373,7 +373,7 @@ impl Corrector {
     /// Whether the axis has completed the total that its sources want.
     pub fn settled(&self, n: usize, status: &AxisStatus) -> bool {
         let asked = !self.asks(n) || self.axes[n].total.settled(status.requested);
-        asked && self.axes[n].holds.is_none() && status.completed == status.requested
+        asked && self.axes[n].hold_reason.is_none() && status.completed == status.requested
     }
 
     /// Whether a source other than the operator acts, or a ramp is under way.
@@ -408,7 +408,7 @@ impl Corrector {
                 um: axis.model_um - axis.slow_um + axis.table_um,
                 slow_um: axis.slow_um,
                 requested: s.requested,
-                ramp_um: if axis.holds.is_none() { self.ramp_um_s * dt_s } else { 0.0 },
+                ramp_um: if axis.hold_reason.is_none() { self.ramp_um_s * dt_s } else { 0.0 },
                 changed,
                 last,
             });
@@ -449,15 +449,16 @@ impl Corrector {
         }
         for axis in self.axes.iter_mut().take(status.axes().len()) {
             let Some(p) = axis.place else { continue };
-            let held = axis.holds.is_some();
-            axis.holds = model.unknown(p, watches, now_s);
-            changed |= held != axis.holds.is_some();
-            if axis.holds.is_none() {
+            let held = axis.hold_reason.is_some();
+            axis.hold_reason = model.unknown(p, watches, now_s);
+            changed |= held != axis.hold_reason.is_some();
+            if axis.hold_reason.is_none() {
                 axis.model_um = model.live.errors_um()[p];
                 axis.slow_um = model.slow_um(p);
                 axis.turning_um = model.turning_um(p);
             }
-            axis.stands = model.standing(p, watches, now_s).filter(|_| axis.holds.is_none());
+            axis.thermal_hold_reason =
+                model.standing(p, watches, now_s).filter(|_| axis.hold_reason.is_none());
         }
         changed
     }
@@ -475,7 +476,7 @@ impl Corrector {
     /// the card's clock. `None` if the error is not known.
     pub fn error_um_at(&self, n: usize, t_ns: u64, position_mm: f64) -> Option<f64> {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return None };
-        if self.axes[n].holds.is_some() {
+        if self.axes[n].hold_reason.is_some() {
             return None;
         }
         let mut now = self.now.clone();
@@ -518,7 +519,7 @@ impl Corrector {
             requested: status.requested,
             total_um,
             parts,
-            holds: axis.holds.clone().or_else(|| axis.stands.clone()),
+            holds: axis.hold_reason.clone().or_else(|| axis.thermal_hold_reason.clone()),
         }
     }
 
@@ -576,7 +577,7 @@ impl Corrector {
 
     /// Reason why an axis's total is held, if it is.
     pub fn holds(&self, n: usize) -> Option<&str> {
-        self.axes[n].holds.as_deref()
+        self.axes[n].hold_reason.as_deref()
     }
 
     /// The model's effects that are now outside the range of their fit.
@@ -589,9 +590,11 @@ impl Corrector {
     pub fn holding(&self) -> impl Iterator<Item = String> {
         self.axes.iter().zip(&self.setups).flat_map(|(a, setup)| {
             let name = &setup.name;
-            let holds = a.holds.iter().map(move |why| format!("axis {name} holds: {why}"));
-            let stands =
-                a.stands.iter().map(move |why| format!("axis {name}: thermal corrections hold: {why}"));
+            let holds = a.hold_reason.iter().map(move |why| format!("axis {name} holds: {why}"));
+            let stands = a
+                .thermal_hold_reason
+                .iter()
+                .map(move |why| format!("axis {name}: thermal corrections hold: {why}"));
             holds.chain(stands)
         })
     }

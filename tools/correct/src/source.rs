@@ -2,7 +2,7 @@
 //! From the sensors it gives each axis's error, or why the error is unknown.
 
 use rtec_files::InputError;
-use rtec_model::effect::{Against, Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
+use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role, span};
@@ -128,10 +128,7 @@ impl FittedRange {
         let mut all = Vec::new();
         for (fit, note) in machine.fits().iter().enumerate() {
             for (valid, v) in note.valid.iter().enumerate() {
-                let minus = match &v.difference.against {
-                    Against::Sensor(name) => of_name(watches, name).map(Some),
-                    _ => Some(None),
-                };
+                let minus = v.difference.minus().map_or(Some(None), |name| of_name(watches, name).map(Some));
                 let places = of_name(watches, &v.difference.sensor).zip(minus);
                 all.extend(places.map(|(sensor, minus)| Self { fit, valid, sensor, minus }));
             }
@@ -491,11 +488,7 @@ impl ModelSource {
         let unseen = |(n, fit): (usize, &FitNote)| {
             let now = |r: &FittedRange| {
                 let v = &fit.valid[r.valid];
-                let minus = match (r.minus, &v.difference.against) {
-                    (Some(n), _) => self.values[n]?,
-                    (None, Against::Reference(degc)) => *degc,
-                    (None, _) => STANDARD_DEGC,
-                };
+                let minus = r.minus.map_or(Some(v.difference.reference_degc()), |n| self.values[n])?;
                 let delta_k = self.values[r.sensor]? - minus;
                 Some((v, delta_k, v.outside_um(delta_k)))
             };

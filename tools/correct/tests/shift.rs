@@ -89,20 +89,14 @@ fn the_law_asks_for_what_was_recorded() {
 fn a_rehearsal_of_it_shows_the_same_totals() {
     let shift = shift();
     let name = |n: &str| Axis::new(n).unwrap();
-    let column = |name: &str, role: Role, data: Vec<f64>| Column {
-        name: name.to_owned(),
-        unit: role.unit().unwrap_or("1").to_owned(),
-        role,
-        data,
-    };
     let mm = |n: usize| shift[n].iter().map(|c| c / 1000.0).collect::<Vec<_>>();
     let columns = vec![
-        column("t", Role::Time, shift[0].clone()),
-        column("x", Role::Position(name("x")), mm(1)),
-        column("y", Role::Position(name("y")), mm(2)),
-        column("z", Role::Position(name("z")), mm(3)),
-        column("T8", Role::Temperature, shift[4].clone()),
-        column("T18", Role::Temperature, shift[5].clone()),
+        Column::new("t", Role::Time, shift[0].clone()),
+        Column::new("x", Role::Position(name("x")), mm(1)),
+        Column::new("y", Role::Position(name("y")), mm(2)),
+        Column::new("z", Role::Position(name("z")), mm(3)),
+        Column::new("T8", Role::Temperature, shift[4].clone()),
+        Column::new("T18", Role::Temperature, shift[5].clone()),
     ];
     let record = Record::of_checked(Path::new("shift.run.toml"), Kind::Drift, columns);
     let options = Options { axes: axes(), lead_s: LEAD_S, ..Options::default() };

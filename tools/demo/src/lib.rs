@@ -134,7 +134,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let truth = &operator.truth;
     operator.cycle_start();
 
-    let mut law = law(&axis, MODEL)?;
+    let mut law = build_corrector(&axis, MODEL)?;
     let live = !options.json && std::io::stdout().is_terminal();
     let (begun, mut drawn) = (Instant::now(), Duration::ZERO);
     let mut squares = SquaredErrors::default();
@@ -221,7 +221,7 @@ fn print(text: &str) -> anyhow::Result<()> {
 }
 
 /// Control law of the axis with a model.
-fn law(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
+fn build_corrector(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
     let setup = AxisSetup {
         name: "x".to_owned(),
         count_um: COUNT_UM,
@@ -339,7 +339,7 @@ mod tests {
         let known = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 120.0\n[[effect]]\nname = \"screw_periodic.x\"\n\
                      period_mm = 10.0\num = 4.0\nphase_rad = 0.3\n";
         let axis = AxisConfig { window_counts: 50, max_correction_counts: 1000, ..AxisConfig::default() };
-        let mut demo = law(&axis, known).unwrap();
+        let mut demo = build_corrector(&axis, known).unwrap();
         let setup = |name: &str| AxisSetup {
             name: name.to_owned(),
             count_um: COUNT_UM,

@@ -1,8 +1,8 @@
 //! Every number that an answer depends on.
 //! The typical size of each effect is in the dictionary, with the effect.
 //!
-//! Sources: *contract* (formats.md), *physics* (the sentence beside it), *calibration* (`rtec-blind --class null --count 1000`:
-//! the largest value at which at most one clean case in a hundred is given a name).
+//! Sources: *contract* (tools/guide/contributor/estimate.md), *physics* (the sentence beside it), *calibration*
+//! (`rtec-blind --class null --count 1000`: the largest value at which at most one clean case in a hundred is given a name).
 
 /// Standard deviation of the model's amplitudes, as a share of each (contract).
 pub const KNOWN_SHARE: f64 = 0.1;

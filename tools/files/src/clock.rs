@@ -339,8 +339,8 @@ const UNIX_S: [f64; 2] = [946_684_800.0, 4_102_444_800.0];
 const SINCE_1904_S: f64 = 2_082_844_800.0;
 
 /// Steps of Windows' FILETIME in a second.
-/// The second constant is the time from its zero, 1601-01-01, to 1970-01-01, s.
 const FILETIME_PER_S: f64 = 1e7;
+/// Time from the zero of FILETIME, 1601-01-01, to 1970-01-01, s.
 const FILETIME_ZERO_S: f64 = 11_644_473_600.0;
 
 /// From 2000 to 2100, days since 1899-12-30, the zero of spreadsheets.

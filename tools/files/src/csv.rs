@@ -29,7 +29,9 @@ use crate::input::InputError;
 use crate::lines::Lines;
 use crate::text::{UTF8, is_western, not_utf8, opened, western};
 use crate::words::quoted;
-use comments::{content, is_foreign_comment, is_separator, looks_like_a_row, outside_quotes, width_of_rows};
+use comments::{
+    content, is_cell_separator, is_foreign_comment, looks_like_a_row, outside_quotes, width_of_rows,
+};
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::Read;
@@ -81,7 +83,7 @@ pub struct Commented {
 }
 
 /// A row that [`Reader::plain_row`] has found.
-/// It has the length of the row's text, and of its line with the line's end, bytes.
+/// Lengths of its text, and of its line with the end, bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct PlainRow {
     text: usize,
@@ -302,7 +304,7 @@ impl<R: Read> Reader<R> {
         is_wanted: &impl Fn(&Header) -> bool,
     ) -> ((u8, Header), bool) {
         // The first name may contain the # that seems to begin a comment.
-        let is_parted = outside_quotes(first.text.as_bytes()).any(|(_, byte)| is_separator(byte, b','));
+        let is_parted = outside_quotes(first.text.as_bytes()).any(|(_, byte)| is_cell_separator(byte, b','));
         let text = if is_parted { &first.text } else { &first.whole };
         let has = |by: &u8| outside_quotes(text.as_bytes()).any(|(_, byte)| byte == *by);
         let mut separators: Vec<u8> = [b';', b'\t'].into_iter().filter(has).collect();
@@ -386,7 +388,7 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Reads the row of names, which must hold these; further names are ignored.
+    /// Reads the row of names, which must contain these; further names are ignored.
     /// `otherwise` tells the user of another option.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 //! Recognises a file's kind, for messages if another kind was expected.
 //!
-//! Each kind has something of its own. It is a magic number, the first words of an exchange format, the
-//! tables of a TOML file, or the names of a CSV's columns.
+//! Each kind has a mark: a magic number, the first words of an exchange format, the tables of a TOML file, or
+//! the names of a CSV's columns.
 
 use crate::input::InputError;
 use std::path::Path;
@@ -43,8 +43,8 @@ pub enum FileKind {
     Etalon,
     /// `MTConnect`'s SHDR lines.
     Shdr,
-    /// Lines of three numbers between blanks, the first ones rising.
-    /// That is a compensation table of `LinuxCNC`.
+    /// A compensation table of `LinuxCNC`.
+    /// Its lines are three numbers between blanks, the first ones rising.
     Numbers,
     /// A spreadsheet's own file, or another zip archive.
     Workbook,

@@ -1,6 +1,6 @@
-//! A folder that others may write to as well.
-//! Examples are a shop's share, a spool, and the folder that a backup is restored to. Every step uses an open
-//! folder (openat(2)) and follows no link, so that nobody can redirect a write or a read.
+//! A folder that other users may write to.
+//! Examples are a shop's share, a spool, and the target of a restored backup. Every step uses an open folder
+//! (openat(2)) and follows no link, so that nobody can redirect a write or a read.
 
 use nix::dir::Dir;
 use nix::errno::Errno;

@@ -1,12 +1,11 @@
 //! One table of keys per section of a TOML file.
-//! The table reads and checks the section, and makes its part of the reference page. A [`Section`] takes each
+//! The table reads and checks the section, and documents it on the reference page. A [`Section`] takes each
 //! key once and collects every finding of its file.
 
 use crate::input::InputError;
 use crate::toml::{Document, Entry, Table};
 use crate::words::{nearest, unseen};
 use std::fmt::{self, Display, Write as _};
-use std::ops::RangeInclusive;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -243,23 +242,6 @@ impl<'a> Section<'a> {
         })
     }
 
-    /// A whole number within bounds.
-    pub fn integer(
-        &mut self,
-        source: &mut SourceFile<'_>,
-        key: &'static str,
-        range: RangeInclusive<i64>,
-    ) -> Option<At<i64>> {
-        let mut expected = format!("a whole number from {} to {}", range.start(), range.end());
-        let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
-        if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
-            && word.parse().ok().or_else(|| hex(word)).is_some_and(|n| range.contains(&n))
-        {
-            expected = format!("{expected}, without quotes: {key} = {word}");
-        }
-        self.value(source, key, expected, |v| v.as_integer().filter(|n| range.contains(n)))
-    }
-
     /// Reports that a key is missing, with its meaning.
     pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
         let found = format!("no {key} in {}", self.title);
@@ -336,7 +318,15 @@ impl<'a> Section<'a> {
     pub fn whole(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<i64>> {
         let key = self.declared(name);
         let Takes::Whole(low, high) = key.takes else { unreachable!("{name} takes no whole number") };
-        let value = self.integer(source, name, low..=high);
+        let mut expected = format!("a whole number from {low} to {high}");
+        let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
+        if let Some(word) = self.table.and_then(|t| t.get(name)?.as_str())
+            && word.parse().ok().or_else(|| hex(word)).is_some_and(|n| (low..=high).contains(&n))
+        {
+            expected = format!("{expected}, without quotes: {name} = {word}");
+        }
+        let value =
+            self.value(source, name, expected, |v| v.as_integer().filter(|n| (low..=high).contains(n)));
         self.checked(source, &key, value)
     }
 

@@ -1,8 +1,8 @@
 //! Reads and writes files.
-//! All input of persons and other programs is read through here. Every finding about it is one
-//! [`InputError`]: file, line, column, what was found, what was expected.
+//! All input from users and other programs is read here. Every finding about it is one [`InputError`]: file,
+//! line, column, what was found, what was expected.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | [`input`] | the error type for a file that a person wrote; messages about input that is accepted |
 //! | [`text`] | a text file read whole: UTF-8 or UTF-16, without its byte-order mark |
@@ -11,13 +11,13 @@
 //! | [`file_kind`] | the kind of a file that was given in place of another |
 //! | [`Sheet`] | a CSV whose columns are known, read whole |
 //! | [`Numbers`] | the format of a column's numbers: decimal point or comma, thousands |
-//! | [`mod@keys`] | one table of keys per section of a TOML file: it reads, checks and describes |
+//! | [`mod@keys`] | one table of keys per section of a TOML file, to read, check and document it |
 //! | [`mod@toml`] | strict reading of TOML: the first finding, or all of them |
 //! | [`units`] | units that the name of a column states |
 //! | [`clock`], [`date`] | clocks whose zero is not the start of the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times |
 //! | [`trace`] | recorded quadrature, as CSV and VCD, and requested totals |
 //! | [`mod@write`] | files that appear whole or not at all |
-//! | [`folder`] | a folder that others write to as well: no link in it is followed |
+//! | [`folder`] | a folder that other users may write to: no link in it is followed |
 //! | [`stamp`] | the format and the writer in each written file |
 //! | [`words`] | the word that was probably meant |
 //! | [`watch`] | a long computation that another thread waits for |

@@ -461,7 +461,7 @@ mod tests {
         }
     }
 
-    /// Parted thousands are read beside any decimal mark.
+    /// Separated thousands are read with any decimal mark.
     #[test]
     fn thousands_are_read_beside_every_decimal_mark() {
         for blank in BLANKS {

@@ -1,7 +1,6 @@
-//! The stamp that the program puts into each file that it writes.
-//! It has the format's number and the writer.
+//! The stamp in each file that the program writes: format number and writer.
 //!
-//! The number rises if an existing part changes, not if a part is added. A file without a number is of the
+//! The number rises if an existing part changes, not if a part is added. A file without a number has the
 //! first format.
 
 use crate::InputError;

@@ -1,5 +1,5 @@
 //! A long computation that another thread waits for.
-//! It counts its steps, and ends early if nobody waits any more.
+//! It counts its steps, and ends early if the other thread stops waiting.
 //!
 //! The computing thread calls [`step`] often; the waiting thread holds the [`Watch`].
 

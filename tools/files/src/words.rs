@@ -1,5 +1,4 @@
-//! Words and text for messages.
-//! It finds the word that was probably meant, and makes text printable.
+//! Words and text for messages: suggestions, and printable text.
 
 use std::borrow::Cow;
 
@@ -90,8 +89,8 @@ pub fn whole(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// Declares an enum whose values people name on a command line.
-/// Each value has its written name and its meaning. `ALL` lists name, value and meaning in this order.
+/// Declares an enum whose values users name on a command line.
+/// Each value has its name and its meaning. `ALL` lists name, value and meaning in this order.
 #[macro_export]
 macro_rules! choice {
     ($(#[$about:meta])* pub enum $name:ident { $($value:ident = $written:literal, $meaning:literal;)+ }) => {
@@ -102,7 +101,7 @@ macro_rules! choice {
         }
 
         impl $name {
-            /// All of them: the name that people write, the value, and its meaning.
+            /// All values: name, value and meaning.
             pub const ALL: [(&'static str, Self, &'static str); [$($written),+].len()] =
                 [$(($written, Self::$value, $meaning)),+];
         }

@@ -155,9 +155,7 @@ pub fn fit(
         let mut out = vec![0.0; run.record.rows()];
         let mut chain = chain.clone();
         chain.tool_mm = run.tool_mm.unwrap_or(chain.tool_mm);
-        chain.add(run.record, role, &mut out).map_err(|m| {
-            InputError::whole(&run.record.path, m.to_string(), format!("a column of role {}", m.what))
-        })?;
+        chain.add(run.record, role, &mut out).map_err(|m| m.of(run.record))?;
         Ok::<_, InputError>(out)
     };
     let measured = |record: &Record| -> Vec<(Role, Vec<f64>)> {

@@ -8,15 +8,15 @@
 
 use crate::places::{self, Left};
 use crate::statistics::quantile;
-use crate::thermal::{Fitted, Intervals, jackknife_interval};
+use crate::thermal::{Fitted, Intervals, jackknife_interval, provenance};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::text::short;
-use rtec_least_squares::{Solution, equal_rows};
+use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
-use rtec_model::effect::{Dictionary, Difference, Effect, Need, Quantity, Search};
-use rtec_model::machine::{FitNote, Machine, NORMAL_95, Provenance, Source};
+use rtec_model::effect::{Dictionary, Difference, Effect, Missing, Need, Quantity, Search};
+use rtec_model::machine::{FitNote, Machine, NORMAL_95, Source};
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -85,8 +85,8 @@ fn cause_step(record: &Record, column: &Column) -> Option<f64> {
     step_of(&column.data)
 }
 
-/// What to know of a response whose readings are all alike.
-/// They do not show the gauge's step, so nothing bounds what is smaller. `None` where they vary.
+/// A message about a response whose readings are all equal; `None` if they vary.
+/// They do not show the gauge's resolution, so nothing bounds smaller effects.
 pub(crate) fn unread(record: &Record, column: &Column) -> Option<String> {
     column.data.iter().all(|v| v - column.data[0] == 0.0).then(|| {
         format!(
@@ -213,8 +213,8 @@ impl Problem {
             for rows in &rounded.alike {
                 add(&mut rows.iter().map(|i| (*i, rounded.sd)));
             }
-            // A parameter that changes readings by less than a step changes none: within rows that read alike it may have any value that
-            // keeps the largest change within a step. The difference of two rounding errors has twice the variance of one.
+            // Among equal readings a parameter is only bounded: its effect must stay within one step. The
+            // difference of two rounding errors has twice the variance of one.
             for column in &self.columns {
                 let bounds = |rows: &Vec<usize>| span(rows.iter().map(|i| column[*i]));
                 let ranges: Vec<[f64; 2]> = rounded.alike.iter().map(bounds).collect();
@@ -307,7 +307,7 @@ impl Problem {
         let of = |b: usize| {
             let own =
                 |v: &Vec<f64>| v.iter().zip(blocks).filter(|(_, of)| **of == b).map(|(v, _)| *v).collect();
-            equal_rows(&self.columns.iter().map(own).collect::<Vec<_>>(), &own(&self.y))
+            compress_rows(&self.columns.iter().map(own).collect::<Vec<_>>(), &own(&self.y))
         };
         (0..BLOCKS).map(of).collect()
     }
@@ -417,13 +417,7 @@ fn written(
         let names = effect.description().parameters.iter().map(|p| p.name.clone());
         let interval: Intervals = names.zip(own.iter().map(|f| vec![f.interval])).collect();
         fitted.push(Fitted::of(&effect, &interval));
-        let provenance = Provenance {
-            added_by: Some("model fit".to_owned()),
-            date: Some(date.to_owned()),
-            from: records.iter().map(|r| Source::of(r)).collect(),
-            interval,
-            set_up: effect.description().may_be_set_up(),
-        };
+        let provenance = provenance(&effect, records, date.to_owned(), interval);
         machine.push(effect, provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
     }
     Ok(fitted)
@@ -505,22 +499,21 @@ fn structure(
 }
 
 /// Change of a response per unit of each coefficient, row by row.
-/// `None` if the record lacks an input of an effect.
-fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Option<Vec<Vec<f64>>> {
+fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Result<Vec<Vec<f64>>, Missing> {
     let mut columns = Vec::new();
     for effect in effects {
-        let (bound, rows) = (effect.bind(record).ok()?, record.rows());
+        let (bound, rows) = (effect.bind(record)?, record.rows());
         let mut basis = vec![0.0; effect.coefficient_count() * rows];
         if let Some((_, component)) = effect.acts_on(record).into_iter().find(|(r, _)| r == role) {
             bound.basis(effect, component, &mut basis);
         }
         columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
     }
-    Some(columns)
+    Ok(columns)
 }
 
-/// Why the records do not determine an effect.
-/// `blank` says which responses have readings that are all alike.
+/// The error for records that do not determine an effect.
+/// `blank` lists responses whose readings are all equal.
 fn not_shown(effect: Option<&Effect>, blank: &[String]) -> InputError {
     let name = effect.map_or(String::new(), Effect::identity);
     let (found, expected) = if let Some(said) = blank.first() {
@@ -568,28 +561,12 @@ pub fn fit_named(
     let (mut coarse, mut blank) = (Vec::new(), Vec::new());
     for record in records {
         let left = base.beyond(record)?;
-        let bound = effects
-            .iter()
-            .map(|e| {
-                e.bind(&left).map_err(|m| {
-                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
-                })
-            })
-            .collect::<Result<Vec<_>, _>>()?;
         for column in left.responses() {
-            let rows = left.rows();
-            let mut columns = Vec::with_capacity(count);
-            let mut zero_is_known = false;
-            for (effect, bound) in effects.iter().zip(&bound) {
-                let n = effect.coefficient_count();
-                let mut basis = vec![0.0; n * rows];
-                let acts = effect.acts_on(&left).into_iter().find(|(role, _)| *role == column.role);
-                if let Some((_, component)) = acts {
-                    bound.basis(effect, component, &mut basis);
-                    zero_is_known |= effect.description().constant;
-                }
-                columns.extend(basis.chunks(rows).map(<[f64]>::to_vec));
-            }
+            let columns = basis_of(&effects, &left, &column.role).map_err(|m| m.of(record))?;
+            let is_known = |e: &Effect| {
+                e.description().constant && e.acts_on(&left).iter().any(|(role, _)| *role == column.role)
+            };
+            let zero_is_known = effects.iter().any(is_known);
             if columns.iter().all(|c| c.iter().all(|v| *v == 0.0)) {
                 continue;
             }
@@ -601,7 +578,9 @@ pub fn fit_named(
             problem.moved(record);
             // The column as read is used, because the difference to the base has no steps.
             coarse.extend(record.column(&column.role).and_then(|read| problem.rounded_as(record, read)));
-            coarse.extend(problem.rounded_causes(&left, &|record| basis_of(&effects, record, &column.role)));
+            coarse.extend(
+                problem.rounded_causes(&left, &|record| basis_of(&effects, record, &column.role).ok()),
+            );
             owners.push(record);
             if !roles.contains(&column.role) {
                 roles.push(column.role.clone());

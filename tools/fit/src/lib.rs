@@ -1,14 +1,14 @@
 //! Finds the parameters, sensors and intervals that the data supports.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | [`thermal`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
-//! | [`least`] | least squares for effects and chain terms that are named |
+//! | [`least`] | least squares for named effects and chain terms |
 //! | `places` | residuals that repeat at a place |
-//! | [`quiet`] | temperatures without their sensors' noise |
-//! | `statistics` | means and ranks |
-//! | [`workflow`] | a fit from records as people give them, and its document |
-//! | [`validate`] | a model judged on records it has not seen |
+//! | [`quiet`] | temperatures without sensor noise |
+//! | `statistics` | means and quantiles |
+//! | [`workflow`] | a fit from records as users give them, and its document |
+//! | [`validate`] | checks a model on records that it has not seen |
 //! | [`chain`] | a chain's polynomials, fitted component by component |
 //!
 //! `rtec-reconcile`, not this crate, decides which effect is missing altogether.

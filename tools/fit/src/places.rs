@@ -14,10 +14,11 @@ const ONE_PLACE: f64 = 2e-3;
 const FEWEST: usize = 5;
 /// Probability, per response, that noise alone seems structured.
 const CHANCE: f64 = 1e-4;
-/// Largest autocorrelation from row to row of a residual that is noise.
-/// Up to 0.7 is noise by definition; the rest allows for chance over this many rows. This test decides if no
-/// place was visited twice.
+/// Largest row-to-row autocorrelation of a residual that is noise.
+/// Noise has at most 0.7; the rest allows for chance over [`ROWS`] rows. This test decides if no place was
+/// visited twice.
 const MEMORY: f64 = 0.85;
+/// Fewest independent rows that [`MEMORY`] allows for.
 const ROWS: usize = 40;
 /// Resolution finer than that of any instrument, µm.
 const RESOLUTION_UM: f64 = 1e-3;

@@ -1,36 +1,38 @@
 //! Removes the sensors' noise and rounding from temperatures.
-//! A machine grows with the true temperature, which is smooth; its log carries noise and the steps of its converter. A law fitted to the
-//! log would prefer whatever averages these away: a lag, or a pair of sensors.
+//! A machine follows the true temperature, which is smooth; its log has noise and quantisation. A law fitted
+//! to the log would prefer whatever averages these: a lag, or a pair of sensors.
 //!
-//! The result is the smoothest series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63). Restricted maximum likelihood decides
-//! how near, from the sensor's own record alone. Of a reading in coarse steps only this is known: the temperature and its noise lay
-//! within half a step of it. There Laplace's approximation of the likelihood decides how smooth and how noisy. A log that jumps stays as
-//! it is.
+//! The result is a smooth series near the log (Whittaker, Proc. Edinb. Math. Soc. 41 (1923) 63). Restricted
+//! maximum likelihood chooses the smoothness from the sensor's own record. A reading in coarse steps only
+//! tells that temperature and noise were within half a step of it; there Laplace's approximation of the
+//! likelihood chooses smoothness and noise. A log that jumps stays unchanged.
 
 use rtec_measure::steps::step_of;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, Role, median};
 use statrs::function::erf::erfc;
 use std::f64::consts::{PI, SQRT_2};
 
 /// Fewest rows that allow noise to be separated from changes.
 const FEWEST: usize = 12;
-/// A sensor that is noisier than this, K, is no sensor of a machine.
-/// Its log jumps for another reason. Thermocouples with a long lead scatter by some tenths of a kelvin.
+/// Largest noise of a machine's sensor, K; a noisier log jumps for another reason.
+/// Thermocouples with a long lead scatter by some tenths of a kelvin.
 const NOISIEST_K: f64 = 0.5;
-/// Largest row-to-row autocorrelation of what is removed. Above it, it is no noise.
+/// Largest row-to-row autocorrelation of removed noise.
 const ALIKE: f64 = 0.3;
-/// Penalties that are tried: powers of ten, and steps within each.
+/// Decades of the smoothness penalty.
 const DECADES: std::ops::RangeInclusive<i32> = -1..=6;
+/// Penalties per decade.
 const STEPS: i32 = 2;
-/// Noise that is tried where readings have steps, as a share of the step.
-/// Less than the first looks like it; with more than the last the rounding is noise like any other.
+/// Noise tried for coarse readings, in steps.
+/// Below the first value the result does not change.
 const NOISE_IN_STEPS: [f64; 4] = [0.0625, 0.125, 0.25, MOST_IN_STEPS];
+/// Noise in steps above which rounding acts as white noise.
 const MOST_IN_STEPS: f64 = 0.5;
-/// Most of Newton's steps to the most likely series.
-/// A smaller change of the criterion ends them.
+/// Most Newton steps to the most likely series.
 const NEWTON: usize = 40;
+/// Change of the criterion that ends them.
 const CLOSE: f64 = 1e-3;
-/// A step is halved so many times, at most.
+/// Most halvings of a Newton step.
 const HALVED: usize = 12;
 
 /// The record with the noise removed from each temperature.
@@ -39,7 +41,7 @@ pub fn temperatures(record: &Record) -> Record {
     smoothed(record).0
 }
 
-/// The same, and how far the true temperatures may be from these.
+/// The smoothed record, and the uncertainty of its temperatures.
 pub(crate) fn smoothed(record: &Record) -> (Record, Spread) {
     let mut quiet = record.clone();
     let mut spread = Vec::new();
@@ -53,8 +55,8 @@ pub(crate) fn smoothed(record: &Record) -> (Record, Spread) {
     (quiet, Spread(spread))
 }
 
-/// What a record's smoothed temperatures may be off by.
-/// Per column the factor of their precision, and its unit as a standard deviation.
+/// Uncertainty of a record's smoothed temperatures.
+/// Per column: index, factor of the precision, and standard deviation of its unit.
 pub(crate) struct Spread(Vec<(usize, Factor, f64)>);
 
 impl Spread {
@@ -62,7 +64,7 @@ impl Spread {
         self.0.is_empty()
     }
 
-    /// The smoothed record with temperatures that are as likely, the n-th such.
+    /// The n-th random draw of temperatures from their distribution.
     pub(crate) fn draw(&self, smoothed: &Record, n: usize) -> Record {
         let mut drawn = smoothed.clone();
         for (at, factor, sd) in &self.0 {
@@ -76,33 +78,34 @@ impl Spread {
 /// A series without its noise.
 struct Smooth {
     x: Vec<f64>,
-    /// Of the precision, in units of 1/sd².
+    /// Factor of the precision, in units of 1/sd².
     factor: Factor,
     sd: f64,
 }
 
 impl Smooth {
-    /// `None` if it shows none, or is too short to tell. `t` never decreases.
+    /// `None` if there is no removable noise, or the series is too short.
+    /// `t` never decreases.
     fn of(t: &[f64], y: &[f64]) -> Option<Self> {
         let bends = Bends::of(t, y)?;
         let found = bends.near(y)?;
         let taken: Vec<f64> = y.iter().zip(&found.x).map(|(y, x)| y - x).collect();
         let squares: f64 = taken.iter().map(|e| e * e).sum();
-        // Where noise is less than a step, what is taken is the rounding, and neighbours share it.
+        // If noise is less than a step, what is removed is rounding, which neighbours share.
         let is_rounded = |step: &f64| {
             step / 12f64.sqrt() <= NOISIEST_K && (squares / y.len() as f64).sqrt() < MOST_IN_STEPS * step
         };
         if let Some(step) = step_of(y).filter(is_rounded) {
             return bends.within(y, step);
         }
-        // Noise is small and does not know the row before.
+        // Accept only small noise without row-to-row correlation.
         let with_next: f64 = taken.windows(2).map(|w| w[0] * w[1]).sum();
         let small = squares <= NOISIEST_K * NOISIEST_K * y.len() as f64;
         (small && with_next < ALIKE * squares).then_some(found)
     }
 }
 
-/// Changes of slope from row to row, each relative to its expected size.
+/// Changes of slope from row to row, relative to their expected size.
 /// The expected size depends on the time between rows.
 struct Bends {
     /// Weights of three consecutive rows.
@@ -111,7 +114,7 @@ struct Bends {
 }
 
 impl Bends {
-    /// `None` if there are few rows, if all have one time, or if they never change.
+    /// `None` for few rows, rows that share a time, or a constant series.
     fn of(t: &[f64], y: &[f64]) -> Option<Self> {
         let n = y.len();
         if n < FEWEST || t.len() != n || y.iter().all(|v| v.to_bits() == y[0].to_bits()) {
@@ -121,11 +124,7 @@ impl Bends {
         if gaps.iter().any(|g| *g <= 0.0) {
             return None;
         }
-        let usual = {
-            let mut sorted = gaps.clone();
-            sorted.sort_by(f64::total_cmp);
-            sorted[sorted.len() / 2]
-        };
+        let usual = median(gaps.iter().copied());
         for gap in &mut gaps {
             *gap /= usual;
         }
@@ -136,7 +135,7 @@ impl Bends {
         Some(Self { rows: gaps.windows(2).map(row).collect(), n })
     }
 
-    /// The series near these readings whose noise is white.
+    /// The smooth series whose difference from these readings is white noise.
     fn near(&self, y: &[f64]) -> Option<Smooth> {
         let weight = vec![1.0; self.n];
         let free = self.n as f64 - 2.0;
@@ -154,7 +153,7 @@ impl Bends {
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found)
     }
 
-    /// The series that noise and rounding to this step have made these readings of.
+    /// The smooth series whose noisy, rounded values are these readings.
     fn within(&self, y: &[f64], step: f64) -> Option<Smooth> {
         let cells: Vec<f64> = y.iter().map(|v| (v - y[0]) / step).collect();
         let mut best: Option<(f64, Smooth)> = None;
@@ -172,9 +171,9 @@ impl Bends {
         best.map(|(_, found)| found)
     }
 
-    /// Moves `x` to the most likely series of these readings in steps of one.
-    /// Gives its criterion and its precision. The criterion is minus twice Laplace's log likelihood, up to a constant. Newton's steps are
-    /// halved until they gain.
+    /// Moves `x` to the most likely series of these readings, in steps of one.
+    /// Returns its criterion and precision. The criterion is minus twice Laplace's log likelihood, up to a
+    /// constant. Newton steps are halved until they improve it.
     fn most_likely(&self, cells: &[f64], noise: f64, penalty: f64, x: &mut Vec<f64>) -> (f64, Factor) {
         let loss = |x: &[f64]| {
             let rounded: f64 = cells.iter().zip(x).map(|(c, x)| Cell::of(*c, *x, noise).log_likelihood).sum();
@@ -206,9 +205,9 @@ impl Bends {
         self.rows.iter().zip(x.windows(3)).map(bend).sum()
     }
 
-    /// weight + penalty·DᵀD, factored.
+    /// Factors weight + penalty·DᵀD.
     fn factor(&self, weight: &[f64], penalty: f64) -> Factor {
-        // The diagonal and two neighbours.
+        // Bands: the diagonal and two below it.
         let n = self.n;
         let (mut d, mut one, mut two) = (weight.to_vec(), vec![0.0; n], vec![0.0; n]);
         for (i, [a, b, c]) in self.rows.iter().enumerate() {
@@ -236,7 +235,7 @@ impl Bends {
     }
 }
 
-/// A matrix of a diagonal and two neighbours, factored.
+/// `LDLᵀ` factor of a symmetric matrix with two bands beside the diagonal.
 struct Factor {
     d: Vec<f64>,
     one: Vec<f64>,
@@ -274,7 +273,7 @@ impl Factor {
         x
     }
 
-    /// Normal errors whose precision this is. A seed gives the same ones each time.
+    /// Normal errors with this precision; one seed always gives the same errors.
     fn draw(&self, mut seed: u64) -> Vec<f64> {
         let white = self.d.iter().map(|d| normal(&mut seed) / d.sqrt()).collect();
         self.back(white)
@@ -295,8 +294,8 @@ fn normal(state: &mut u64) -> f64 {
     (-2.0 * a.ln()).sqrt() * (2.0 * PI * b).cos()
 }
 
-/// How likely a value is to be read as this step.
-/// The logarithm, its slope, and its curvature downwards.
+/// Likelihood of one step as the reading of a value.
+/// The logarithm, its slope and its negative curvature.
 struct Cell {
     log_likelihood: f64,
     slope: f64,
@@ -304,9 +303,9 @@ struct Cell {
 }
 
 impl Cell {
-    /// Of the reading `cell`, in steps of one, for the value `x` and this noise.
+    /// For the reading `cell`, in steps of one, the value `x` and this noise.
     fn of(cell: f64, x: f64, noise: f64) -> Self {
-        // By symmetry from below, where the small differences keep their digits.
+        // Uses symmetry: on this side small differences keep their digits.
         let (off, side) = ((cell - x).abs(), if cell < x { -1.0 } else { 1.0 });
         let (near, far) = ((off - 0.5) / noise, (off + 0.5) / noise);
         let density = |z: f64| (-0.5 * z * z).exp() / (2.0 * PI).sqrt();
@@ -335,8 +334,7 @@ mod tests {
         (v.iter().map(|x| x * x).sum::<f64>() / v.len() as f64).sqrt()
     }
 
-    /// A warm-up with a hundredth of a kelvin of noise.
-    /// Most of the noise is removed, and nothing of the warm-up.
+    /// Most of 0.01 K of noise is removed, and nothing of the warm-up.
     #[test]
     fn noise_goes_and_the_warm_up_stays() {
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
@@ -349,8 +347,7 @@ mod tests {
         }
     }
 
-    /// Rows at uneven times, and a kink where the spindle is switched.
-    /// The change is not larger than the noise was.
+    /// Uneven times and a kink where the spindle starts: less error than noise.
     #[test]
     fn a_kink_survives() {
         let t: Vec<f64> = (0..200).map(|i| 10.0 * f64::from(i) + if i > 90 { 900.0 } else { 0.0 }).collect();
@@ -362,8 +359,7 @@ mod tests {
         assert!(left < 0.014, "{left}");
     }
 
-    /// A converter's steps of half a kelvin: most of the rounding is gone.
-    /// Levels that differ by more than a converter's step stay.
+    /// Rounding to 0.5 K is mostly removed; levels that differ by more stay.
     #[test]
     fn steps_go_and_levels_stay() {
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
@@ -382,7 +378,7 @@ mod tests {
         );
     }
 
-    /// What is drawn differs from the smoothed series as the truth does.
+    /// Draws differ from the smoothed series as much as the truth does.
     #[test]
     fn draws_scatter_as_the_truth_does() {
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();

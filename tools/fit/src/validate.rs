@@ -95,7 +95,7 @@ fn judge(
     let mean = column.data.iter().sum::<f64>() / n;
     let left: Vec<f64> = column.data.iter().zip(predicted).map(|(m, p)| m - p).collect();
     let (before, after) = (rms(&mut column.data.iter().copied()), rms(&mut left.iter().copied()));
-    // A run's own zero (homing, the gauge's set-up) cannot be predicted by a model.
+    // A model cannot predict a run's own zero (homing, the gauge's set-up).
     let zero = left.iter().sum::<f64>() / n;
     let within = |about: f64| {
         widths.map(|w| left.iter().zip(w).filter(|(v, w)| (*v - about).abs() <= **w).count() as f64 / n)

@@ -1,5 +1,5 @@
-//! A fit from records as people give them.
-//! It reports and leaves out doubted data, then chooses sensors or fits named effects. It also makes the
+//! A fit from records as users give them.
+//! It reports and leaves out suspicious data, then selects sensors or fits named effects. It also makes the
 //! document for programs.
 
 use crate::least::{self, NamedReport};
@@ -16,58 +16,28 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The options of a fit, as the user gives them.
-#[derive(Debug, Clone)]
-#[allow(clippy::struct_excessive_bools)] // each is an option of its own
+#[derive(Debug, Clone, Default)]
 pub struct Asked {
     /// Differences to choose from, as `T0` (to the environment) or `T8-T18`.
     /// Empty for all sensors.
     pub sensors: Vec<String>,
-    /// The sensor of the environment; `None` for the coldest on average.
-    pub environment: Option<String>,
-    /// Blocks of the cross-validation, 3 to 50.
-    pub folds: usize,
-    /// Whether to offer lags.
-    pub lag: bool,
-    /// Whether to offer squares.
-    pub square: bool,
-    /// Whether to offer the spindle's speed.
-    pub speed: bool,
-    /// A known model, whose effects are kept.
-    pub base: Option<Machine>,
     /// The model's date, days since 1970-01-01.
     /// `None` means the day of the latest record, or today if none has one.
     pub date: Option<i64>,
-    /// Days for which the model may be used without a new check.
-    pub valid_days: i64,
     /// Whether to fit even if a record's unit, sign, direction or column looks wrong.
     pub despite_suspicions: bool,
+    /// The other options; their sensors and date are not read.
+    pub options: Options,
 }
 
-impl Default for Asked {
-    fn default() -> Self {
-        Self {
-            sensors: Vec::new(),
-            environment: None,
-            folds: 10,
-            lag: true,
-            square: true,
-            speed: true,
-            base: None,
-            date: None,
-            valid_days: 365,
-            despite_suspicions: false,
-        }
-    }
-}
-
-/// A fit, and the mistakes that its records show.
+/// A fit, and the suspicions against its records.
 #[derive(Debug)]
 pub struct Fit {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// A report per response.
     pub reports: Vec<Report>,
-    /// Mistakes that the records show.
+    /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
     /// The training records as used for the fit.
     pub records: Vec<Record>,
@@ -80,7 +50,7 @@ pub struct NamedFit {
     pub machine: Machine,
     /// The report of the fit.
     pub report: NamedReport,
-    /// Mistakes that the records show.
+    /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
     /// The records as used for the fit.
     pub records: Vec<Record>,
@@ -91,8 +61,8 @@ pub struct NamedFit {
 /// or has minutes for seconds.
 const SHORT_S: f64 = 1800.0;
 
-/// Chooses sensors and fits growth. `holdout` only affects the last figures.
-/// Messages go to `say`. A model of doubted records is only for inspection: call [`Fit::is_to_be_written`]
+/// Selects sensors and fits growth. `holdout` only affects the last figures.
+/// Messages go to `say`. A model of suspicious records is only for inspection: call [`Fit::is_to_be_written`]
 /// before it is kept.
 ///
 /// # Errors
@@ -141,17 +111,8 @@ pub fn fit(
             "--sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
         )));
     }
-    let options = Options {
-        sensors,
-        environment: asked.environment.clone(),
-        folds: asked.folds,
-        lag: asked.lag,
-        square: asked.square,
-        speed: asked.speed,
-        base: asked.base.clone(),
-        date: asked.date.unwrap_or_else(|| day_of(&train)),
-        valid_days: asked.valid_days,
-    };
+    let options =
+        Options { sensors, date: asked.date.unwrap_or_else(|| day_of(&train)), ..asked.options.clone() };
     let (machine, reports) =
         thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
     for r in &reports {
@@ -184,11 +145,14 @@ pub fn fit_named(
     if !asked.despite_suspicions {
         plausible::refuse(&doubts, &paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
     }
-    let base =
-        asked.base.clone().unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
+    let base = asked
+        .options
+        .base
+        .clone()
+        .unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
     let day = date::format(asked.date.unwrap_or_else(|| day_of(&records)));
     let borrowed: Vec<&Record> = records.iter().collect();
-    let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.valid_days)?;
+    let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.options.valid_days)?;
     for w in &report.warnings {
         say(Said::Warning(w.clone()));
     }
@@ -213,7 +177,7 @@ impl Fit {
         self.of(|r| serde_json::to_value(r))
     }
 
-    /// The choice of sensors alone as a document for programs.
+    /// The selection of sensors alone as a document for programs.
     ///
     /// # Errors
     /// A figure that JSON does not have.

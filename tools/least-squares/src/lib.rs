@@ -14,7 +14,7 @@ pub mod solution;
 
 pub use directions::{Directions, orthonormal, principal, projected_eigen};
 pub use factor::{Factor, add, dot};
-pub use solution::{Solution, equal_rows, solve};
+pub use solution::{Solution, compress_rows, solve};
 
 #[cfg(test)]
 mod tests {

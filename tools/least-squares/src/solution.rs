@@ -64,7 +64,7 @@ pub fn solve<C: AsRef<[f64]>>(columns: &[C], y: &[f64]) -> Result<Solution, usiz
 
 /// As many rows as columns, with the same solution when joined with other rows.
 /// They are the triangle of the columns' factors and the products of the response.
-pub fn equal_rows(columns: &[Vec<f64>], y: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
+pub fn compress_rows(columns: &[Vec<f64>], y: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     let p = columns.len();
     if y.len() <= p {
         return (columns.to_vec(), y.to_vec());
@@ -125,7 +125,7 @@ mod tests {
         let (mut stacked, mut of_y) = (vec![Vec::new(); 3], Vec::new());
         for rows in [0..2, 2..17, 17..40] {
             let own: Vec<Vec<f64>> = columns.iter().map(|c| c[rows.clone()].to_vec()).collect();
-            let (equal, along) = equal_rows(&own, &y[rows]);
+            let (equal, along) = compress_rows(&own, &y[rows]);
             stacked.iter_mut().zip(equal).for_each(|(all, own)| all.extend(own));
             of_y.extend(along);
         }

@@ -1,7 +1,6 @@
-//! Circular tests.
-//! Deviations as ISO 230-4:2005 defines them, and what makes them, with intervals.
+//! Circular tests: deviations by ISO 230-4:2005, and their causes with intervals.
 //!
-//! | symbol | of | meaning |
+//! | symbol | covers | meaning |
 //! |---|---|---|
 //! | G | one contour | circular deviation: range of the radial deviation about the least-squares circle |
 //! | G(b) | both ways | the same over both contours about their common circle (bi-directional circular deviation) |
@@ -9,16 +8,16 @@
 //! | D | both ways | mean bi-directional radial deviation: mean radius minus the nominal one |
 //! | H | both ways | hysteresis: largest difference of both contours at one angle (ISO 230-4:1996) |
 //!
-//! The diagnosis fits the laws of the model's own effects (scale, squareness, reversal, spike, following error, screw) to
-//! the radial errors of all records of a plane together; each record has a centre and a mean radius of its own.
+//! The diagnosis fits effects of the model (scale, squareness, reversal, spike, following error, screw) to
+//! the radial errors of all records of a plane. Each record has its own centre and mean radius.
 
 use crate::derive::noise;
 use crate::iso230::{Budget, Round, error_axes, lacks};
 use crate::steps::step_of;
 use rtec_files::InputError;
-use rtec_model::circle::{Circle, rates};
+use rtec_model::circle::{Circle, rates, turn_rad};
 use rtec_model::effect::Dictionary;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -31,17 +30,17 @@ mod structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
 
-/// One contour: a run round in one sense at one feed.
+/// One contour: a run in one direction of rotation at one feed.
 /// Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Contour {
-    /// The record it is in.
+    /// File name of its record.
     pub record: String,
     /// `ccw` (from the first axis towards the second) or `cw`.
     pub direction: &'static str,
     /// Feed along the circle, mm/min, where time and radius are known.
     pub feed_mm_per_min: Option<f64>,
-    /// Angle that it covers, degrees.
+    /// Angle covered, degrees.
     pub turned_deg: f64,
     /// Circular deviation.
     #[serde(rename = "G")]
@@ -56,15 +55,15 @@ pub struct Contour {
     pub centre_um: [f64; 2],
     /// Radius of its least-squares circle minus the nominal one.
     pub radius_um: f64,
-    /// Standard errors of the centre's two coordinates and of the radius.
-    /// They assume that the residual is chance; they are large on a short arc.
+    /// Standard errors of the centre's coordinates and of the radius.
+    /// They assume random residuals, and are large on a short arc.
     pub standard_error_um: [f64; 3],
     /// Angle (rad) and deviation from the least-squares circle, row by row.
     #[serde(skip)]
     pub trace: Vec<(f64, f64)>,
 }
 
-/// The circular tests of one plane.
+/// Circular tests of one plane.
 /// Values in µm unless named otherwise; `None` where the runs do not show them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Ballbar {
@@ -79,7 +78,7 @@ pub struct Ballbar {
     #[serde(rename = "G_cw")]
     pub g_cw: Option<f64>,
     /// Largest bi-directional circular deviation of a record.
-    /// If no record goes both ways, of all records together.
+    /// If no record has both directions, of all records together.
     #[serde(rename = "G_b")]
     pub g_b: Option<f64>,
     /// Largest radial deviation.
@@ -94,20 +93,19 @@ pub struct Ballbar {
     /// Largest hysteresis.
     #[serde(rename = "H")]
     pub h: Option<f64>,
-    /// What makes the deviations.
+    /// Causes of the deviations.
     #[serde(flatten)]
     pub diagnosis: Diagnosis,
-    /// Uncertainty of its figures, if the conditions state contributors.
+    /// Uncertainty of the figures, if the conditions state contributors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Budget>,
     /// Every contour.
     pub contours: Vec<Contour>,
-    /// What to know before using it.
+    /// Warnings about its use.
     pub warnings: Vec<String>,
 }
 
-/// A record as a circle.
-/// Angle and radial error, with plane and radius where they are known.
+/// A record as a circle: angle and radial error, with plane and radius if known.
 #[derive(Clone)]
 pub(crate) struct Trace {
     pub(crate) record: Record,
@@ -115,16 +113,16 @@ pub(crate) struct Trace {
     plane: String,
     pub(crate) angle: Vec<f64>,
     pub(crate) radial: Vec<f64>,
-    /// Step of the gauge, µm; 0 where its readings have none.
+    /// Resolution of the gauge, µm; 0 if its readings show none.
     step_um: f64,
-    /// Rows on end that read the same, on average: they share one rounding error.
+    /// Mean number of consecutive equal readings, which share one rounding error.
     alike_rows: f64,
-    /// Rows of each contour with its sense of turning, +1 counter-clockwise.
+    /// Rows of each contour and its direction, +1 counter-clockwise.
     pub(crate) contours: Vec<(Range<usize>, f64)>,
 }
 
 /// Evaluates circular tests, plane by plane.
-/// The radial error over the angle, or two axes with position and error.
+/// A record has a radial error over the angle, or two axes with position and error.
 ///
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
@@ -140,13 +138,13 @@ pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
     planes.into_iter().map(|(plane, traces)| plane_of(plane, &traces)).collect()
 }
 
-/// Gap that a circle may have at start and stop, degrees; or two rows of it.
+/// Largest gap of a full circle, degrees, or two rows if that is more.
 const MISSING_DEG: f64 = 2.0;
 
-/// A mean radius further off than by any scale: µm per mm of radius.
+/// Deviation of the mean radius that no scale error explains, µm per mm of radius.
 const FAR_OFF: f64 = 0.5;
 
-/// Radii that are one.
+/// Whether two radii are the same within 1 %.
 fn alike(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() < 0.01
 }
@@ -207,16 +205,16 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
     })
 }
 
-/// A row: angle, radial error, sense of turning.
+/// A row: angle, radial error, direction of rotation.
 type Row = (f64, f64, f64);
 
-/// Rows of each record that goes both ways.
-/// If none does, of all records of one radius together.
+/// Rows of each record with both directions.
+/// If there is none, of all records of one radius together.
 fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
     let rows = |t: &Trace, centred: bool| -> Vec<Row> {
         let of = |(rows, turn): &(Range<usize>, f64)| {
             let points: Vec<(f64, f64)> = rows.clone().map(|i| (t.angle[i], t.radial[i])).collect();
-            // Records of one way each were set up one by one: each about its own centre.
+            // Records of one direction were set up separately, so each is centred.
             let [_, a, b] = round_fit(&points).filter(|_| centred).unwrap_or([0.0; 3]);
             points.into_iter().map(|(p, e)| (p, e - a * p.cos() - b * p.sin(), *turn)).collect::<Vec<_>>()
         };
@@ -242,7 +240,7 @@ fn pairs(rows: &[Row]) -> Vec<(f64, f64)> {
 }
 
 /// Radius and centre of the least-squares circle of small radial deviations.
-/// Every part of the circle counts alike, however often it was run over. `None` where the points do not give one.
+/// Sectors have equal weight, however many rows they have. `None` if the points give no circle.
 fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     let count = (points.len() / 4).clamp(12, 360);
     let sector = |angle: f64| ((angle.rem_euclid(TAU) / TAU * count as f64) as usize).min(count - 1);
@@ -255,14 +253,13 @@ fn round_fit(points: &[(f64, f64)]) -> Option<[f64; 3]> {
     rtec_least_squares::solve(&columns, &y).ok()?.values.try_into().ok()
 }
 
-/// Columns of radius and centre, and the deviations.
-/// Each row is multiplied by its root of weight.
+/// Columns of radius and centre, and the deviations, times each row's root weight.
 fn round_columns(points: &[(f64, f64)], root: impl Fn(&(f64, f64)) -> f64) -> ([Vec<f64>; 3], Vec<f64>) {
     let of = |f: fn(f64) -> f64| points.iter().map(|p| root(p) * f(p.0)).collect();
     ([of(|_| 1.0), of(f64::cos), of(f64::sin)], points.iter().map(|p| root(p) * p.1).collect())
 }
 
-/// Standard errors of [`round_fit`]: of the centre's two places and of the radius.
+/// Standard errors of [`round_fit`]: centre's coordinates, then radius.
 fn round_errors(points: &[(f64, f64)], [radius, a, b]: [f64; 3]) -> Option<[f64; 3]> {
     let (columns, y) = round_columns(points, |_| 1.0);
     let left = points.iter().map(|(p, e)| (e - radius - a * p.cos() - b * p.sin()).powi(2)).sum::<f64>();
@@ -275,12 +272,12 @@ fn round_errors(points: &[(f64, f64)], [radius, a, b]: [f64; 3]) -> Option<[f64;
 fn range_about(points: &[(f64, f64)]) -> Option<f64> {
     let [_, a, b] = round_fit(points)?;
     let left = points.iter().map(|(p, e)| e - a * p.cos() - b * p.sin());
-    let (lo, hi) = left.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let [lo, hi] = span(left);
     Some(hi - lo)
 }
 
-/// Largest difference of both ways at one angle, over sectors of a degree.
-/// Sectors are wider if rows are scarce.
+/// Largest difference of both directions in one sector.
+/// Sectors are 1° wide, or wider if rows are scarce.
 fn hysteresis(rows: &[Row]) -> Option<f64> {
     let count = (rows.len() / 4).clamp(36, 360);
     let mut sectors = vec![[(0.0, 0_u32); 2]; count];
@@ -317,24 +314,24 @@ impl Trace {
         Ok(trace)
     }
 
-    /// The angle that a contour covers; not the gaps that nobody measured.
+    /// Angle that a contour covers without gaps, rad.
     fn turned(&self, rows: &Range<usize>) -> f64 {
-        let step = |i: usize| turned_rad(self.angle[i], self.angle[i + 1]).abs();
+        let step = |i: usize| turn_rad(self.angle[i], self.angle[i + 1]).abs();
         let steps = rows.len().saturating_sub(1);
         let all = (rows.start..rows.start + steps).map(step);
         let gap = MISSING_DEG.to_radians().max(2.5 * all.clone().sum::<f64>() / steps.max(1) as f64);
         let (sum, count) = all.filter(|s| *s <= gap).fold((0.0, 0_u32), |(sum, n), s| (sum + s, n + 1));
-        // The rows stand for as much on either side of them.
+        // Each end covers half a step more.
         sum * (1.0 + 1.0 / f64::from(count.max(1)))
     }
 
-    /// Standard deviation of one reading, µm, by what causes leave of the radial error.
-    /// No less than the rounding of its gauge gives.
+    /// Standard deviation of one reading, from the residual, µm.
+    /// At least that of the gauge's rounding.
     fn scatter_um(&self, left: &[f64]) -> f64 {
         let mut turned = 0.0;
         let path: Vec<f64> = (0..self.angle.len())
             .map(|i| {
-                turned += turned_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
+                turned += turn_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
                 turned
             })
             .collect();
@@ -342,14 +339,14 @@ impl Trace {
         noise(&path, left, &runs).max(self.step_um / 12.0_f64.sqrt())
     }
 
-    /// Variance that rounding gives each reading, µm².
-    /// Consecutive rows that read the same share one error.
+    /// Variance of rounding per reading, µm².
+    /// Consecutive equal readings share one error, so the variance is multiplied by their number.
     fn rounding_um2(&self) -> f64 {
         self.step_um * self.step_um / 12.0 * self.alike_rows
     }
 
     fn evaluate(&self) -> Vec<Contour> {
-        // Path over time, without the ends, where it speeds up and slows down: a coarse clock is in it once.
+        // Path over time without the ends, where the speed changes; a coarse clock then matters only once.
         let speed = |rows: &Range<usize>| {
             let (circle, t) = (self.record.circle()?, self.record.data(&Role::Time)?);
             let end = rows.len() / 20;
@@ -359,7 +356,7 @@ impl Trace {
                 * inner
                     .clone()
                     .skip(1)
-                    .map(|i| turned_rad(self.angle[i - 1], self.angle[i]).abs())
+                    .map(|i| turn_rad(self.angle[i - 1], self.angle[i]).abs())
                     .sum::<f64>();
             (span_s > 0.0).then(|| path_mm / span_s * 60.0)
         };
@@ -368,9 +365,7 @@ impl Trace {
             let [radius, a, b] = round_fit(&points)?;
             let standard_error_um = round_errors(&points, [radius, a, b])?;
             let centred = |(p, e): &(f64, f64)| e - a * p.cos() - b * p.sin();
-            let all = || points.iter().map(centred);
-            let (f_max, f_min) =
-                (all().fold(f64::NEG_INFINITY, f64::max), all().fold(f64::INFINITY, f64::min));
+            let [f_min, f_max] = span(points.iter().map(centred));
             Some(Contour {
                 record: self.name.clone(),
                 direction: if *turn > 0.0 { "ccw" } else { "cw" },
@@ -389,27 +384,21 @@ impl Trace {
     }
 }
 
-/// From one angle to the next, the shorter way.
-fn turned_rad(from: f64, to: f64) -> f64 {
-    (to - from + PI).rem_euclid(TAU) - PI
-}
-
-/// Share of a contour's feed.
-/// A feed that differs by more is another one; an axis at less than that stands.
+/// Relative change of speed that is another feed; below it an axis is at rest.
 const FEED_SHARE: f64 = 0.2;
 
-/// What turns by no more is a start or a stop, and no contour of its own, rad.
+/// A shorter turn is a start or a stop, not a contour, rad.
 const START_RAD: f64 = TAU / 20.0;
 
-/// Runs of rows in one sense of turning at one feed.
+/// Runs of rows in one direction of rotation at one feed.
 /// Start and stop belong to the contour that they begin and end.
 fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let n = angle.len();
-    // Some rows ahead and back, so that noise in the angle turns nothing round.
+    // Compare rows some distance apart, so that noise of the angle does not look like a reversal.
     let look = (n / 400).max(1);
     let sense = |i: usize| {
         let (a, b) = (i.saturating_sub(look), (i + look).min(n - 1));
-        let d = turned_rad(angle[a], angle[b]);
+        let d = turn_rad(angle[a], angle[b]);
         if d > 0.0 {
             1.0
         } else if d < 0.0 {
@@ -423,14 +412,14 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
         None => vec![1.0; n],
     };
     let turned = |rows: &Range<usize>| -> f64 {
-        rows.clone().skip(1).map(|i| turned_rad(angle[i - 1], angle[i]).abs()).sum()
+        rows.clone().skip(1).map(|i| turn_rad(angle[i - 1], angle[i]).abs()).sum()
     };
     let mut found: Vec<(Range<usize>, f64)> = Vec::new();
     let mut usual = 0.0;
     for i in 0..n {
         let turn = sense(i);
         match found.last_mut() {
-            // A feed of its own starts a contour of its own; what a start or a stop does is no feed.
+            // Another feed starts another contour, unless the turn so far was only a start.
             Some((rows, t)) if turn == 0.0 || (*t - turn).abs() < 0.5 => {
                 let other_feed = rows.len() > 20
                     && (0..10)
@@ -439,7 +428,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
                     found.push((i..i + 1, turn));
                     usual = speed[i];
                 } else if other_feed {
-                    // What a start has had of speed says nothing of the feed. Rows at rest before it are no part of it.
+                    // The speed of a start is not the feed. Rows at rest before it are left out.
                     let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[i];
                     rows.start = rows.clone().rev().find(rests).map_or(rows.start, |row| row + 1);
                     (rows.end, usual) = (i + 1, speed[i]);
@@ -454,7 +443,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
             }
         }
     }
-    // A stop belongs to the contour that it ends, as far as the axes move.
+    // A stop belongs to the contour that it ends, as long as the axes move.
     for i in (1..found.len()).rev() {
         let ((before, sense), (rows, turn)) = (&found[i - 1], &found[i]);
         if sense * turn > 0.0 && before.end == rows.start && turned(rows) <= START_RAD {
@@ -463,7 +452,7 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
             found.remove(i);
         }
     }
-    // Near a turning point the sense is either.
+    // Near a change of direction the sign is uncertain.
     for i in 1..found.len() {
         if (found[i].1 - found[i - 1].1).abs() > 0.5
             && found[i].0.len() > 4 * look
@@ -477,10 +466,9 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     found
 }
 
-/// The record of a bar without the rows at which the axes stand.
-/// They stand before, between and after its contours.
+/// A ballbar record without rows at rest before, between and after contours.
 ///
-/// The angle does not say from where they came, and so not which side of their play they are on.
+/// At rest the angle does not show from which direction the axes came.
 pub fn in_motion(record: &Record) -> Record {
     let angle = record.circle().and_then(|_| record.data(&Role::Angle));
     let Some((angle, t)) = angle.zip(record.data(&Role::Time)) else { return record.clone() };
@@ -490,11 +478,11 @@ pub fn in_motion(record: &Record) -> Record {
         of.get(of.len() / 2).copied().unwrap_or(0.0)
     };
     let usual_s = usual(t.windows(2).map(|w| w[1] - w[0]).collect());
-    // How fast the axes came to a row; behind a gap, how fast they leave it.
+    // Speed into a row; after a gap, out of it.
     let speed = |row: usize| {
         let gap = row == 0 || t[row] - t[row - 1] > 2.5 * usual_s.max(f64::MIN_POSITIVE);
         let (from, to) = if gap { (row, (row + 1).min(n - 1)) } else { (row - 1, row) };
-        turned_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
+        turn_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
     };
     let rate = rates(angle, t);
     let of = |(rows, _): (Range<usize>, f64)| {
@@ -504,13 +492,13 @@ pub fn in_motion(record: &Record) -> Record {
     let feeds: Vec<(Range<usize>, f64)> = contours(record, angle).into_iter().map(of).collect();
     let slowest = feeds.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
     let feed = |row: usize| feeds.iter().find(|f| f.0.contains(&row)).map_or(slowest, |f| f.1);
-    // A row at the time of the one before does not rest: it stands twice in the file, which is said elsewhere.
+    // A row with the time of the row before is not at rest but duplicated, which is reported elsewhere.
     let rests = |row: usize| speed(row) <= FEED_SHARE * feed(row);
     let rows: Vec<usize> = (0..n).filter(|row| !rests(*row)).collect();
     if rows.is_empty() || rows.len() == n { record.clone() } else { record.select(&rows) }
 }
 
-/// The record as a circle with a radial error; and its plane's name.
+/// The record as a circle with a radial error, and the name of its plane.
 fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
     let name = |c: &Circle| format!("{}-{}", c.plane[0], c.plane[1]);
     if let Some(circle) = record.circle() {
@@ -528,7 +516,7 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
     let mut columns: Vec<Column> = record.columns.clone();
     let (plane, angle, round): ([Axis; 2], Vec<f64>, Round) = if radial.is_some() {
         let [(a, pa), (b, pb), ..] = positions.as_slice() else {
-            // Without plane or positions: deviations, but nothing of the axes.
+            // Without plane or positions only deviations are known.
             return Ok((record.clone(), "first-second".to_owned()));
         };
         let angle = record.data(&Role::Angle).unwrap_or_default().to_vec();
@@ -568,7 +556,7 @@ fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round, InputError> {
     })
 }
 
-/// The dictionary's effect of this name at zero; the names are the built-in ones.
+/// The dictionary's effect of this built-in name, at zero.
 pub(crate) fn law(dictionary: &Dictionary, name: &str, axes: &[&Axis]) -> Option<rtec_model::effect::Effect> {
     let full = axes.iter().fold(name.to_owned(), |n, a| format!("{n}.{a}"));
     dictionary.effect(&full).ok()

@@ -1,37 +1,37 @@
-//! Velocity and acceleration from recorded positions, where a record has none of its own.
+//! Velocity and acceleration from recorded positions, if they are not logged.
 //!
-//! Around every row a cubic is fitted to the positions in a symmetric window, near rows counting most (tricube). So there is no phase
-//! shift, and rows need not be evenly spaced (Cleveland, 1979; Fan and Gijbels, 1996). The window is chosen from the data, for velocity and
-//! acceleration separately. It is doubled while the derivative changes by no more than the noise of the positions explains. Of these
-//! windows the one with the least sum of noise and distortion is used.
+//! A cubic is fitted around every row to the positions in a symmetric window, with tricube weights. So there
+//! is no phase shift, and rows may be uneven (Cleveland, 1979; Fan and Gijbels, 1996). The window is chosen
+//! from the data, separately for velocity and acceleration. Ever wider windows are each compared with one of
+//! half their width: what the noise does not explain of the change is distortion. The window with the least
+//! sum of noise and distortion is used.
 
 use rtec_files::InputError;
 use rtec_least_squares::Factor;
 use rtec_model::machine::{Machine, Prediction};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, median};
 use std::ops::Range;
 
 /// Rows that a window needs: a cubic, and one more for the noise.
 pub(crate) const FEWEST: usize = 5;
 /// Rows of the first window on each side.
 const FIRST: usize = 3;
-/// Rows by which the windows are judged: evenly spread, enough for a mean.
+/// Rows at which windows are compared: evenly spread, enough for a mean.
 const JUDGED: usize = 1500;
-/// Half a window still has a part of the whole one's distortion.
-/// A third of it where the acceleration has a corner, as at the ends of a stroke. So what the change says of the distortion falls short, by
-/// this factor in its square.
+/// Factor on the squared distortion that the change between two windows shows.
+/// Half a window keeps part of the distortion: a third at a corner of the acceleration, as at the ends of a
+/// stroke.
 const SHORT: f64 = 2.0;
-/// A gap in time this many times the usual one parts two runs.
+/// A time step above this multiple of the usual one separates two runs.
 const GAP: f64 = 8.0;
-/// Time between rows above which a run of targets is read at stops, s.
-/// Such rows show no motion.
+/// Time between rows above which a run was read at rest, s; it shows no motion.
 const AT_STOPS_S: f64 = 0.1;
 
 /// Adds velocity (mm/s) and acceleration (mm/s²) of axes that lack them.
-/// An axis needs positions and times. Returns one note per added column, with its window and standard error, and one per axis whose motion
-/// the rows do not show.
+/// An axis needs positions and times. Returns one note per added column, with its window and standard error,
+/// and one per axis whose rows show no motion.
 ///
-/// The columns are called `velocity_AXIS` and `acceleration_AXIS`. An axis that stands still gets none: it is at rest.
+/// The columns are named `velocity_AXIS` and `acceleration_AXIS`. An axis at rest gets none.
 pub fn derive(record: &mut Record) -> Vec<String> {
     let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
     let mut notes = Vec::new();
@@ -92,7 +92,7 @@ pub fn derive(record: &mut Record) -> Vec<String> {
 }
 
 /// Predicts a record with a model, deriving motion that was not logged.
-/// The derivation is that of a reconciliation; each derived column gets a note.
+/// Uses the same derivation as a reconciliation; each derived column gets a note.
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
@@ -115,7 +115,7 @@ pub(crate) fn reads_more_motion(machine: &Machine, record: &Record) -> bool {
     machine.predict(record).is_ok_and(|prediction| lacks_motion(&prediction, record))
 }
 
-/// Whether motion was taken as zero that the positions show.
+/// Whether motion that the positions show was taken as zero.
 fn lacks_motion(prediction: &Prediction, record: &Record) -> bool {
     let motion =
         |role: &str| ["velocity.", "acceleration.", "direction."].iter().any(|m| role.starts_with(m));
@@ -123,7 +123,7 @@ fn lacks_motion(prediction: &Prediction, record: &Record) -> bool {
     shown && prediction.taken_as_zero.iter().any(|(_, role)| motion(role))
 }
 
-/// The stretches of rows without a gap in time; or why they are no motion.
+/// Stretches of rows without a gap in time, or the reason why they show no motion.
 fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
     if t.len() < 2 * FEWEST {
         return Err(format!("{} rows are too few", t.len()));
@@ -156,15 +156,9 @@ fn steps<'a>(t: &'a [f64], runs: &'a [Range<usize>]) -> impl Iterator<Item = f64
     runs.iter().flat_map(|run| t[run.clone()].windows(2).map(|w| w[1] - w[0]))
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// Standard deviation of the noise of `p` over `t`, in the unit of `p`.
-/// It is the median residual of a row from a cubic through its four neighbours, which a few jerks do not move. Only moving rows count,
-/// because a scale at rest does not show its noise. A run has at least five rows.
+/// From the median residual of a row from a cubic through its four neighbours, which a few jerks do not
+/// change. Only moving rows count, because a scale at rest shows no noise. A run has at least five rows.
 pub(crate) fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
     let mut left = Vec::new();
     for run in runs {
@@ -177,11 +171,11 @@ pub(crate) fn noise(t: &[f64], p: &[f64], runs: &[Range<usize>]) -> f64 {
         }
     }
     // 0.6745: the median of the absolute value of a standard normal deviate.
-    median(left.into_iter()) / 0.6745
+    median(left) / 0.6745
 }
 
-/// What five values have beyond a cubic over rising times, in their unit.
-/// Its standard deviation is that of white noise in the values.
+/// Residual of five values from a cubic over rising times, in their unit.
+/// It is scaled to the standard deviation of white noise in the values.
 pub(crate) fn beyond_cubic(t: &[f64], p: &[f64]) -> f64 {
     // Divided differences of fourth order vanish for a cubic.
     let of = |i: usize| (0..FEWEST).filter(|j| *j != i).map(|j| t[i] - t[j]).product::<f64>().recip();
@@ -198,8 +192,8 @@ struct Motion<'a> {
 }
 
 impl Motion<'_> {
-    /// The window for a derivative.
-    /// Rows on each side, and the derivative's standard error with it: noise, distortion, and what the rows cannot tell of the distortion.
+    /// Half width of the window for a derivative, rows, and its standard error.
+    /// The error includes noise, distortion and the uncertainty of the distortion.
     fn window(&self, order: usize) -> (usize, f64) {
         let longest = self.runs.iter().map(Range::len).max().unwrap_or(0);
         let every = (self.t.len() / JUDGED).max(1);
@@ -229,7 +223,7 @@ impl Motion<'_> {
             let variance = self.noise_mm.powi(2) * variance / n;
             let distortion = SHORT * ((change - explained) / n).max(0.0);
             if variance + distortion < best.1 {
-                // A mean of squares over so many rows, of which those in a window tell the same.
+                // Uncertainty of a mean of squares; rows within one window are not independent.
                 let doubt = SHORT * explained / n * (4.0 * rows as f64 / self.t.len() as f64).sqrt();
                 best = (rows, variance + distortion, variance + distortion + doubt);
             } else if distortion > 4.0 * best.1 {
@@ -253,12 +247,12 @@ impl Motion<'_> {
         out
     }
 
-    /// What each position around row `i` counts in the derivative there.
-    /// The first row, and the weights from it on. At the ends of a run the window is the one-sided rest of it, reaching as far as a whole
-    /// one.
+    /// Weights of the positions around row `i` in the derivative there.
+    /// Returns the first row and the weights from it on. At the ends of a run the window is one-sided and has
+    /// the full reach.
     fn weights(&self, order: usize, rows: usize, i: usize, run: &Range<usize>) -> (usize, Vec<f64>) {
         let (mut from, mut to) = (i.saturating_sub(rows).max(run.start), (i + rows + 1).min(run.end));
-        // Never fewer distinct times than a cubic needs.
+        // A cubic needs this number of distinct times.
         let distinct =
             |from: usize, to: usize| 1 + self.t[from..to].windows(2).filter(|w| w[1] > w[0]).count();
         while distinct(from, to) < FEWEST {
@@ -266,7 +260,7 @@ impl Motion<'_> {
             to = (to + 1).min(run.end);
         }
         let at = self.t[i];
-        // A little beyond the last row, which would count nothing otherwise.
+        // Slightly beyond the last row, which would have weight zero otherwise.
         let reach = 1.05 * (at - self.t[from]).max(self.t[to - 1] - at);
         let near = |t: f64| (1.0 - ((t - at) / reach).abs().powi(3)).powi(3);
         let roots: Vec<f64> = self.t[from..to].iter().map(|t| near(*t).sqrt()).collect();

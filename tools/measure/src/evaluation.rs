@@ -1,5 +1,5 @@
-//! Runs evaluated by the standard that fits them.
-//! The document that programs read and the report that people read.
+//! Evaluates runs by the standard that fits them.
+//! The results are a document for programs and a report for people.
 
 use crate::iso230::{self, Conditions, Drift, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
@@ -9,12 +9,12 @@ use crate::steps;
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
 use rtec_files::{InputError, Said};
-use rtec_model::record::{Column, Kind, Record, Role, sha256_of};
+use rtec_model::record::{Column, Kind, Record, Role, median, sha256_of};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 rtec_files::choice! {
-    /// The evaluations, by the names that they are asked for with.
+    /// The evaluations and their names.
     pub enum Standard {
         Iso230_2 = "iso230-2", "Positioning: accuracy and repeatability; tilts too";
         Straightness = "straightness",
@@ -37,21 +37,21 @@ impl Standard {
         Self::ALL.iter().find(|all| all.0 == name).map(|all| all.1)
     }
 
-    /// The evaluation that belongs to a record's kind.
+    /// The evaluation for a record's kind.
     ///
     /// # Errors
-    /// None does.
+    /// There is none.
     pub fn of(record: &Record) -> Result<Self, InputError> {
-        match (iso230::standard_for(record.kind), record.kind) {
-            // What was measured across an axis alone is its straightness, not its positioning.
-            (Some("iso230-2"), _) if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
+        match record.kind {
+            // Errors across the moving axis only are straightness, not positioning.
+            Kind::Positioning if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
                 Ok(Self::Straightness)
             }
-            (Some("iso230-2"), _) => Ok(Self::Iso230_2),
-            (Some("iso230-3"), _) => Ok(Self::Iso230_3),
-            (Some("ballbar"), _) => Ok(Self::Ballbar),
-            (_, Kind::Plate) => Ok(Self::Plate),
-            (_, kind) => Err(InputError::whole(
+            Kind::Positioning => Ok(Self::Iso230_2),
+            Kind::Drift => Ok(Self::Iso230_3),
+            Kind::Ballbar => Ok(Self::Ballbar),
+            Kind::Plate => Ok(Self::Plate),
+            kind => Err(InputError::whole(
                 &record.path,
                 format!("a run of kind {}", kind.name()),
                 "--standard, as no evaluation belongs to this kind",
@@ -59,11 +59,12 @@ impl Standard {
         }
     }
 
-    /// What the conditions state and this evaluation has no use for.
+    /// Conditions that this evaluation does not use.
     fn unused(self, conditions: &Conditions, records: &[Record]) -> Option<String> {
         let lengths = records.iter().flat_map(Record::responses).any(|c| matches!(c.role, Role::Error(_)));
         if matches!(self, Self::Iso230_2 | Self::Iso230_6) && lengths {
-            // The scale alone is right beside an interferometer; a workpiece is compared with a scale, and both grow.
+            // A scale alone is right with an interferometer. A workpiece is compared with a scale, and both
+            // grow.
             let one = conditions.workpiece.is_some() && conditions.scale.is_none();
             let said = "[thermal] has a sensor of the workpiece alone: the scale is taken to be at 20 °C";
             return one.then(|| said.to_owned());
@@ -88,36 +89,35 @@ impl Standard {
     }
 }
 
-/// What an evaluation is asked with.
+/// Options of an evaluation.
 #[derive(Debug, Clone, Default)]
 pub struct EvaluationRequest {
-    /// The evaluation; by the first record's kind where it is left out.
+    /// The evaluation; `None`: the one for the first record's kind.
     pub standard: Option<Standard>,
-    /// What the test was done under.
+    /// Conditions of the test.
     pub conditions: Conditions,
-    /// Positioning.
-    /// Targets approached from one side only are accepted, and the one-sided figures given alone.
+    /// Positioning: accept targets approached from one side only.
     pub one_way: bool,
-    /// Plates: the sum of fourth powers is made small instead of that of squares.
+    /// Plates: minimise the sum of fourth powers instead of squares.
     pub fourth_powers: bool,
 }
 
 /// An evaluation.
 #[derive(Debug, Clone)]
 pub struct Evaluation {
-    /// What programs read.
+    /// Document for programs.
     pub document: Value,
-    /// What people read.
+    /// Report for people.
     pub report: Report,
-    /// Mistakes that the records show.
+    /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
 }
 
-/// Evaluates runs as their standard defines it. Messages go to `say`.
+/// Evaluates runs by their standard; messages go to `say`.
 ///
 /// # Errors
-/// No record; a kind without a standard; what the standard needs and the records lack; a sensor that reads nonsense and
-/// that lengths are to be reduced with.
+/// No record; a kind without a standard; data that the standard needs and the records lack; a bad sensor
+/// needed for the reduction to 20 °C.
 pub fn evaluate(
     records: &[Record],
     asked: &EvaluationRequest,
@@ -137,7 +137,7 @@ pub fn evaluate(
         }
         e
     })?;
-    // A standard knows no row to leave out: what it would say of all of them stands beside.
+    // No standard excludes rows, so the figures with all rows are given too.
     if left_out
         && let Ok((all, _)) = by(standard, &plausible::every_row(records, &doubts), asked, &mut |_| ())
     {
@@ -150,7 +150,7 @@ pub fn evaluate(
              columns in these rows of the file; or in those before them, if the names are right here"
         ));
     }
-    // Those of positioning and returns have the steps of their gauge in their figures.
+    // Positioning and returns already report the resolution with their figures.
     let responses = !matches!(standard, Standard::Iso230_2 | Standard::Repeatability);
     for note in usable.iter().flat_map(|record| steps::said(record, responses)) {
         report.warn(&note);
@@ -161,9 +161,9 @@ pub fn evaluate(
     Ok(doubted(&first.path, document, report, doubts, say))
 }
 
-/// As [`evaluate`], of records on file.
-/// A drift test of more than [`MOST_ROWS`] rows in which no axis moves is read piece by piece. Its figures are those of the whole; mistakes
-/// are looked for in each piece.
+/// As [`evaluate`], for records on file.
+/// A drift test of more than [`MOST_ROWS`] rows without axis movement is read in pieces. Its figures are
+/// those of the whole; suspicions are found per piece.
 ///
 /// # Errors
 /// As [`evaluate`], and as [`record::read`].
@@ -180,10 +180,10 @@ pub fn evaluate_files(
     evaluate(&paths.iter().map(|p| record::read(p)).collect::<Result<Vec<_>, _>>()?, asked, say)
 }
 
-/// So many rows of a drift test are held at once: three days, a row each second.
+/// Most rows of a drift test in memory: three days at one row per second.
 pub const MOST_ROWS: usize = 1 << 18;
 
-/// The record where it is a drift test of more rows, and is evaluated as such.
+/// The evaluation of a drift test of more rows; `None` for other records.
 fn long_drift(
     path: &Path,
     asked: &EvaluationRequest,
@@ -203,7 +203,7 @@ fn in_pieces(
     most_rows: usize,
     say: &mut dyn FnMut(Said),
 ) -> Result<Evaluation, InputError> {
-    // Of one length, so that none is too short to show what it is.
+    // Pieces of equal length, so that none is too short for the checks.
     let pieces = long.rows().div_ceil(most_rows);
     let mut looked_at = plausible::PieceSuspicions::default();
     let rows_at_once = long.rows().div_ceil(pieces);
@@ -245,8 +245,8 @@ fn undrawn(file: &Path, e: &PlotError) -> InputError {
     InputError::whole(file, e.to_string(), "figures that can be drawn")
 }
 
-/// An evaluation with what is doubted of its records.
-/// Says what the report warns of.
+/// An evaluation with the suspicions against its records.
+/// Reports the warnings of the report.
 fn doubted(
     file: &Path,
     mut document: Value,
@@ -267,8 +267,7 @@ fn doubted(
     Evaluation { document, report, doubts }
 }
 
-/// Enters figures that differ with all rows as `with_every_row`.
-/// Reports the first few of them.
+/// Enters figures that differ with all rows as `with_every_row`; warns of some.
 fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
     let (own, every) = (single_figures("", document), single_figures("", all));
     let differs = |(name, with): (String, f64)| {
@@ -293,16 +292,15 @@ fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
     }
 }
 
-/// Figures that differ by no more than this share are one.
+/// Relative difference up to which figures are the same.
 const SAME: f64 = 1e-9;
 
-/// What differs by the order of a sum is the same figure.
+/// Whether two figures differ at most by the order of summation.
 pub(crate) fn is_same_figure(one: f64, other: f64) -> bool {
     (one - other).abs() <= SAME * one.abs().max(other.abs())
 }
 
-/// So many figures are said beside those without the rows that were left out.
-/// The document has all of them.
+/// Most figures in the warning about rows left out; the document has all.
 const MOST_BESIDE: usize = 8;
 
 fn digits(figure: f64) -> String {
@@ -310,7 +308,7 @@ fn digits(figure: f64) -> String {
 }
 
 /// The numbers of a document by their path, such as `x.A`.
-/// Lists that are not named by axis or response are left out.
+/// Lists are left out unless named by axis or response.
 fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
     let under = |name: &str| if place.is_empty() { name.to_owned() } else { format!("{place}.{name}") };
     match value {
@@ -327,7 +325,7 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
     }
 }
 
-/// Refuses a nonsensical sensor, which would spoil every figure reduced to 20 °C.
+/// Refuses a bad sensor, which would spoil every figure reduced to 20 °C.
 fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
     let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
     let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
@@ -349,7 +347,7 @@ fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputE
     Ok(())
 }
 
-/// One of them as it is, several as a list under a name.
+/// A single value as it is, several as a list under a name.
 fn one_or(name: &str, mut list: Vec<Value>) -> Value {
     if list.len() == 1 { list.remove(0) } else { json!({ name: list }) }
 }
@@ -381,7 +379,7 @@ fn by(
             let mut all = Vec::new();
             for record in records {
                 all.extend(iso230::positioning_with(record, &options).map_err(|mut e| {
-                    // Where the conditions alone are at fault, the record is one of positioning.
+                    // If only the conditions are wrong, the record is one of positioning.
                     let bare = Options { one_way: asked.one_way, ..Options::default() };
                     if iso230::positioning_with(record, &bare).is_err() {
                         let hint =
@@ -502,7 +500,7 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
         .responses()
         .filter(|c| c.data.len() > 1 && c.data.windows(2).all(|w| w[0].to_bits() == w[1].to_bits()))
     {
-        // All lie within one step of the gauge: their standard deviation is largest with half of them at each of its ends.
+        // All are within one step of the gauge; their deviation is largest with half at each end.
         let n = column.data.len() as f64;
         let most =
             record.count_um.or_else(|| written_step(column.data[0])).map_or_else(String::new, |step| {
@@ -520,8 +518,7 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
     Ok((found, report))
 }
 
-/// The decimal step that a reading is written in;
-/// none of a zero, which may be written in any.
+/// The decimal step that a reading is written in; `None` for zero.
 fn written_step(reading: f64) -> Option<f64> {
     let text = format!("{reading}");
     let decimals = text.split_once('.').map_or(0, |(_, decimals)| decimals.len());
@@ -532,19 +529,18 @@ fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {
     all.iter().map(serde_json::to_value).collect()
 }
 
-/// A pause between two rows of a log that is so many times the usual is a gap.
+/// A pause in a log is a gap above this multiple of the usual time step.
 const GAP: f64 = 5.0;
-/// Shorter gaps matter to no figure of a thermal test, s.
+/// Shorter gaps do not affect a figure of a thermal test, s.
 const SHORTEST_GAP_S: f64 = 300.0;
 
-/// The longest time without rows in a log that has them evenly, in words.
+/// The longest gap in an evenly logged record, as a message.
 fn gaps(record: &Record) -> Option<String> {
     let time = record.data(&Role::Time)?;
-    let mut steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
+    let steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
     let at = (0..steps.len()).max_by(|a, b| steps[*a].total_cmp(&steps[*b]))?;
     let longest = steps[at];
-    steps.sort_by(f64::total_cmp);
-    let usual = steps[steps.len() / 2];
+    let usual = median(steps.iter().copied());
     let many = steps.iter().filter(|s| **s > GAP * usual).count();
     (usual > 0.0 && longest > GAP * usual && longest >= SHORTEST_GAP_S && 10 * many <= steps.len()).then(|| {
         format!(
@@ -562,8 +558,8 @@ mod tests {
     use crate::plausible::What;
     use std::fmt::Write as _;
 
-    /// A drift test on file: rest, spindle with pauses, rest; time uneven.
-    /// A row changed as `spoilt` says.
+    /// A drift test on file: rest, spindle with pauses, rest; uneven times.
+    /// `spoilt` changes rows.
     fn drift(folder: &Path, rows: usize, spoilt: impl Fn(usize, &mut [f64; 7])) -> PathBuf {
         let mut csv = "t,rpm,z,T1,T2,e,f\n".to_owned();
         let mut dice = 1_u64;
@@ -623,7 +619,7 @@ mod tests {
                 assert_eq!(found.document.to_string(), whole.document.to_string());
                 assert_eq!(found.report.text(), whole.report.text());
                 assert!(found.report.plots().eq(whole.report.plots()));
-                // What stands above it differs by what is said of the pieces alone.
+                // The rest of the page differs only by the warning about pieces.
                 let [warning] = found.report.warnings() else { panic!("{:?}", found.report.warnings()) };
                 assert_eq!(said, [format!("warning: {}: {warning}", path.display())]);
                 let html = found.report.html().replace(&format!("<p class=\"warn\">{warning}</p>"), "");
@@ -632,8 +628,7 @@ mod tests {
         }
     }
 
-    /// A mistake has its rows wherever it stands.
-    /// One of all pieces is one of the record.
+    /// A suspicion keeps its rows in any piece. One in all pieces is one of the record.
     #[test]
     fn mistakes_in_a_long_drift_are_found_piece_by_piece() {
         let folder = tempfile::tempdir().unwrap();
@@ -652,8 +647,8 @@ mod tests {
         assert_eq!(found.document["suspicions"].as_array().map(Vec::len), Some(3));
     }
 
-    /// What asks for all rows at once is held.
-    /// Few rows, an axis that moves, another kind, no time.
+    /// Records that need all rows at once are not split.
+    /// Few rows, a moving axis, another kind, no time.
     #[test]
     fn what_cannot_be_cut_is_held() {
         let folder = tempfile::tempdir().unwrap();
@@ -669,7 +664,7 @@ mod tests {
             std::fs::write(&path, sidecar.replace(from, to)).unwrap();
             assert!(!is_long(&path, 999), "{to}");
         }
-        // From the last row of one piece to the first of the next one.
+        // A move from the last row of one piece to the first of the next one.
         let path = drift(folder.path(), 9000, |row, cells| cells[2] += if row < 4096 { 0.0 } else { 1.0 });
         assert!(!is_long(&path, 999));
         let path = drift(folder.path(), 9000, |row, cells| cells[2] += if row < 4096 { 0.0 } else { 0.005 });

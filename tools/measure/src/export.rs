@@ -1,17 +1,17 @@
-//! One axis' errors as a table for a controller that compensates by itself.
-//! Chosen from the model, and judged against it.
+//! One axis's errors as a table for a controller that compensates itself.
+//! The table is calculated from the model and checked against it.
 //!
-//! | module | what | source |
+//! | module | contents | source |
 //! |---|---|---|
 //! | `linuxcnc` | `COMP_FILE` of type 0 and 1 | LinuxCNC 2.9, `usrmotintf.cc`, `command.c`, `control.c` |
 //! | `beckhoff` | TF5200 and ISG kernel, `kw.ssfk.*` | Beckhoff Infosys, TF5200, 308695435 and 308687883 |
 //! | `siemens` | `$AA_ENC_COMP` | Siemens 6FC5397-1BP40-3BA1, K3, 4.4.2; 808D function manual, p. 106 |
-//! | `siemens_cec` | `$AN_CEC`, an axis' error along another axis | the same, 4.4.3, p. 248 and 249; 802D sl, p. 222 |
-//! | `own` | a form of the user's own, from a file | |
-//! | `order` | what somebody orders, and what to know of it | |
+//! | `siemens_cec` | `$AN_CEC`, one axis's error along another axis | the same, 4.4.3, p. 248 and 249; 802D sl, p. 222 |
+//! | `own` | a format described by the user's file | |
+//! | `order` | options of an export, and messages about it | |
 //!
-//! A controller interpolates the table linearly and holds the end values beyond it. The residual of the model is computed with the values
-//! as written, at places that fall into step with no period.
+//! A controller interpolates the table linearly and holds the end values beyond it. The residual is computed
+//! with the values as written, at places that match no period.
 
 pub mod beckhoff;
 pub mod linuxcnc;
@@ -28,22 +28,21 @@ use rtec_model::record::{Axis, LINEAR};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Nothing longer is a machine tool, mm.
+/// Longest axis of a machine tool, mm.
 const LONGEST_MM: f64 = 100_000.0;
-/// Places between two points at which a table is judged, and in all.
+/// Places between two points at which a table is checked, and their largest total.
 const PLACES: (usize, usize) = (24, 40_000);
-/// No controller takes more points.
+/// Most points of any controller.
 const MANY: usize = 100_000;
-/// Steps that read well, as parts of a power of ten.
+/// Round steps, as multiples of a power of ten.
 const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
 
-/// One place of a table.
-/// Error of the axis there, approached from below and from above.
+/// One point of a table: the axis's error in both directions of approach.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     /// Commanded position, mm.
     pub position_mm: f64,
-    /// Position reached minus commanded one, moving up, µm.
+    /// Position reached less commanded position, moving up, µm.
     pub up_um: f64,
     /// The same moving down.
     pub down_um: f64,
@@ -56,16 +55,16 @@ impl Point {
     }
 }
 
-/// What a format demands of a table.
+/// Requirements of a format.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rules {
-    /// Most points it takes.
+    /// Most points.
     pub most: usize,
-    /// Positions are multiples of this, mm.
+    /// Resolution of positions, mm.
     pub position_mm: f64,
-    /// Values are multiples of this, µm.
+    /// Resolution of values, µm.
     pub value_um: f64,
-    /// It has values for both directions; otherwise it takes their mean.
+    /// Whether it has values for both directions; otherwise it takes their mean.
     pub both: bool,
     /// The position at which the value must be zero, mm.
     pub zero_at_mm: Option<f64>,
@@ -74,12 +73,12 @@ pub struct Rules {
 }
 
 impl Rules {
-    /// Values for both directions, looked up at the commanded position.
+    /// Rules for values in both directions, looked up at the commanded position.
     fn both_directions(most: usize, position_mm: f64, value_um: f64) -> Self {
         Self { most, position_mm, value_um, both: true, zero_at_mm: None, lookup: Lookup::Commanded }
     }
 
-    /// SINUMERIK: one value for both directions, zero at a reference point.
+    /// Rules of SINUMERIK: one value for both directions, zero at a reference point.
     fn siemens(most: usize, reference_mm: f64) -> Self {
         let (position_mm, value_um) = (1e-4, 1e-3);
         Self {
@@ -93,29 +92,28 @@ impl Rules {
     }
 }
 
-/// Where a controller looks a table's value up.
+/// The position at which a controller looks up a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lookup {
-    /// At the commanded position.
-    /// The drive goes elsewhere by the value, and the error there is another one.
+    /// The commanded position.
+    /// The value moves the drive to another position, where the error differs.
     Commanded,
-    /// At the position that the encoder reads.
-    /// The value meets the error of that same place.
+    /// The position that the encoder reads: value and error belong to one place.
     Encoder,
 }
 
-/// A way to write a table.
+/// A format of tables.
 pub trait Format {
-    /// What it demands.
+    /// Its requirements.
     fn rules(&self) -> Rules;
 
     /// The file's text.
     ///
     /// # Errors
-    /// The table cannot be written so.
+    /// The format cannot hold the table.
     fn text(&self, table: &Table) -> Result<String, InputError>;
 
-    /// What a person has to do and to know who loads it.
+    /// Advice for the person who loads the table.
     fn advice(&self, table: &Table) -> Vec<String>;
 }
 
@@ -131,7 +129,7 @@ impl Format for Csv {
     fn text(&self, table: &Table) -> Result<String, InputError> {
         let mut text = "position_mm,error_up_um,error_down_um\n".to_owned();
         for p in &table.points {
-            // Writing to a String does not fail.
+            // Writing to a String cannot fail.
             let _ = writeln!(text, "{},{},{}", p.position_mm, p.up_um, p.down_um);
         }
         Ok(text)
@@ -142,18 +140,18 @@ impl Format for Csv {
     }
 }
 
-/// What was asked for.
+/// Range and accuracy of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TableRange {
     /// Lowest position, mm.
     pub from_mm: f64,
     /// Highest position, mm.
     pub to_mm: f64,
-    /// Distance between points, mm; chosen from the model where it is not given.
+    /// Distance between points, mm; `None`: from the model.
     pub step_mm: Option<f64>,
-    /// How far the table may be off the model between its points, µm.
+    /// Largest deviation of the table from the model between its points, µm.
     pub limit_um: f64,
-    /// Most points, where fewer than the format takes.
+    /// Most points, if fewer than the format allows.
     pub most: Option<usize>,
 }
 
@@ -161,7 +159,7 @@ fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
     InputError::whole(Path::new("model export"), found, expected)
 }
 
-/// The model's errors of one axis at rest, approached from one side.
+/// The model's errors of one axis at rest, by direction of approach.
 /// Parts that depend on speed, time and load are left out.
 #[derive(Debug)]
 pub struct Errors<'m> {
@@ -169,22 +167,21 @@ pub struct Errors<'m> {
     axis: Axis,
     layout: Layout,
     degc: Vec<f64>,
-    /// Where the axes stand, as the layout has them, mm; the table's own comes first.
+    /// Positions of the axes in the layout's order, mm; the table's own comes first.
     places_mm: Vec<f64>,
-    /// Axes of a chain whose place nobody stated.
+    /// Axes of a chain without a stated position.
     unstated: Vec<String>,
-    /// Which of the layout's axes the table goes along.
-    /// The first, unless it is a cross table.
+    /// Index in the layout of the table's axis; 0 except for cross tables.
     moving: usize,
 }
 
 impl<'m> Errors<'m> {
-    /// The axis' errors at these temperatures and places of the other axes.
+    /// The axis's errors at these temperatures and positions of the other axes.
     /// Sensors without a value are at 20 °C, axes at 0 mm.
     ///
     /// # Errors
-    /// An axis that the model knows no error of, a sensor or another axis that it does not read or that is given twice, no
-    /// temperature or place.
+    /// An axis without an error in the model; a sensor or axis that the model does not read or that is given
+    /// twice; an invalid temperature or position.
     pub fn of(
         machine: &'m Machine,
         axis: &str,
@@ -265,8 +262,8 @@ impl<'m> Errors<'m> {
         Ok(Self { machine, axis, layout, degc, places_mm, unstated, moving: 0 })
     }
 
-    /// The same along another axis, the own one standing at this place.
-    /// What squareness, straightness and sag make of it.
+    /// The errors along another axis, with the own axis at `own_mm`: a cross table.
+    /// They come from squareness, straightness and sag.
     ///
     /// # Errors
     /// The model has no error of this axis that depends on the other.
@@ -294,17 +291,16 @@ impl<'m> Errors<'m> {
     }
 
     /// Whether an effect is in the table.
-    /// A cross table holds what depends on the axis that it runs along.
+    /// A cross table holds effects of the axis that it runs along.
     fn is_in_table(&self, effect: &Effect) -> bool {
         acts_on(effect, &self.axis)
             && (self.moving == 0 || effect.axes().contains(&self.layout.axes[self.moving]))
     }
 
-    /// Errors at these rising places, µm.
-    /// Approached from below each (`up`) or from above.
+    /// Errors at these rising positions, µm, approached from below (`up`) or above.
     ///
     /// # Errors
-    /// The model needs what a table cannot give it.
+    /// The model needs something that a table cannot provide.
     pub fn along(&self, positions_mm: &[f64], up: bool) -> Result<Vec<f64>, InputError> {
         let mut live = self.live()?;
         let (mut column, n) = (vec![0.0; positions_mm.len()], positions_mm.len());
@@ -315,8 +311,7 @@ impl<'m> Errors<'m> {
         Ok(column)
     }
 
-    /// What the model has right behind a turn and no table of positions holds:
-    /// a spike that goes with the travel, µm.
+    /// Spike after a reversal at a position, µm, which no table of positions can hold.
     ///
     /// # Errors
     /// As [`Errors::along`].
@@ -347,7 +342,7 @@ impl<'m> Errors<'m> {
         live.errors_um()[0]
     }
 
-    /// The sensors that the axis' errors use, with the table's temperatures, °C.
+    /// Sensors that the axis's errors use, with the table's temperatures, °C.
     /// A sensor without a stated temperature is at 20 °C.
     ///
     /// # Errors
@@ -366,8 +361,9 @@ impl<'m> Errors<'m> {
         Ok(own.map(|(name, degc)| (name.as_str(), *degc)).collect())
     }
 
-    /// What a person should know.
-    /// Effects of the axis that a table of positions cannot hold, and temperatures outside the range that an effect was fitted on.
+    /// Warnings about the table.
+    /// Effects of the axis that a table of positions cannot hold, and temperatures outside the range of a
+    /// fit.
     ///
     /// # Errors
     /// As [`Errors::along`].
@@ -425,7 +421,7 @@ fn acts_on(effect: &Effect, axis: &Axis) -> bool {
     description.quantity == Quantity::Error && effect.axes().iter().take(components).any(|a| a == axis)
 }
 
-/// The axes that a model knows errors of.
+/// The axes with errors in a model.
 fn axes(machine: &Machine) -> Vec<Axis> {
     let own = machine.listed().iter().filter(|l| !l.provenance.set_up).map(|l| &l.effect);
     let mut known: Vec<Axis> = own
@@ -437,19 +433,19 @@ fn axes(machine: &Machine) -> Vec<Axis> {
     known
 }
 
-/// A table as it is written, and what it leaves of the model.
+/// A table with values as written, and its residual against the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
     /// The axis.
     pub axis: Axis,
-    /// Its points, positions rising, with the values as they are written.
+    /// Its points with rising positions, and values as written.
     pub points: Vec<Point>,
     /// Distance between them, mm.
     pub step_mm: f64,
-    /// What was taken from all values to make the one at the reference point zero, µm.
-    /// It moves the axis' zero.
+    /// Constant subtracted from all values so that the reference point is zero, µm.
+    /// It shifts the zero of the axis.
     pub constant_um: f64,
-    /// What it leaves.
+    /// Residual of the model.
     pub left: Left,
     /// Largest error between points, µm, which more points could reduce.
     /// With one value for both directions, it is measured against their mean.
@@ -474,15 +470,14 @@ impl Left {
     }
 }
 
-/// The model at many places.
+/// Errors of the model at many places.
 struct Dense {
     positions_mm: Vec<f64>,
     up_um: Vec<f64>,
     down_um: Vec<f64>,
 }
 
-/// The straight line between the points, or the value of the last one.
-/// For rising places.
+/// Linear interpolation at rising places; the end values beyond the ends.
 fn interpolate<'a>(
     points: &'a [Point],
     places_mm: &'a [f64],
@@ -505,7 +500,7 @@ fn interpolate<'a>(
 }
 
 fn round_to(value: f64, resolution: f64) -> f64 {
-    // Divided by a whole number where the resolution is a decimal fraction: 0.1 and its like come out as they are written.
+    // Division by a whole number gives decimal fractions exactly as written.
     let inverse = resolution.recip().round();
     if resolution < 1.0 && (inverse * resolution - 1.0).abs() < 1e-9 {
         (value * inverse).round() / inverse
@@ -515,12 +510,12 @@ fn round_to(value: f64, resolution: f64) -> f64 {
 }
 
 impl Table {
-    /// The table that a format takes, with the given step or the widest one allowed.
-    /// The limit decides; if no step keeps it, the table with the smallest error is used.
+    /// The table for a format, with the given step or the widest within the limit.
+    /// If no step keeps the limit, the table with the smallest error is used.
     ///
     /// # Errors
-    /// A range or step that is none, more points than the format takes, a reference point outside the range, and what
-    /// [`Errors::along`] finds.
+    /// An invalid range or step, more points than the format takes, a reference point outside the range, and
+    /// errors of [`Errors::along`].
     pub fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self, InputError> {
         let (from, to) = (wanted.from_mm, wanted.to_mm);
         if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
@@ -575,7 +570,7 @@ impl Table {
                 if !rules.both || table.left.max_um() <= wanted.limit_um {
                     return Ok(table);
                 }
-                // What the table's own move leaves is there with any number of points.
+                // More points cannot reduce the error from the table's own movement.
                 if table.left.max_um() - table.between_um >= wanted.limit_um {
                     return Ok(applied.unwrap_or(table));
                 }
@@ -644,12 +639,12 @@ impl Table {
         Ok(table)
     }
 
-    /// Judges what is left where a controller applies the table.
-    /// One that looks the value up at the commanded position moves the drive by it, and the error there is another one. Across a large
-    /// reversal that is a good part of a screw's wave.
+    /// The table with its residual where a controller applies it.
+    /// A controller that looks up the commanded position moves the drive to a place with another error. Near
+    /// a large reversal that is a good part of a screw's wave.
     fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self, InputError> {
         if rules.lookup == Lookup::Encoder {
-            // As `judge` has it: value and error of one place.
+            // `judge` already used value and error of one place.
             return Ok(self);
         }
         let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>, InputError> {
@@ -692,8 +687,8 @@ impl Table {
 }
 
 impl Dense {
-    /// Evenly spread places, each moved within its own stretch by the golden ratio.
-    /// No period falls into step with them.
+    /// Evenly spread places, each shifted within its interval by the golden ratio.
+    /// So no period of an error matches them.
     fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self, InputError> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);
@@ -706,12 +701,11 @@ impl Dense {
     }
 }
 
-/// Steps to try, widest first, so that the last point is the end of the travel.
-/// Round steps that divide the travel, and fractions of it.
+/// Steps to try: round steps that divide the travel, and fractions of it.
+/// Those that end at the end of the travel come first, each group with the widest first.
 fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
     let up = |step: f64| round_to((step / position_mm - 1e-6).ceil().max(1.0) * position_mm, position_mm);
     let mut steps = Vec::new();
-    // Those that end at the range's end come first.
     let whole = (span_mm / position_mm).round();
     for parts in 1..most.min(MANY) {
         let per = whole / parts as f64;
@@ -741,9 +735,8 @@ fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
     steps
 }
 
-/// A number as it is written.
+/// A number with this many decimals; zero has no sign.
 pub(crate) fn number(value: f64, decimals: usize) -> String {
-    // No minus before a zero.
     let text = format!("{value:.decimals$}");
     if text.trim_start_matches(['-', '0', '.']).is_empty() {
         text.trim_start_matches('-').to_owned()

@@ -1,5 +1,4 @@
-//! One machine's figures of merit over time.
-//! What each of its records says, with limits and trend.
+//! One machine's figures of merit over time, with limits and trends.
 
 use crate::iso230::{self, Options};
 use crate::plausible::{self, Suspicion};
@@ -12,25 +11,25 @@ use crate::{
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Growth is not told from less than this, K.
+/// Smallest temperature range to determine growth, K.
 const LEAST_RANGE_K: f64 = 1.0;
-/// A straight line over time needs so many records.
+/// Fewest records for a straight line over time.
 const FEWEST: usize = 3;
 /// Days of a year.
 const YEAR: f64 = 365.25;
-/// What a trend does not reach within so many days is no warning.
+/// A limit that a trend reaches after more days than this gives no warning.
 const FAR_DAYS: f64 = 3650.0;
-/// Figures of positioning that are followed, with their meaning.
+/// Figures of positioning in a history.
 const POSITIONING: [&str; 5] = ["A", "E", "M", "R", "B_mean"];
 
-/// Bounds of a figure, either side of zero.
-/// By its whole name (`x.A`) or for every axis (`A`).
+/// Limits of figures, on both sides of zero.
+/// By whole name (`x.A`) or for every axis (`A`).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Limits(BTreeMap<String, f64>);
 
@@ -38,7 +37,7 @@ impl Limits {
     /// Reads a file with a table `[limits]`: `"x.A" = 12.0`, `B_mean = 5.0`.
     ///
     /// # Errors
-    /// The first finding: an unknown key, a figure that is none, a limit that is no number above zero.
+    /// The first finding: an unknown key or figure, a limit that is not a number above zero.
     pub fn read(path: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(path)?;
         let document = Document::parse(path, &text)?;
@@ -59,7 +58,7 @@ impl Limits {
         Ok(Self(limits))
     }
 
-    /// Of limits by name.
+    /// From limits by name.
     pub fn of(limits: impl IntoIterator<Item = (String, f64)>) -> Self {
         Self(limits.into_iter().collect())
     }
@@ -69,7 +68,7 @@ impl Limits {
         self.0.get(name).or_else(|| self.0.get(short)).copied()
     }
 
-    /// The limits that no figure of the history was held against.
+    /// The limits that apply to no figure of the history.
     pub fn without(&self, history: &History) -> Vec<&str> {
         let of = |limit: &str, figure: &str| figure == limit || figure.rsplit('.').next() == Some(limit);
         let limits = self.0.keys().map(String::as_str);
@@ -77,15 +76,15 @@ impl Limits {
     }
 }
 
-/// Every figure that has a history.
+/// Names of all figures of a history.
 pub const NAMES: [&str; 7] = ["A", "E", "M", "R", "B_mean", "squareness_urad", "growth_um_per_K"];
 
-/// What one record says of a figure.
+/// The value of a figure in one record.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Point {
     /// The day of the record.
     pub date: String,
-    /// The record, as it was named.
+    /// Path of the record, as given.
     pub record: String,
     /// The figure, in its unit.
     pub value: f64,
@@ -100,11 +99,11 @@ pub struct Point {
 /// A straight line over time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Trend {
-    /// Change in a year.
+    /// Change per year.
     pub per_year: f64,
     /// Its 95 % interval.
     pub interval: [f64; 2],
-    /// The interval does not hold zero.
+    /// Whether the interval excludes zero.
     pub drifts: bool,
     #[serde(skip)]
     now: f64,
@@ -117,27 +116,27 @@ pub struct Figure {
     pub name: String,
     /// Its unit.
     pub unit: &'static str,
-    /// The sensor that it is told by.
+    /// The sensor that the growth refers to.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
-    /// What the records say, in order of time.
+    /// Its values, in order of time.
     pub points: Vec<Point>,
-    /// What it may be, either side of zero.
+    /// Its limit, on both sides of zero.
     pub limit: Option<f64>,
-    /// The last of them is beyond the limit.
+    /// Whether the last value exceeds the limit.
     pub beyond: bool,
-    /// How it changes; none of fewer than three days.
+    /// Its trend; `None` for fewer than three days.
     pub trend: Option<Trend>,
-    /// The day on which the trend reaches the limit, where it does.
+    /// The day on which the trend reaches the limit, if it does.
     pub reaches: Option<String>,
 }
 
-/// A record that stands in no history.
+/// A record that is not in the history.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct LeftOut {
-    /// The record, as it was named.
+    /// Path of the record, as given.
     pub record: String,
-    /// Why.
+    /// The reason.
     pub why: String,
 }
 
@@ -150,16 +149,16 @@ pub struct History {
     pub figures: Vec<Figure>,
     /// Records without a date, or that cannot be read or evaluated.
     pub left_out: Vec<LeftOut>,
-    /// Mistakes that the records show; the rows that they name are in no figure.
+    /// Suspicions against the records; their rows are in no figure.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<Suspicion>,
-    /// Figures that hold a drift or a step of their run, in words.
+    /// Messages about figures that contain a drift or a step of their run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<String>,
 }
 
 /// One machine's history from its records, each by its path.
-/// One that cannot be read is left out and named.
+/// Records that cannot be read are listed in `left_out`.
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let mut left_out = Vec::new();
@@ -207,16 +206,16 @@ pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], 
 
 type RecordFigure = (String, &'static str, Option<String>, f64);
 
-/// A record as its figures see it.
+/// The rows of a record for its figures.
 struct Rows {
-    /// The rows that figures may hold.
+    /// The rows used in figures.
     good: Record,
-    /// Every row, where some of them are in no figure.
+    /// Every row, if some are left out of figures.
     every: Option<Record>,
 }
 
 impl Rows {
-    /// What the record shows of mistakes is added to what was found.
+    /// Adds the suspicions of the record to `found`.
     fn of(record: &Record, found: &mut Vec<Suspicion>) -> Self {
         let records = std::slice::from_ref(record);
         let doubts = plausible::suspicions(records);
@@ -231,7 +230,7 @@ impl Rows {
     }
 }
 
-/// Figures of a positioning run that hold its drift or step, in words.
+/// Messages about positioning figures that contain a drift or step of the run.
 fn held_changes(record: &Record) -> Vec<String> {
     if !matches!(Standard::of(record), Ok(Standard::Iso230_2)) {
         return Vec::new();
@@ -252,7 +251,7 @@ fn held_changes(record: &Record) -> Vec<String> {
     iso230::positioning_with(record, &options).iter().flatten().filter_map(held).collect()
 }
 
-/// What a record says: of an evaluation that has no history nothing.
+/// The figures of a record; none for evaluations without a history.
 fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<RecordFigure>, InputError> {
     Ok(match Standard::of(record) {
         Ok(Standard::Iso230_2) => {
@@ -290,8 +289,7 @@ fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Re
     })
 }
 
-/// For each response the sensor that tells its growth best over all drift records.
-/// One for all, so that they can be compared.
+/// For each response the sensor that explains its growth best in all drift records.
 fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, String> {
     let mut merit: BTreeMap<(String, String), f64> = BTreeMap::new();
     for record in records.filter(|r| matches!(Standard::of(r), Ok(Standard::Iso230_3))) {
@@ -314,15 +312,14 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
 }
 
 /// Slope of a straight line, its standard error, and the correlation.
-/// None where x hardly moves.
+/// `None` if x hardly varies.
 fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
     let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
-    let range =
-        x.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - x.iter().fold(f64::INFINITY, |a, b| a.min(*b));
-    if x.len() < FEWEST || range < LEAST_RANGE_K {
+    let [low, high] = span(x);
+    if x.len() < FEWEST || high - low < LEAST_RANGE_K {
         return None;
     }
     let slope = xy / xx;
@@ -355,7 +352,7 @@ fn judged(mut figure: Figure) -> Figure {
 }
 
 impl History {
-    /// The figures that would be others with every row, each with its record, in words.
+    /// Messages about figures that would differ with every row, by record.
     pub fn with_every_row(&self) -> impl Iterator<Item = String> {
         self.figures.iter().flat_map(|f| {
             f.points.iter().filter_map(|p| {
@@ -368,12 +365,12 @@ impl History {
         })
     }
 
-    /// A figure's last value is beyond its limit.
+    /// Figures whose last value exceeds their limit.
     pub fn beyond(&self) -> impl Iterator<Item = &Figure> {
         self.figures.iter().filter(|f| f.beyond)
     }
 
-    /// As a page and as text: the table, and each figure over time.
+    /// The history as a page and as text: a table, and each figure over time.
     ///
     /// # Errors
     /// A plot without a finite point.
@@ -383,13 +380,13 @@ impl History {
 }
 
 impl Figure {
-    /// Days since the first record and values.
+    /// Days since the first record, with the values.
     pub(crate) fn over_days(&self) -> Vec<(f64, f64)> {
         let first = self.points.first().map_or(0, |p| p.day);
         self.points.iter().map(|p| ((p.day - first) as f64, p.value)).collect()
     }
 
-    /// The trend's ends over the same days.
+    /// Ends of the trend line over the same days.
     pub(crate) fn line(&self) -> Option<[(f64, f64); 2]> {
         let (trend, last) = (self.trend?, self.over_days().last()?.0);
         Some([(0.0, trend.now - trend.per_year / YEAR * last), (last, trend.now)])
@@ -439,7 +436,7 @@ mod tests {
             history("m", &records, &Limits::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
         let of = |name: &str| found.figures.iter().find(|f| f.name == name).unwrap();
         let m = of("x.M");
-        // 10 ppm over 300 mm are 3 µm; 9 ppm more in nine months.
+        // 10 ppm over 300 mm are 3 µm; 9 ppm more after nine months.
         assert!((m.points[0].value - 3.0).abs() < 0.02 && (m.points[3].value - 5.7).abs() < 0.02, "{m:?}");
         let trend = m.trend.unwrap();
         assert!(trend.drifts && (trend.per_year - 3.6).abs() < 0.2, "{trend:?}");

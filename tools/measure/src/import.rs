@@ -1,10 +1,10 @@
-//! What other tools wrote, as run records.
+//! Reads files of other tools as run records.
 //!
-//! | module | what | structure from |
+//! | module | contents | structure from |
 //! |---|---|---|
-//! | `table` | any table whose columns somebody names, with units, factors and times | |
-//! | `own` | the same, described by a file of the user's own | |
-//! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no file of the maker's was seen |
+//! | `table` | any table with named columns, units, factors and times | |
+//! | `own` | the same, described by the user's file | |
+//! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no original file was available |
 //! | `etalon` | Etalon's exchange format | ISG kernel documentation, 296430091 |
 //! | `halsampler` | LinuxCNC's `halsampler` | its source, `sampler_usr.c` |
 //! | `shdr` | a log of `MTConnect`'s SHDR lines | the agent's own logs |
@@ -12,7 +12,7 @@
 //! | `ecmc` | ecmc's ISO 230-2 test | |
 //! | `cmm` | tables of holes | |
 //!
-//! `request`: which of them, as somebody asks for it. Times: `rtec_files::clock`.
+//! `request` holds the options of an import. For times see `rtec_files::clock`.
 
 mod cmm;
 mod ecmc;
@@ -36,24 +36,30 @@ pub use shdr::shdr;
 pub use table::{Form, ImportColumn, table};
 
 use rtec_files::InputError;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
-fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
-    let unit = role.unit().unwrap_or("1").to_owned();
-    Column { name: name.to_owned(), role, unit, data }
+/// A record of targets on an axis; a row is cycle, position, direction and error.
+fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record, InputError> {
+    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
+    let columns = vec![
+        Column::new("cycle", Role::Cycle, get(0)),
+        Column::new(axis.as_str(), Role::Position(axis.clone()), get(1)),
+        Column::new("direction", Role::Direction(axis.clone()), get(2)),
+        Column::new("error", Role::Error(axis.clone()), get(3)),
+    ];
+    Record::new(to, Kind::Positioning, columns)
 }
 
-/// A record of what was read.
-/// A log (for a rehearsal, say) need not have a response.
+/// A record of these columns.
+/// A log, for example for a rehearsal, needs no response.
 fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record, InputError> {
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {
-        // It is looked at as any record is, with a response that goes again.
-        let axis =
-            rtec_model::record::Axis::new("r").unwrap_or_else(|| unreachable!("a letter is an axis name"));
+        // Checked like any record, with a temporary response.
+        let axis = Axis::new("r").unwrap_or_else(|| unreachable!("a letter is an axis name"));
         let zeros = vec![0.0; columns[0].data.len()];
-        columns.push(column("\u{0}", Role::Error(axis), zeros));
+        columns.push(Column::new("\u{0}", Role::Error(axis), zeros));
     }
     let mut record = Record::new(to, kind, columns)?;
     if bare {

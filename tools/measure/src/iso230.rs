@@ -6,7 +6,7 @@
 //! | [`drift()`] | ISO 230-3: thermal effects, phase by phase |
 //! | [`straightness()`] | ISO 230-1: straightness of an axis's motion |
 //! | [`diagonals()`] | ISO 230-6: body and face diagonals |
-//! | [`Conditions`] | what a test was done under, and the uncertainty that follows |
+//! | [`Conditions`] | conditions of a test, and the uncertainty that follows |
 
 mod air;
 mod conditions;
@@ -27,12 +27,12 @@ pub use positioning::{
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use std::collections::BTreeMap;
 
-/// Largest scatter of a measured position at one target, as a share of travel.
+/// Largest scatter of positions at one target, as a share of the travel.
 const ALIKE: f64 = 1e-4;
 /// For larger scatter: least ratio of distances between targets to those within.
 const APART: f64 = 10.0;
@@ -45,7 +45,7 @@ pub(crate) struct Place {
 }
 
 /// The places of a run, in order.
-/// Where no direction is known all is called upwards.
+/// Without a direction all errors are upwards.
 pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64]) -> Vec<Place> {
     let of = |rows: Vec<usize>| {
         let side = |up: bool| -> Vec<f64> {
@@ -76,14 +76,14 @@ pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
 /// The circle through places, by least squares of squared distances (Kåsa).
 pub(crate) struct Round {
     centre: [f64; 2],
-    /// Unit of the places.
+    /// In the unit of the places.
     pub(crate) radius: f64,
-    /// From the circle to the place farthest off it.
+    /// Distance from the circle to the farthest place.
     pub(crate) off: f64,
 }
 
 impl Round {
-    /// `None` where the places show none: fewer than three, or on a line.
+    /// `None` for fewer than three places, or places on a line.
     pub(crate) fn through(x: &[f64], y: &[f64]) -> Option<Self> {
         let n = x.len() as f64;
         let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
@@ -92,7 +92,7 @@ impl Round {
         let of = |k: usize| (0..x.len()).map(|i| place(i)[k]).collect::<Vec<f64>>();
         let squares: Vec<f64> = (0..x.len()).map(|i| place(i).iter().map(|v| v * v).sum()).collect();
         let fit = rtec_least_squares::solve(&[of(0), of(1), vec![1.0; x.len()]], &squares).ok()?;
-        // Of places on a line one direction is rounding.
+        // For places on a line one direction is rounding only.
         if fit.independent.iter().any(|share| *share < 3e-5) {
             return None;
         }
@@ -110,7 +110,7 @@ impl Round {
         (y - self.centre[1]).atan2(x - self.centre[0])
     }
 
-    /// No place is further off it than by a hundredth of its radius.
+    /// Whether all places are within 1 % of the radius from the circle.
     pub(crate) fn is_met(&self) -> bool {
         self.off <= 0.01 * self.radius
     }
@@ -122,16 +122,16 @@ pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
     let mut gaps: Vec<f64> = sorted(position).windows(2).map(|w| w[1] - w[0]).collect();
     gaps.sort_by(f64::total_cmp);
     let span: f64 = gaps.iter().sum();
-    // The widest step from one distance to the next larger one, beyond what is taken for alike anyway.
+    // The largest ratio of two consecutive distances, beyond the tolerance.
     let break_at = gaps
         .windows(2)
         .filter(|w| w[0] > ALIKE * span && w[1] > APART * w[0])
         .max_by(|a, b| (a[1] / a[0]).total_cmp(&(b[1] / b[0])));
-    // Between the two, so that no rounding parts what belongs together.
+    // A limit between the two, so that rounding does not split a target.
     let Some(wider) = break_at.map(|w| self::alike(position, (w[0] * w[1]).sqrt() / span)) else {
         return alike;
     };
-    // Targets are some, and come again.
+    // There are several targets, and each repeats.
     if wider.len() >= 3 && 2 * wider.len() <= position.len() { wider } else { alike }
 }
 
@@ -146,13 +146,8 @@ pub(crate) fn alike(position: &[f64], share: f64) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..position.len()).collect();
     order.sort_by(|a, b| position[*a].total_cmp(&position[*b]));
     let gap = (position[order[order.len() - 1]] - position[order[0]]) * share;
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    for row in order {
-        match groups.last_mut() {
-            Some(g) if position[row] - position[g[g.len() - 1]] <= gap => g.push(row),
-            _ => groups.push(vec![row]),
-        }
-    }
+    let near = |a: &usize, b: &usize| position[*b] - position[*a] <= gap;
+    let mut groups: Vec<Vec<usize>> = order.chunk_by(near).map(<[usize]>::to_vec).collect();
     for g in &mut groups {
         g.sort_unstable();
     }
@@ -182,7 +177,7 @@ pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     values.into_iter().reduce(f64::max)
 }
 
-/// The errors of a record with their axes, for evaluations that take one axis at a time.
+/// The errors of a record with their axes.
 pub(crate) fn error_axes(record: &Record) -> Vec<(&Axis, &[f64])> {
     let of = |c: &'_ rtec_model::record::Column| matches!(c.role, Role::Error(_));
     let errors = record.columns.iter().filter(|c| of(c));
@@ -193,7 +188,7 @@ pub(crate) fn lacks(record: &Record, found: &str, expected: &str) -> InputError 
     InputError::whole(&record.path, found, expected)
 }
 
-/// Correlation coefficient; zero where one of the two does not vary.
+/// Correlation coefficient; 0 if one of the two does not vary.
 pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
@@ -207,8 +202,8 @@ pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 
-/// Returning to one position (tool changes, reference marks).
-/// How far the returns scatter, with and without their drift.
+/// Repeatability of returns to one position (tool changes, reference marks).
+/// Scatter with and without drift.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Returns {
     /// Number of returns.
@@ -217,47 +212,44 @@ pub struct Returns {
     pub s_um: f64,
     /// Largest minus smallest error, µm.
     pub range_um: f64,
-    /// Slope of the straight line through the returns, µm from one to the next.
+    /// Slope of the straight line through the returns, µm per return.
     pub trend_um_per_return: f64,
     /// Standard error of that slope, µm; `None` below three returns.
     pub trend_standard_error_um: Option<f64>,
-    /// Probability of so large a slope by chance; `None` below three returns.
+    /// Probability of a slope of this size by chance; `None` below three returns.
     pub trend_p_value: Option<f64>,
     /// Standard deviation about that line, µm; `None` below three returns.
     pub s_about_trend_um: Option<f64>,
     /// Standard deviation from differences of consecutive returns, µm.
     /// They contain no slow drift of any shape. `None` below three returns.
     pub s_of_neighbours_um: Option<f64>,
-    /// A step that explains the returns better than a straight line does.
+    /// A step that explains the returns better than a straight line.
     /// It must leave no other structure in them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<ReturnStep>,
-    /// What takes turns in the returns, if anything does.
+    /// A periodic pattern in the returns, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub turns: Option<Turns>,
 }
 
-/// Returns that repeat every so many:
-/// two grippers, four sides of a tool, both directions of approach.
+/// A periodic pattern of returns: two grippers, four sides of a tool.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Turns {
-    /// After so many returns the first of them comes again.
+    /// Period, in returns.
     pub every: usize,
-    /// From the lowest of their means to the highest, µm.
+    /// Highest less lowest mean of the phases, µm.
     pub range_um: f64,
-    /// Probability of means so far apart by chance, at any number of turns that was
-    /// tried.
+    /// Probability of means this far apart by chance, over all periods tried.
     pub p_value: f64,
     /// Standard deviation about those means, µm.
     pub s_about_them_um: f64,
 }
 
-/// Each of them is seen so often at least.
+/// Fewest returns per phase.
 const ROUNDS: usize = 3;
 
 impl Turns {
-    /// Of what is left of returns without their drift, by an analysis of variance at
-    /// each number of turns.
+    /// The best period of returns without drift, by analysis of variance.
     fn of(left: &[f64], used: usize) -> Option<Self> {
         let n = left.len();
         let tried = (2..=n / ROUNDS).count() as f64;
@@ -281,40 +273,37 @@ impl Turns {
                 s_about_them_um: (within / freedom).sqrt(),
             })
         });
-        // The fewest turns among those that explain as much: four are two as well.
+        // The shortest period among equally good ones: a period of two is also one of four.
         let best = found.min_by(|a, b| a.p_value.total_cmp(&b.p_value).then(a.every.cmp(&b.every)))?;
         (best.p_value < CHANCE).then_some(best)
     }
 }
 
-/// A step in the returns.
-/// All before it about one mean, all from it on about another.
+/// A step in the returns: the returns before and after have different means.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ReturnStep {
-    /// The first return behind it, from 1.
+    /// The first return after it, from 1.
     pub row: usize,
     /// Its size, µm.
     pub um: f64,
     /// Standard error of its size, µm.
     pub standard_error_um: f64,
-    /// Probability of so large a step at any place by chance.
+    /// Probability of a step of this size at any place by chance.
     pub p_value: f64,
     /// Standard deviation about the two means, or about two lines of one slope, µm.
     pub s_about_step_um: f64,
-    /// Slope of the returns on both sides of it, µm from one to the next, where they
-    /// drift beside it beyond chance.
+    /// Slope on both sides of it, µm per return, if it is beyond chance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_um_per_return: Option<f64>,
 }
 
-/// So many returns at least on either side of a step: one alone is a bad return.
+/// Fewest returns on either side of a step; a single one is a bad return.
 const STEP_SIDE: usize = 2;
-/// Chance is ruled out where it gives as much in one of a hundred runs.
+/// A trend, step or period is reported below this probability of chance.
 const CHANCE: f64 = 0.01;
-/// A step comes with this share of its size at once, as a sensor's does;
-/// what bends comes slowly.
+/// Least share of a step's size between two returns; a bend comes slowly.
 const AT_ONCE: f64 = 0.7;
-/// The point of a normal distribution that one of a hundred values lies beyond.
+/// Normal quantile of 99 %.
 const ONE_IN_A_HUNDRED: f64 = 2.326;
 
 impl ReturnStep {
@@ -334,7 +323,7 @@ impl ReturnStep {
         if let Some(found) = Self::beside_drift(e, about_line, left) {
             return Some(found);
         }
-        // Its place was sought as well: one parameter more than a line has (Schwarz's criterion).
+        // The place is one more parameter than a line has (Schwarz's criterion).
         let count = n as f64;
         if count * (about_line / left.max(f64::MIN_POSITIVE)).ln() < count.ln() {
             return None;
@@ -345,7 +334,7 @@ impl ReturnStep {
         let error = s * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
         let t = StudentsT::new(0.0, 1.0, freedom).ok()?;
         let p_value = if s > 0.0 { (tried * 2.0 * t.cdf(-(um / error).abs())).min(1.0) } else { 0.0 };
-        // What bends, as heat does, leaves neighbours alike on both sides of a step.
+        // A bend, as of heat, leaves residuals alike on both sides of a step.
         let residual: Vec<f64> =
             (0..n).map(|i| e[i] - if i < at { mean(&e[..at]) } else { mean(&e[at..]) }).collect();
         let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
@@ -362,7 +351,7 @@ impl ReturnStep {
     }
 
     /// A step in returns that drift as well.
-    /// Both must explain more than either does alone (Schwarz's criterion), and be beyond chance.
+    /// Both must explain more than either alone (Schwarz's criterion), and be beyond chance.
     fn beside_drift(e: &[f64], about_line: f64, about_step: f64) -> Option<Self> {
         let (n, count) = (e.len(), e.len() as f64);
         let freedom = n.checked_sub(3).filter(|f| *f >= STEP_SIDE)? as f64;
@@ -392,15 +381,15 @@ impl ReturnStep {
         let law = StudentsT::new(0.0, 1.0, freedom).ok()?;
         let chance =
             |size: f64, error: f64| if error > 0.0 { 2.0 * law.cdf(-(size / error).abs()) } else { 0.0 };
-        // Of two means each has its own error; a slope beside a step is known from both sides.
+        // Each mean has its own error, but the common slope is known from both sides.
         let within: f64 = [at as f64, count - at as f64].map(|m| m * (m * m - 1.0) / 12.0).iter().sum();
         let p_value = (tried * chance(um, error)).min(1.0);
         let (_, of_step) = from_line(&|i| f64::from(i >= at));
         let residual: Vec<f64> = of_returns.iter().zip(&of_step).map(|(v, h)| v - um * h).collect();
         let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
-        // What bends leaves neighbours alike on both sides.
+        // A bend leaves residuals alike on both sides.
         let is_rest = left <= 0.0 || !is_alike(pairs / left, n);
-        // It comes between two returns, two on either side tell; heat takes more of them.
+        // A step comes between two returns; heat takes more than two.
         let pair = |k: usize| f64::midpoint(e[k], e[k + 1]);
         let is_sudden = (pair(at) - pair(at - 2) - 2.0 * slope) / um > AT_ONCE;
         let is_both = is_rest
@@ -419,7 +408,7 @@ impl ReturnStep {
     }
 }
 
-/// Whether neighbours are more alike than by chance in one of a hundred runs.
+/// Whether neighbours are more alike than chance makes them (1 %).
 /// Von Neumann's ratio has mean 2 and variance 4 (n − 2) / (n² − 1).
 pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
     let n = n as f64;
@@ -427,7 +416,7 @@ pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
 }
 
 impl Returns {
-    /// Of errors in µm in the order of the returns; `None` for fewer than two.
+    /// From errors in µm in the order of the returns; `None` for fewer than two.
     pub fn of(e: &[f64]) -> Option<Self> {
         let (mean, s_um) = mean_and_s(e)?;
         let n = e.len() as f64;
@@ -460,8 +449,7 @@ impl Returns {
         })
     }
 
-    /// The drift is no straight line.
-    /// About it neighbours are more alike than chance makes them.
+    /// Whether the drift is not a straight line: neighbours are alike about it.
     pub fn is_bent(&self) -> bool {
         let n = self.returns as f64;
         self.s_about_trend_um.zip(self.s_of_neighbours_um).is_some_and(|(about, neighbours)| {
@@ -487,14 +475,4 @@ pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
         Some((axis.to_string(), found))
     };
     error_axes(record).into_iter().filter_map(of).collect()
-}
-
-/// The evaluation that fits a record's kind.
-pub fn standard_for(kind: Kind) -> Option<&'static str> {
-    match kind {
-        Kind::Positioning => Some("iso230-2"),
-        Kind::Drift => Some("iso230-3"),
-        Kind::Ballbar => Some("ballbar"),
-        _ => None,
-    }
 }

@@ -1,25 +1,24 @@
-//! What a run showed.
-//! Run records on file, other tools' files, the plan of a characterisation, evaluations, charts.
+//! Run records, imports and exports, plans, evaluations and charts.
 //!
-//! | module | what |
-//! |---|---|
+//! | module | contents |
+//! | [`export`] | one axis's errors as a table for a controller that compensates itself |
 //! | [`export`] | one axis' errors as a table for a controller that compensates by itself |
 //! | [`import`] | other tools' files as run records |
 //! | [`derive`](mod@derive) | velocity and acceleration from positions |
-//! | [`evaluation`] | runs evaluated by the standard that fits them: document and report
+//! | [`evaluation`] | evaluates runs by the standard that fits them: document and report
 //! | [`history`] | one machine's figures of merit over time
-//! | [`plan`] | the test sequence a machine is characterised with |
+//! | [`plan`] | the test sequence to characterise a machine |
 //! | [`iso230`], [`ballbar`], [`plate`] | evaluations as the standards define them |
-//! | [`plausible`] | mistakes that the records themselves show: units, signs, sensors that are off, doubled rows
+//! | [`plausible`] | likely mistakes that records show: units, signs, bad sensors, duplicated rows
 //! | [`plot`] | charts as SVG |
-//! | [`prediction`] | a model's answer about a record
-//! | [`report`] | an evaluation for a person, as text and as one page |
+//! | [`prediction`] | predictions of a model for a record
+//! | [`report`] | an evaluation as text and as one page |
 //!
-//! [`record`] and [`spool`] are those of `rtec-records`, which the daemon uses without the evaluations.
+//! [`record`] and [`spool`] come from `rtec-records`, which the daemon uses without the evaluations.
 //!
-//! What must not live here: a choice among models (`rtec-fit`, `rtec-reconcile`).
+//! Model selection belongs to `rtec-fit` and `rtec-reconcile`, not here.
 //!
-//! At work: `cargo run -p rtec-measure --example evaluate_axis`, which the tests run too.
+//! Example: `cargo run -p rtec-measure --example evaluate_axis`, which the tests run too.
 
 pub mod ballbar;
 pub mod derive;

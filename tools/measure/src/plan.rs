@@ -1,5 +1,6 @@
 //! The test sequence that characterises a machine, after WO 97/43703.
-//! What to mount where, how to move and what to record ("Geometric characterization … three phases", spindle cycles dry and wet).
+//! What to mount, how to move and what to record ("Geometric characterization … three phases", spindle cycles
+//! dry and wet).
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 use rtec_files::{InputError, Said};
@@ -25,9 +26,9 @@ pub struct Step {
     pub record: String,
     /// Kind of the record.
     pub kind: &'static str,
-    /// The state the machine has to be in.
+    /// Required state of the machine.
     pub state: &'static str,
-    /// What to mount where.
+    /// What to mount, and where.
     pub mount: String,
     /// How to move and what to read.
     pub run: String,
@@ -35,7 +36,7 @@ pub struct Step {
     pub columns: Vec<String>,
     /// How the record is evaluated.
     pub evaluate: String,
-    /// About how long it takes, min.
+    /// Approximate duration, min.
     pub minutes: f64,
 }
 
@@ -44,13 +45,13 @@ pub const FEEDS_MM_PER_MIN: [f64; 3] = [254.0, 1270.0, 2540.0];
 
 const TEMPERATURES: &str = "every temperature sensor";
 
-/// Bars that are usual, longest first, mm.
+/// Usual ballbar lengths, longest first, mm.
 const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 
-/// Checks a person's description of a machine.
+/// Checks the description of a machine.
 ///
 /// # Errors
-/// No axis, one a second time or of a name that is none, a travel, speed or bar that is no number above zero, a circle
+/// No axis, a repeated or invalid name, a travel, speed or bar that is not a number above zero, a circle
 /// larger than an axis.
 pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<(), InputError> {
     let usage =
@@ -88,8 +89,8 @@ fn shortest_mm(axes: &[PlanAxis]) -> f64 {
     axes.iter().map(|a| a.travel_mm).fold(f64::INFINITY, f64::min)
 }
 
-/// The test sequence for a machine as a person describes it: [`sequence`], with the longest usual bar whose circle fits
-/// every axis where none is given. What is to be said on the way goes to `say`.
+/// The test [`sequence`] for a described machine; messages go to `say`.
+/// Without a bar, it uses the longest usual one whose circle fits every axis.
 ///
 /// # Errors
 /// As [`check`].
@@ -111,7 +112,8 @@ pub fn for_machine(
 }
 
 /// The sequence for these axes and this highest spindle speed.
-/// The warm runs come last, each from a machine that has stood over night where it says *cold*. Without a bar there are no circles.
+/// Warm runs come last. *Cold* means a machine that has been off over night. Without a bar there are no
+/// circles.
 pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<Step> {
     let mut steps = ball_radius_mm.map_or_else(Vec::new, |radius_mm| contouring(axes, radius_mm));
     steps.extend(axes.iter().flat_map(displacement));
@@ -141,7 +143,7 @@ fn words(of: &[&str]) -> Vec<String> {
     of.iter().map(|w| (*w).to_owned()).collect()
 }
 
-/// Circles in every plane, at three feeds, both ways (the patent's table 1).
+/// Circles in every plane, at three feeds, both directions (the patent's table 1).
 fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
     let mut steps = Vec::new();
     for (i, a) in axes.iter().enumerate() {
@@ -173,9 +175,10 @@ fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
     steps
 }
 
-/// So many targets over a length, mm, to the micrometre.
-/// No two are as far apart as two others (ISO 230-2:2014, 5.3.1). An irrational number's multiples by squares place them within their distances (Weyl 1916). Multiples by whole numbers would give three
-/// distances, and a period that fits all three. Eleven targets tell periods from about 0.5 mm on.
+/// This number of targets over a length, mm, to the micrometre.
+/// All distances differ (ISO 230-2:2014, 5.3.1). Multiples of an irrational number by squares place the
+/// targets within their intervals (Weyl 1916). Multiples by whole numbers would give three
+/// distances, and a period that fits all three. Eleven targets resolve periods from about 0.5 mm.
 fn targets(from_mm: f64, length_mm: f64, count: usize) -> Vec<f64> {
     let step = length_mm / (count - 1) as f64;
     let off = |k: usize| {
@@ -185,35 +188,34 @@ fn targets(from_mm: f64, length_mm: f64, count: usize) -> Vec<f64> {
     (0..count).map(|k| (1e3 * (from_mm + k as f64 * step + off(k))).round() / 1e3).collect()
 }
 
-/// A run over targets at uneven distances, both ways.
+/// A run over unevenly spaced targets, in both directions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetRun {
     /// Targets from the lower end, mm.
     pub targets_mm: Vec<f64>,
-    /// How often they are approached from each side.
+    /// Approaches to each target from each side.
     pub cycles: usize,
     /// How much warmer the machine is in the second half of the cycles, K.
     pub warmer_k: Option<f64>,
 }
 
-/// Time of one reading: the way, the rest, the reading, min.
+/// Time of one reading, min: movement, dwell and reading.
 const MINUTES_EACH: f64 = 0.36;
 /// Time to warm a machine by some kelvin, min.
 const WARMING_MIN: f64 = 60.0;
-/// So far may a target be off the even distance, in distances.
-/// Two neighbours are then a fifth of the even distance apart at least.
+/// Largest shift of a target from even spacing, as a share of the spacing.
+/// Neighbours are then at least a fifth of the spacing apart.
 const UNEVEN: f64 = 0.4;
 
 impl TargetRun {
-    /// So many targets over an axis.
+    /// A run with this number of targets over an axis.
     pub fn uneven(axis: &PlanAxis, count: usize, cycles: usize, warmer_k: Option<f64>) -> Self {
         let margin_mm = margin_mm(axis);
         let targets_mm = targets(margin_mm, axis.travel_mm - 2.0 * margin_mm, count);
         Self { targets_mm, cycles, warmer_k }
     }
 
-    /// Every reading in its order.
-    /// Cycle from 1, direction, target in mm, whether the machine is warm.
+    /// All readings in order: cycle from 1, direction, target in mm, warm or not.
     pub fn readings(&self) -> impl Iterator<Item = (usize, f64, f64, bool)> {
         let cycles = self.cycles * if self.warmer_k.is_some() { 2 } else { 1 };
         (1..=cycles).flat_map(move |cycle| {
@@ -223,22 +225,21 @@ impl TargetRun {
         })
     }
 
-    /// Time from reading to reading, s.
+    /// Time between readings, s.
     pub fn seconds_each(&self) -> f64 {
         60.0 * MINUTES_EACH
     }
 
-    /// About how long it takes, min.
+    /// Approximate duration, min.
     pub fn minutes(&self) -> f64 {
         let warming = self.warmer_k.map_or(0.0, |_| WARMING_MIN);
         MINUTES_EACH * self.readings().count() as f64 + warming
     }
 }
 
-/// The step of a plan for such a run; the gauge reads the error of axis `response`.
+/// The plan's step for such a run; the gauge reads the error of axis `response`.
 pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> Step {
     let n = &axis.name;
-    let targets: Vec<String> = run.targets_mm.iter().map(|t| format!("{t:.3}")).collect();
     let warm = run.warmer_k.map_or_else(String::new, |k| {
         format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
     });
@@ -258,29 +259,34 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
         run: format!(
             "targets {} mm from the lower end, up and down, {} cycles, the end targets from beyond them, 3 s at rest before each \
              reading{warm}; the record states turns = \"overtravel\"",
-            targets.join(" "),
+            listed(&run.targets_mm),
             run.cycles
         ),
-        columns: words(&[
-            "time",
-            &format!("position.{n}"),
-            &format!("direction.{n}"),
-            "cycle",
-            &format!("error.{response}"),
-            TEMPERATURES,
-        ]),
+        columns: columns_along(n, response),
         evaluate: "reconcile, together with the records of the verdict".to_owned(),
         minutes: run.minutes(),
     }
 }
 
-/// Travel beyond the first and the last target, from which they are approached, mm.
+/// The columns of a run from target to target along an axis.
+fn columns_along(axis: &str, response: &str) -> Vec<String> {
+    let [position, direction] = ["position", "direction"].map(|role| format!("{role}.{axis}"));
+    words(&["time", &position, &direction, "cycle", &format!("error.{response}"), TEMPERATURES])
+}
+
+/// Targets in mm, with blanks between them.
+fn listed(targets_mm: &[f64]) -> String {
+    targets_mm.iter().map(|t| format!("{t:.3}")).collect::<Vec<_>>().join(" ")
+}
+
+/// Travel beyond the first and the last target, needed for their approach, mm.
 fn margin_mm(axis: &PlanAxis) -> f64 {
     (0.02 * axis.travel_mm).clamp(2.0, 25.0).min(axis.travel_mm / 10.0)
 }
 
 /// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2).
-/// An axis of more than 2 m has a run over its travel, once each way, and the standard's cycles on 2 m of it.
+/// An axis of more than 2 m has a run over its whole travel, once each way, and the standard's cycles on 2 m
+/// of it.
 fn displacement(axis: &PlanAxis) -> Vec<Step> {
     let travel_mm = axis.travel_mm;
     let margin_mm = margin_mm(axis);
@@ -299,9 +305,7 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
 
 fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     let n = &axis.name;
-    let words_of: Vec<String> = targets_mm.iter().map(|t| format!("{t:.3}")).collect();
-    let (position, direction, error) =
-        (format!("position.{n}"), format!("direction.{n}"), format!("error.{n}"));
+
     let evaluate = if cycles == 1 {
         "iso230-2: E, B, M of a long axis; scale, reversal, position map"
     } else {
@@ -319,9 +323,9 @@ fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
         run: format!(
             "targets {} mm from the lower end, up and down, {how_often}, each approached from beyond the one before, 3 s at \
              rest before each reading",
-            words_of.join(" ")
+            listed(targets_mm)
         ),
-        columns: words(&["time", &position, &direction, "cycle", &error, TEMPERATURES]),
+        columns: columns_along(n, n),
         evaluate: evaluate.to_owned(),
         minutes: MINUTES_EACH * (targets_mm.len() * 2 * cycles) as f64,
     }
@@ -332,13 +336,10 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
     let (n, b) = (&axis.name, &across.name);
     let margin_mm = margin_mm(axis);
     let length_mm = axis.travel_mm - 2.0 * margin_mm;
-    let places: Vec<String> = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11))
-        .iter()
-        .map(|t| format!("{t:.3}"))
-        .collect();
+    let places = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11));
     Step {
         number: 0,
-        // As the effect `straightness.B.A`: the error of B while A moves.
+        // Named as the effect `straightness.B.A`: the error of B while A moves.
         record: format!("straightness_{b}_{n}"),
         kind: "positioning",
         state: "cold, spindle at rest",
@@ -348,16 +349,9 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
         run: format!(
             "{} mm from the lower end, up and down, three cycles, 3 s at rest before each reading; where the straightedge's \
              form is not known, once more with it turned over",
-            places.join(" ")
+            listed(&places)
         ),
-        columns: words(&[
-            "time",
-            &format!("position.{n}"),
-            &format!("direction.{n}"),
-            "cycle",
-            &format!("error.{b}"),
-            TEMPERATURES,
-        ]),
+        columns: columns_along(n, b),
         evaluate: format!(
             "straightness about the least-squares line (the effect straightness.{b}.{n} is E{0}{1} of ISO 230-1: error of {0} while {1} \
              moves); squareness where the straightedge was squared",
@@ -393,7 +387,7 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
         ("production_cycle", "warm", production, 90.0),
         ("cool_down", "as the run before left it", cooling(), 180.0),
     ];
-    // The gauge pair of X shows the tilt of the spindle about B, that of Y the tilt about A.
+    // The two gauges of X show the tilt of the spindle about B, those of Y the tilt about A.
     let tilts = [("x", "angle_error.s.b"), ("y", "angle_error.s.a")]
         .into_iter()
         .filter(|(axis, _)| axes.iter().any(|a| a.name == *axis))
@@ -461,8 +455,8 @@ mod tests {
         let axes = ["x", "y", "z"].map(|n| PlanAxis { name: n.into(), travel_mm: 500.0 });
         let steps = sequence(&axes, 6000.0, Some(150.0));
         let count = |what: &str| steps.iter().filter(|s| s.record.starts_with(what)).count();
-        // Three planes at three feeds both ways, three lines, each axis straight in two directions, tool changes, six spindle
-        // runs.
+        // Three planes at three feeds both ways, three lines, straightness of each axis in two directions,
+        // tool changes, six spindle runs.
         let counts =
             [count("ballbar_"), count("linear_"), count("straightness_"), count("tool_change"), steps.len()];
         assert_eq!(counts, [18, 3, 6, 1, 34]);
@@ -471,7 +465,7 @@ mod tests {
             assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
         }
         assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
-        // The names of the records are those of the effects, and the tilts that five gauges show have roles.
+        // Record names are those of the effects, and tilts of five gauges have roles.
         let bow = steps.iter().find(|s| s.record == "straightness_y_x").unwrap();
         assert!(
             bow.columns.contains(&"position.x".to_owned()) && bow.columns.contains(&"error.y".to_owned())
@@ -488,11 +482,11 @@ mod tests {
         assert!(warm.iter().any(|c| c == "angle_error.s.b") && warm.iter().any(|c| c == "angle_error.s.a"));
         let text = markdown("m", &steps);
         assert!(text.contains("## 34. cool_down") && text.contains("254 mm/min"));
-        // Away from the ends, so that each can be approached from both sides.
+        // Targets are away from the ends, so that both approaches are possible.
         let line = &steps.iter().find(|s| s.record == "linear_x").unwrap().run;
         let ends: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();
         assert!(ends[0] >= 2.0 && ends[10] <= 498.0 && ends.len() >= 11, "{line}");
-        // No two targets a whole number of 5 mm leads apart throughout.
+        // Targets are not all a whole number of 5 mm leads apart.
         assert!(
             ends[..11].windows(3).any(|w| ((w[2] - w[1]) - (w[1] - w[0])).abs() > 1.0),
             "{}",
@@ -500,7 +494,7 @@ mod tests {
         );
     }
 
-    /// A screw's wave of any period is seen at many phases.
+    /// A screw's wave of any period is sampled at many phases.
     #[test]
     fn no_period_of_a_screw_fits_the_targets() {
         for travel_mm in [200.0, 400.0, 500.0, 600.0, 800.0, 1200.0] {
@@ -525,8 +519,7 @@ mod tests {
         }
     }
 
-    /// ISO 230-2:2014, 5.3.
-    /// At most 250 mm apart on an axis of more than 2 m, and the cycles on 2 m of it.
+    /// ISO 230-2:2014, 5.3: targets at most 250 mm apart, and cycles on 2 m.
     #[test]
     fn a_long_axis_has_a_long_run_and_the_cycles_on_two_metres() {
         let steps = sequence(&[PlanAxis { name: "x".into(), travel_mm: 4000.0 }], 6000.0, Some(150.0));

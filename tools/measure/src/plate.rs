@@ -1,9 +1,8 @@
 //! A plate of holes drilled by the machine and measured elsewhere.
-//! Offset, scale, rotation, and what is left.
 //!
-//! There are two fits. The plate's owners (SDSS plug plates) fit offset, scale and rotation first, then a quadrupole to the residual; only
-//! so their figures are comparable. If the holes do not fill a square or a disc, the first fit takes part of the quadrupole. [`Joint`] fits
-//! all linear terms at once and does not.
+//! There are two fits. The plate's owners (SDSS plug plates) fit offset, scale and rotation first, then a
+//! quadrupole to the residual; only that fit is comparable with theirs. If the holes do not fill a square or
+//! a disc, the first fit takes part of the quadrupole. [`Joint`] fits all linear terms at once and does not.
 
 use crate::plot::Vectors;
 use rtec_files::InputError;
@@ -16,7 +15,7 @@ use std::collections::BTreeMap;
 pub const NOMINAL_DIAMETER: &str = "nominal_d";
 
 /// Linear thermal expansion of aluminium, 1/K.
-/// What a scale would mean as a temperature.
+/// It converts a scale into a temperature.
 pub const ALUMINIUM_PER_K: f64 = 23.1e-6;
 
 /// A plate's fit.
@@ -33,31 +32,30 @@ pub struct Plate {
     pub scale_ppm: f64,
     /// Rotation of the measured plate, degrees, counter-clockwise positive.
     pub rotation_deg: f64,
-    /// The same, µrad: the mean of how far both axes' rows turn from x towards y.
+    /// The same, µrad.
     pub rotation_urad: f64,
     /// RMS of the residual's length after offset, scale and rotation, µm.
     pub rms_um: f64,
-    /// The same for the holes of each nominal diameter (mm), where the record has it.
-    /// Drills differ.
+    /// The same per nominal diameter (mm), if the record has it; drills differ.
     pub rms_um_by_diameter: BTreeMap<String, f64>,
     /// Magnitude m of the residual's quadrupole, mm per mm, as its owners define it.
-    /// A hole at r, θ about the origin of the positions is shifted along its radius by r·m·cos 2(θ − φ), and not across it.
+    /// A hole at r, θ about the origin of the positions is shifted by r·m·cos 2(θ − φ) along its radius only.
     pub quadrupole: f64,
-    /// The same in ppm: longer by so much along φ, shorter by so much across.
+    /// The same in ppm: elongation along φ and contraction across it.
     pub quadrupole_ppm: f64,
     /// Its angle φ, degrees: the direction in which the plate is longest.
     pub quadrupole_deg: f64,
     /// RMS of the residual's length after the quadrupole too, µm.
     pub rms_quadrupole_um: f64,
     /// The joint fit's mean scale as a temperature of an aluminium plate, K.
-    /// The data cannot tell the two apart.
+    /// The data cannot separate scale and temperature.
     #[serde(rename = "scale_as_aluminium_K")]
     pub scale_as_aluminium_k: f64,
     /// Standard errors of offset, scale and rotation.
     pub standard_error: PlateErrors,
     /// All linear terms fitted at once.
     pub joint: Joint,
-    /// What this data cannot tell.
+    /// What the data cannot separate.
     pub remark: String,
     /// Residual of every hole after offset, scale and rotation, µm (x, y), in the record's order.
     pub residual_um: Vec<[f64; 2]>,
@@ -77,10 +75,9 @@ pub struct Joint {
     /// Positive where the angle between the positive axes is below 90°.
     pub squareness_urad: f64,
     /// Rotation d of rows along x, µrad, from x towards y.
-    /// As `rotation.x.y` beside that `squareness.x.y`.
+    /// As `rotation.x.y` in a model with that `squareness.x.y`.
     pub rotation_urad: f64,
-    /// Quadrupole as a pure stretch, ppm.
-    /// Longer by so much along its angle, shorter by so much across, without turning.
+    /// Quadrupole as a pure stretch, ppm: longer along its angle, shorter across.
     pub quadrupole_ppm: f64,
     /// The direction in which it is longest, degrees from x.
     pub quadrupole_deg: f64,
@@ -90,7 +87,7 @@ pub struct Joint {
     pub standard_error: JointErrors,
 }
 
-/// Standard errors of a plate's first fit, as far as what is left is chance.
+/// Standard errors of a plate's first fit, if the residual is random.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PlateErrors {
     /// Of the offset, mm.
@@ -101,19 +98,19 @@ pub struct PlateErrors {
     pub rotation_urad: f64,
     /// Of the quadrupole, ppm.
     pub quadrupole_ppm: f64,
-    /// Of its angle, degrees; `None` where the quadrupole is no larger than its own standard error: it has no angle then.
+    /// Of its angle, degrees; `None` if the quadrupole is below its standard error.
     pub quadrupole_deg: Option<f64>,
     /// Of the scale as a temperature of aluminium, K.
     pub scale_as_aluminium_k: f64,
 }
 
-/// Standard error of the angle of a quadrupole, which turns half as fast as its two parts do, degrees.
+/// Standard error of a quadrupole's angle, degrees: half that of its phase.
 fn angle_error_deg(size: f64, error: f64) -> Option<f64> {
     (size > error).then(|| (error / size / 2.0).to_degrees())
 }
 
 impl PlateErrors {
-    /// From the covariances of offset, scale and rotation, and of the quadrupole's two parts; `size` is the quadrupole's.
+    /// From the covariances of the similarity and of the quadrupole of this `size`.
     fn of(
         fit: &nalgebra::DMatrix<f64>,
         quadrupole: &nalgebra::DMatrix<f64>,
@@ -133,7 +130,7 @@ impl PlateErrors {
     }
 }
 
-/// Standard errors of a plate's joint fit, as far as what is left is chance.
+/// Standard errors of a plate's joint fit, if the residual is random.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct JointErrors {
     /// Of the offset, mm.
@@ -148,7 +145,7 @@ pub struct JointErrors {
     pub rotation_urad: f64,
     /// Of the quadrupole, ppm.
     pub quadrupole_ppm: f64,
-    /// Of its angle, degrees; `None` where the quadrupole is no larger than its own standard error: it has no angle then.
+    /// Of its angle, degrees; `None` if the quadrupole is below its standard error.
     pub quadrupole_deg: Option<f64>,
 }
 
@@ -188,20 +185,20 @@ impl Joint {
     }
 }
 
-/// What a plate's fit makes small.
+/// Loss function of a plate's fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Norm {
-    /// The sum of the squared residual lengths.
+    /// Sum of squared residual lengths.
     Squares,
-    /// The sum of their fourth powers, as some published plate fits have it.
-    /// The worst holes count for more.
+    /// Sum of their fourth powers, as in some published fits.
+    /// The worst holes count more.
     Fourth,
 }
 
-/// A fit's values, what it leaves of each row, and the covariance of the values.
+/// Values of a fit, residuals, and covariance of the values.
 type Solved = (nalgebra::DVector<f64>, nalgebra::DVector<f64>, nalgebra::DMatrix<f64>);
 
-/// The fit of two rows a hole by so many columns, each given by the hole's number and its own.
+/// Fits two rows per hole; `of` gives the entries of a hole in a column.
 fn solve(
     record: &Record,
     norm: Norm,
@@ -222,18 +219,18 @@ fn solve(
     };
     let mut left = rest(&fit);
     if norm == Norm::Fourth {
-        // Newton's step for Σ r⁴ is a third of the way to the fit weighted by r².
+        // Newton's step for Σ r⁴ is a third of the way to the fit with weights r².
         for _ in 0..100 {
             let w: Vec<f64> = (0..2 * n).map(|i| left[i - i % 2].hypot(left[i - i % 2 + 1])).collect();
             let weighted = |v: &[f64]| v.iter().zip(&w).map(|(v, w)| v * w).collect::<Vec<f64>>();
             let columns: Vec<Vec<f64>> = a.iter().map(|c| weighted(c)).collect();
-            // Holes that fit exactly weigh nothing, and leave nothing to improve.
+            // Holes without residual have no weight, and nothing can improve.
             let Ok(by_lengths) = rtec_least_squares::solve(&columns, &weighted(to.as_slice())) else { break };
             fit += (nalgebra::DVector::from_vec(by_lengths.values) - &fit) / 3.0;
             left = rest(&fit);
         }
     }
-    // Of the fit by squares; where what is left is exact there is no error.
+    // Covariance of the least-squares fit.
     let freedom = (2 * n).saturating_sub(columns).max(1) as f64;
     let covariance = squares.covariance() * (left.norm_squared() / freedom);
     Ok((fit, left, covariance))
@@ -289,7 +286,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], 0.0], [0.0, y[i]], [y[i], 0.0], [0.0, x[i]]][j];
     let errors =
         nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { ex[row / 2] } else { ey[row / 2] });
-    // Errors in µm over positions in mm: thousandths of a ppm, and of a µrad.
+    // Errors in µm over positions in mm: 1 µm/mm is 1000 ppm or 1000 µrad.
     let (fit_all, left_all, of_all) = solve(6, &affine, &errors)?;
     let rms_of = |left: &nalgebra::DVector<f64>, rows: &[usize]| {
         let sum: f64 = rows.iter().map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).sum();
@@ -341,8 +338,8 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
 const JOINT_TERMS: usize = 6;
 
 impl Plate {
-    /// The joint fit's scale is outside of its 95 % interval about zero (Student's t):
-    /// less than that is no temperature.
+    /// Whether the joint scale differs from zero at 95 % (Student's t).
+    /// Otherwise it does not imply a temperature.
     pub fn is_scale_beyond_chance(&self) -> bool {
         let freedom = (2 * self.holes).saturating_sub(JOINT_TERMS) as f64;
         let t = StudentsT::new(0.0, 1.0, freedom).map_or(f64::INFINITY, |law| law.inverse_cdf(0.975));
@@ -350,8 +347,7 @@ impl Plate {
     }
 }
 
-/// Holes are no farther off one line than a thousandth of their length.
-/// Nothing is known across it.
+/// Holes on one line: least width of the holes, as a share of their length.
 const ON_A_LINE: f64 = 1e-3;
 
 fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {

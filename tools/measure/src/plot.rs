@@ -1,5 +1,4 @@
-//! Plots as SVG text.
-//! What a report shows, small and without fonts or scripts of its own. The legend stands beside the data.
+//! Plots as SVG text without fonts or scripts; the legend is beside the data.
 
 mod look;
 mod polar;
@@ -29,11 +28,11 @@ pub enum Style {
     Band,
 }
 
-/// What a series' colour means.
+/// Meaning of a series' colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Colour {
-    /// Nothing: the next of the palette.
+    /// None: the next colour of the palette.
     #[default]
     Next,
     /// Approached upwards, or counter-clockwise.
@@ -54,7 +53,7 @@ impl Colour {
         }
     }
 
-    /// The place whose dash and marker it has.
+    /// The place whose dash and marker it uses.
     fn place(self, place: usize) -> usize {
         match self {
             Self::Next => place,
@@ -63,7 +62,7 @@ impl Colour {
         }
     }
 
-    /// As an SVG attribute has it.
+    /// The colour as an SVG attribute.
     fn hex(self, place: usize) -> String {
         let RGBColor(r, g, b) = self.rgb(place);
         format!("#{r:02x}{g:02x}{b:02x}")
@@ -89,38 +88,37 @@ impl Series {
         Self { label: label.to_owned(), points, style, colour: Colour::Next }
     }
 
-    /// With a colour that means something.
+    /// The series with a colour that has a meaning.
     #[must_use]
     pub fn coloured(self, colour: Colour) -> Self {
         Self { colour, ..self }
     }
 
-    /// A band between two edges over the same x.
+    /// A band between two edges over the same x values.
     pub fn band(label: &str, x: &[f64], lower: &[f64], upper: &[f64]) -> Self {
         let edge = |y: &[f64]| x.iter().copied().zip(y.iter().copied()).collect::<Vec<_>>();
         Self::new(label, Style::Band, [edge(lower), edge(upper)].concat())
     }
 }
 
-/// A chart with its axes' labels (with units).
+/// A chart.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Chart {
-    /// What stands above the plot.
+    /// Title above the plot.
     pub title: String,
     /// Label of the x axis, with its unit.
     pub x: String,
     /// Label of the y axis, with its unit.
     pub y: String,
-    /// Ticks of the x axis by name instead of number: tick i stands at x = i.
+    /// Names of ticks on the x axis in place of numbers; tick i is at x = i.
     pub x_names: Vec<String>,
     /// The series, drawn in order.
     pub series: Vec<Series>,
-    /// Places on the x axis where something begins, each with its name.
+    /// Positions on the x axis where something begins, with names.
     pub marks: Vec<(f64, String)>,
 }
 
-/// A plot as data.
-/// A page shows it as SVG, another program draws it by its own means.
+/// A plot as data, for SVG or for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Picture {
@@ -133,7 +131,7 @@ pub enum Picture {
 }
 
 impl Picture {
-    /// As an SVG document; a chart of this size in pixels, the others of their own.
+    /// An SVG document; the size in pixels applies to charts only.
     ///
     /// # Errors
     /// A chart without a finite point.
@@ -152,19 +150,7 @@ impl From<Chart> for Picture {
     }
 }
 
-impl From<Polar> for Picture {
-    fn from(polar: Polar) -> Self {
-        Self::Polar(polar)
-    }
-}
-
-impl From<Vectors> for Picture {
-    fn from(vectors: Vectors) -> Self {
-        Self::Vectors(vectors)
-    }
-}
-
-/// Colours that colour-blind readers tell apart (Okabe and Ito).
+/// Colours that colour-blind readers can distinguish (Okabe and Ito).
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -177,8 +163,7 @@ const COLOURS: [RGBColor; 7] = [
 
 type Area<'t> = DrawingArea<SVGBackend<'t>, plotters::coord::Shift>;
 
-/// A drawing that failed.
-/// The back end writes into memory, so only a chart without any finite point does.
+/// A plot that failed: a chart without a finite point.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the chart `{title}` could not be drawn: {reason}")]
 pub struct PlotError {
@@ -199,7 +184,7 @@ impl Chart {
         self
     }
 
-    /// The chart as an SVG document of this size in pixels.
+    /// An SVG document of this size in pixels.
     ///
     /// # Errors
     /// No finite point in any series.
@@ -229,13 +214,13 @@ impl Chart {
             let span = if hi > lo { hi - lo } else { hi.abs().max(1.0) };
             [lo - by * span, hi + by * span]
         };
-        // Numbers of marks are above the data.
+        // The numbers of marks are above the data.
         let room = if self.marks.is_empty() { 0.0 } else { 0.05 * (y[1] - y[0]) };
         y[1] += if room.is_finite() { room } else { 0.0 };
         x[0].is_finite().then(|| (pad(x, if self.x_names.is_empty() { 0.02 } else { 0.0 }), pad(y, 0.06)))
     }
 
-    /// The area of the plot, and beside it that of the legend, as wide as its longest name.
+    /// The areas of the plot and of the legend, which is as wide as its longest name.
     fn split<'t>(&self, area: &Area<'t>, width: u32) -> (Area<'t>, Option<Area<'t>>) {
         let names =
             self.series.iter().map(|s| s.label.as_str()).chain(self.marks.iter().map(|m| m.1.as_str()));
@@ -323,7 +308,7 @@ impl Chart {
                 }
             }
         }
-        // A mark has its number beside its line; the legend says what it is.
+        // A mark shows its number beside its line; the legend explains it.
         let small = ("sans-serif", 14).into_font().color(&BLACK.mix(0.7));
         for (i, (x, _)) in self.marks.iter().enumerate() {
             chart.draw_series(LineSeries::new([(*x, y0), (*x, y1)], BLACK.mix(0.3)))?;
@@ -337,12 +322,12 @@ impl Chart {
         Ok(())
     }
 
-    /// Each series as it is drawn, with its name; then the marks by their numbers.
+    /// Draws the series with their names, then the marks by number.
     fn legend(&self, area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
         let (width, height) = area.dim_in_pixel();
         let fits = (width.saturating_sub(30) / 7).max(8) as usize;
         let marks: Vec<Vec<String>> = self.marks.iter().map(|(_, name)| wrapped(name, fits)).collect();
-        // Many series stand closer together, so that what the marks are is not written over each other below.
+        // Many series are closer together, so that the marks' names fit below.
         let series = self.series.iter().filter(|s| !s.label.is_empty()).count().max(1) as i32;
         let below = 8 + 16 * marks.iter().map(Vec::len).sum::<usize>() as i32;
         let row = ((height as i32 - 60 - below) / series).clamp(9, 20);
@@ -378,7 +363,7 @@ impl Chart {
     }
 }
 
-/// Words in lines of so many characters.
+/// Splits words into lines of at most this many characters.
 fn wrapped(text: &str, fits: usize) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
@@ -395,8 +380,7 @@ fn wrapped(text: &str, fits: usize) -> Vec<String> {
     lines
 }
 
-/// A tick's number with as many decimals as the axis' span asks for.
-/// None where it is whole.
+/// A tick's number with the decimals that the axis's span needs.
 fn plain(v: f64, span: f64) -> String {
     let decimals = (1.0 - span.log10()).ceil().clamp(0.0, 6.0) as usize;
     let text = format!("{v:.decimals$}");
@@ -412,7 +396,7 @@ fn plain(v: f64, span: f64) -> String {
 mod tests {
     use super::*;
 
-    /// Zero has no sign, a whole number no decimals, and a minus is one.
+    /// Zero has no sign, a whole number no decimals, and a minus is U+2212.
     #[test]
     fn ticks_are_plain_numbers() {
         for (v, span, want) in [
@@ -427,8 +411,8 @@ mod tests {
         }
     }
 
-    /// In grey, two series differ by their dash or their marker.
-    /// A phase is a number in the plot and a name beside it.
+    /// In grey, series differ by dash or marker.
+    /// A phase has a number in the plot and a name beside it.
     #[test]
     fn series_and_marks_are_told_apart_without_colour() {
         let line = |k: f64| (0..9).map(|i| (f64::from(i), k * f64::from(i))).collect::<Vec<_>>();
@@ -440,7 +424,7 @@ mod tests {
             vec![(1.0, "at rest after heat".to_owned()), (7.0, "spindle, 1500 to 5500 rpm".to_owned())];
         let svg = Chart { marks, ..chart }.svg(900, 500).unwrap();
         let lines = |colour: &str| svg.matches(&format!("stroke=\"{colour}\"")).count();
-        // One polyline and its sample; many dashes of the second.
+        // One polyline and its sample; many dashes of the second series.
         assert_eq!(lines("#0072B2"), 2, "{svg}");
         assert!(lines("#D55E00") > 20, "{svg}");
         for words in ["at rest after heat", "spindle, 1500 to"] {

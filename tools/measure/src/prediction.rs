@@ -1,4 +1,4 @@
-//! What a machine model says about a record, said with what was taken for granted.
+//! Predictions of a machine model for a record, with notes on their assumptions.
 
 use crate::{derive, plausible, record};
 use rtec_files::{InputError, Said};
@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-/// The sum of the model's effects at every row, by the response's column.
-/// What the record does not log, and where it is beyond what the model was fitted on, goes to `say`.
+/// The sum of the model's effects at every row, by response column.
+/// Quantities that the record lacks, and rows outside the range of the fit, are reported by `say`.
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
@@ -36,12 +36,12 @@ fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say:
     }
 }
 
-/// As [`csv`] of the record on file at `path`, to `out`.
-/// Row by row, in the memory of a few thousand, but for a circle's and one whose motion is derived. With an interval the file is read
-/// twice: whether a fit speaks for it depends on where all its rows are.
+/// As [`csv`], for the record at `path`, written to `out`.
+/// Works in pieces of a few thousand rows, except for circles and for motion derived from positions. With an
+/// interval the file is read twice, because the interval depends on the range of all rows.
 ///
 /// # Errors
-/// As [`csv`]; the record cannot be read; what `out` reports. What has been written then is to be thrown away.
+/// As [`csv`]; the record cannot be read; errors of `out`. A partial output is invalid.
 pub fn write(
     machine: &Machine,
     path: &Path,
@@ -52,7 +52,7 @@ pub fn write(
     let Some(mut pieces) = record::RecordPieces::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
-    // Motion follows from all positions: what is not by itself row by row is read as a whole.
+    // Derived motion needs the positions of all rows, so the record is read as a whole.
     let first = pieces.next_record(PIECE_ROWS)?;
     if first.is_some_and(|first| derive::reads_more_motion(machine, &first)) {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
@@ -114,7 +114,7 @@ pub fn write(
     Ok(())
 }
 
-/// Readings that a sensor did not take are in no prediction.
+/// Reports readings that a sensor did not take.
 fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
     if not_taken > 0 {
         say(Said::Warning(format!(
@@ -125,7 +125,7 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
     }
 }
 
-/// How far a record goes, and how many rows it has.
+/// The range of a record, and its number of rows.
 fn look_over(
     pieces: &mut record::RecordPieces,
     asked: &mut FitRangeCheck<'_>,
@@ -140,7 +140,7 @@ fn look_over(
     Ok((reach, rows))
 }
 
-/// Those of every response of the record.
+/// Half widths of every response of the record.
 fn half_widths<'m>(
     machine: &'m Machine,
     reach: &Reach,
@@ -156,22 +156,22 @@ fn no_interval(machine: &Machine, response: &Role) -> InputError {
     InputError::whole(&machine.path, found, expected)
 }
 
-/// Rows that are held at a time.
+/// Rows in memory at a time.
 const PIECE_ROWS: usize = 4096;
 
 /// Why a prediction was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum Failed {
-    /// The record or the model is not what was asked for.
+    /// An error of the record or the model.
     #[error(transparent)]
     Input(#[from] InputError),
-    /// The file system's word.
+    /// An error of the file system.
     #[error(transparent)]
     Output(#[from] std::io::Error),
 }
 
 /// The record's rows with a column `predicted_RESPONSE` for each response.
-/// With its 95 % interval where that is asked for.
+/// With `interval`, also the bounds of its 95 % interval.
 ///
 /// # Errors
 /// As [`predict`]; no interval is known; the record's CSV has changed.
@@ -204,7 +204,7 @@ mod tests {
     use super::*;
     use std::fmt::Write as _;
 
-    /// An acceleration that nobody logged is that of the positions, as a reconciliation has it: whole, and as it is written.
+    /// An unlogged acceleration is derived from positions, also row by row.
     #[test]
     fn motion_that_nobody_logged_is_that_of_the_positions() {
         let folder = tempfile::tempdir().unwrap();
@@ -227,7 +227,7 @@ mod tests {
         let record = record::read(&at("r.run.toml")).unwrap();
         let mut said = Vec::new();
         let predicted = predict(&machine, &record, &mut |s| said.push(s.to_string())).unwrap().remove(0).1;
-        // 10 µm at one m/s²: 0.8 m/s² at the ends of the stroke.
+        // 10 µm at 1 m/s²; 0.8 m/s² at the ends of the stroke.
         let off = |(i, p): (usize, &f64)| (p + 10.0 * 0.8 * phase(i).sin()).abs();
         let worst = predicted.iter().enumerate().skip(100).take(1800).map(off).fold(0.0, f64::max);
         assert!(worst < 0.1, "{worst}");
@@ -237,8 +237,8 @@ mod tests {
         assert!(String::from_utf8(written).unwrap() == csv(&machine, &record, false, &mut |_| {}).unwrap());
     }
 
-    /// What is written row by row is what the whole record's prediction is, word for word, and so are the warnings; the model
-    /// remembers, the record has rows of every kind, and no time.
+    /// Writing row by row gives the same text and warnings as the whole record.
+    /// The model has memory, and the record has comments, notes and no time in one case.
     #[test]
     fn a_prediction_row_by_row_is_that_of_the_whole() {
         if !test_needs::long() {
@@ -283,10 +283,10 @@ mod tests {
                 "{}",
                 &whole[..60]
             );
-            // Held at the bound, beyond what the fit saw, beyond the knots; a direction that nobody logged.
+            // Warnings: at a bound, outside the range of the fit, outside the knots, no direction logged.
             assert_eq!(said.len(), 4, "{said:?}");
         }
-        // Where no fit speaks for the rows it is said behind what they lack; a place far from the others is behind the first piece.
+        // If no fit covers the rows, the error follows the warnings; the far row is after the first piece.
         let narrow = model.replace("valid =", "at_mm = { z = [-20.0, 20.0] }\nvalid =");
         std::fs::write(at("m.toml"), narrow).unwrap();
         let narrow = Machine::read(&at("m.toml")).unwrap();
@@ -308,7 +308,7 @@ mod tests {
         std::fs::write(at("r.csv"), text.clone() + "9999999,90,21,,21,0\n").unwrap();
         assert!(both(&narrow).unwrap_err().contains("no fit of error.z"));
         assert!(both(&machine).is_ok());
-        // A mistake far behind the first piece has its place.
+        // A mistake far after the first piece names its row.
         std::fs::write(at("r.csv"), text + "5,1,2,,3,4\n").unwrap();
         let whole = record::read(&at("r.run.toml")).unwrap_err();
         for interval in [false, true] {

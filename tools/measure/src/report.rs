@@ -1,5 +1,5 @@
-//! What an evaluation says to a person.
-//! Conditions, tables and plots in the standard's order, as text for a terminal and as one HTML file that prints to A4.
+//! Reports of evaluations for people.
+//! Conditions, tables and plots in the standard's order, as text and as one HTML file for A4.
 
 mod of;
 
@@ -12,14 +12,14 @@ use rtec_files::words::escaped;
 use rtec_model::record::{Column, Record, Role, span};
 use std::fmt::Write as _;
 
-/// A table; columns whose name starts with `#` hold numbers and stand right.
+/// A table; columns whose name starts with `#` hold numbers and are right-aligned.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Table {
-    /// What it shows.
+    /// Its title.
     pub title: String,
     /// Names of the columns, with units.
     pub head: Vec<String>,
-    /// Cells as they are to be read.
+    /// Cells as displayed.
     pub rows: Vec<Vec<String>>,
 }
 
@@ -47,7 +47,7 @@ impl Table {
 /// Size of a chart, px.
 const PLOT_PX: (u32, u32) = (900, 480);
 
-/// How a page looks: on a screen, and printed on A4.
+/// Style sheet of a page, for screen and A4 print.
 pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
     body{font:14px/1.4 system-ui,sans-serif;color:#1c2733;max-width:820px;margin:1.5em auto;padding:0 1em}\
     h1{font-size:1.45em;margin:0 0 .5em}h2{font-size:1.08em;margin:1.5em 0 .35em;border-bottom:1px solid #ccd5de;\
@@ -65,8 +65,8 @@ pub const STYLE: &str = "@page{size:A4;margin:14mm 15mm}\
     @media print{body{font-size:10.5pt;max-width:none;margin:0;padding:0}\
     *{print-color-adjust:exact;-webkit-print-color-adjust:exact}figure{margin:.8em 0}figure svg{max-height:105mm}}";
 
-/// The line at a page's end that makes it a certificate.
-/// Instrument, name, day and signature; what is not known is left to be written.
+/// The line at the end of a page that makes it a certificate.
+/// Instrument, name, day and signature; unknown fields stay blank.
 pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
     format!(
         "<table class=\"signed\"><tr class=\"given\"><td>{}</td><td>{}</td><td>{}</td><td></td></tr>\
@@ -77,32 +77,32 @@ pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
     )
 }
 
-/// A section: a table, or a plot with what it shows.
+/// A section: a table, or a plot with its data.
 #[derive(Debug, Clone, PartialEq)]
 enum Section {
     Table(Table),
     Plot { svg: String, picture: Picture },
 }
 
-/// A record as a report speaks of it.
+/// Facts about a record in a report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Run {
     /// The sidecar's name.
     pub name: String,
-    /// How many rows it has.
+    /// Number of rows.
     pub rows: usize,
     /// The day of the run, as ISO 8601.
     pub date: Option<String>,
     /// Free text about it.
     pub note: Option<String>,
-    /// SHA-256 of its CSV, in hexadecimal; empty where it is on no file.
+    /// SHA-256 of its CSV, in hexadecimal; empty if it has no file.
     pub sha256: String,
-    /// From where to where each temperature goes, °C.
+    /// Range of each temperature, °C.
     pub ranges_degc: Vec<(String, [f64; 2])>,
 }
 
 impl Run {
-    /// That of a record.
+    /// Facts about this record.
     pub fn of(record: &Record) -> Self {
         let range = |c: &Column| (c.name.clone(), span(&c.data));
         let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
@@ -120,29 +120,29 @@ impl Run {
 /// A report.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Report {
-    /// What was evaluated, by which standard.
+    /// What was evaluated, and by which standard.
     pub title: String,
     /// Records, conditions and instrument, as pairs of name and value.
     facts: Vec<(String, String)>,
-    /// What to know before using it.
+    /// Warnings about its use.
     warnings: Vec<String>,
-    /// How many of the warnings are suspicions against the input.
+    /// Number of warnings that are suspicions against the input.
     doubts: usize,
     sections: Vec<Section>,
-    /// The verb whose page it is.
+    /// The verb that makes the page.
     by: &'static str,
     /// Days of the runs, each once.
     days: Vec<String>,
-    /// Whether the page ends with a line to be signed: what shows one test.
+    /// Whether the page ends with a signature line: pages of one test.
     is_signed: bool,
 }
 
-/// What is done with rows that look misread or stand twice.
+/// Advice about rows left out.
 pub const LEFT_OUT: &str =
     "these rows are in no figure; look at them, then measure again or take them out of the file";
 
 impl Report {
-    /// Puts a suspicion before the other warnings, with what is done with its rows where it is about rows.
+    /// Inserts a suspicion before the other warnings; `rows`: with [`LEFT_OUT`].
     pub fn doubt(&mut self, text: &str, rows: bool) {
         let at = self.doubts;
         self.doubts += 1;
@@ -223,12 +223,12 @@ impl Report {
         })
     }
 
-    /// What to know before using it.
+    /// Warnings about its use.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// As text, without the plots.
+    /// Text without the plots.
     pub fn text(&self) -> String {
         let mut out = format!("{}\n", self.title);
         for s in &self.sections {
@@ -260,7 +260,7 @@ impl Report {
         out
     }
 
-    /// As one HTML file: nothing is fetched, and it prints to A4.
+    /// One HTML file that loads nothing and prints to A4.
     pub fn html(&self) -> String {
         let mut h = String::new();
         let _ = write!(

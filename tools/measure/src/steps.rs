@@ -1,30 +1,30 @@
 //! The resolution of a gauge, and the rounding error that it leaves in a mean.
 //!
-//! Noise of more than half a step dithers the readings, so their mean loses the rounding. Without it repeats read the same, and a mean of
-//! any number of them is off by up to half a step. The remaining error falls with exp(−2π²σ²/q²) (Widrow, "A study of rough amplitude
-//! quantization", 1956).
+//! Noise of more than half a step dithers the readings, so a mean has no rounding error. Without noise
+//! repeats are equal, and their mean is off by up to half a step. The remaining error falls with
+//! exp(−2π²σ²/q²) (Widrow, "A study of rough amplitude quantization", 1956).
 
 use crate::iso230::targets;
 use rtec_files::text::short;
 use rtec_model::circle::tick;
 use rtec_model::record::{Column, Kind, Record, Role, shared_step, span};
 
-/// More values than these are no coarse steps.
+/// Readings with more different values are not coarse.
 const MOST_VALUES: usize = 400;
-/// Fewer repeats do not tell whether noise dithers the steps.
+/// Fewest repeats that show whether noise dithers the steps.
 const FEWEST_REPEATS: usize = 6;
 
-/// The step of a response's readings.
+/// Resolution and noise of a response's readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Steps {
     /// The step q that all readings are multiples of, in the column's unit.
     pub step: f64,
-    /// Standard deviation σ of what is rounded; 0 where most repeats read the same.
+    /// Standard deviation σ before rounding; 0 if most repeats are equal.
     pub noise: f64,
 }
 
 impl Steps {
-    /// Of readings; `repeats` are rows that differ by noise alone.
+    /// From readings; `repeats` are rows that differ by noise alone.
     /// `None` for readings without a step, or too few repeats.
     pub fn of(readings: &[f64], repeats: &[Vec<usize>]) -> Option<Self> {
         let step = step_of(readings)?;
@@ -45,23 +45,23 @@ impl Steps {
         Some(Self { step, noise: if 2 * same >= pairs { 0.0 } else { variance.sqrt() } })
     }
 
-    /// Of one response of a record: rows at one place from one side are repeats.
-    /// Without positions neighbours are.
+    /// For one response of a record: rows of one place and side are repeats.
+    /// Without positions, neighbouring rows are.
     pub fn of_response(record: &Record, column: &Column) -> Option<Self> {
         Self::of(&column.data, &repeats(record, column))
     }
 
-    /// Most repeats read the same: their mean keeps its rounding.
+    /// Whether most repeats are equal, so that their mean keeps the rounding error.
     pub fn is_coarse(&self) -> bool {
         self.noise == 0.0
     }
 
-    /// Standard deviation of the error that rounding leaves in a mean of repeats.
+    /// Standard deviation of the rounding error of a mean of repeats.
     pub fn standard_error(&self) -> f64 {
         self.step / 12f64.sqrt() * self.left()
     }
 
-    /// The largest error that rounding leaves in a mean of repeats.
+    /// Largest rounding error of a mean of repeats.
     pub fn half_width(&self) -> f64 {
         0.5 * self.step * self.left()
     }
@@ -71,20 +71,20 @@ impl Steps {
     }
 }
 
-/// A range of fewer steps than these is said to be coarse.
+/// A cause with a range of fewer steps is coarse.
 const FEW_STEPS: f64 = 20.0;
-/// A response of more steps than these is as fine as its figures are told.
+/// A response with a range of more steps is fine.
 const MANY_STEPS: f64 = 50.0;
 
-/// Steps of a temperature that move no machine by what its gauge shows, K.
+/// Resolution of a temperature that is fine enough, K.
 const FINE_K: f64 = 0.05;
 
-/// Whether the step of a cause is worth a word, where the cause has this range.
+/// Whether the resolution of a cause is coarse for its range.
 pub fn is_coarse_cause(cause: &Column, step: f64, range: f64) -> bool {
     range < FEW_STEPS * step && (cause.role != Role::Temperature || step >= FINE_K)
 }
 
-/// What to know of a clock that several rows share a time of.
+/// A warning if several rows of a drift test share a time.
 pub(crate) fn shared_time(record: &Record) -> Option<String> {
     let step = record.data(&Role::Time).filter(|_| record.kind == Kind::Drift).and_then(shared_step)?;
     let (file, step) = (record.path.display(), short(step));
@@ -94,7 +94,8 @@ pub(crate) fn shared_time(record: &Record) -> Option<String> {
     ))
 }
 
-/// What to know of the coarse steps of a record: of its gauges where `responses`, of its sensors, of positions and the clock in motion.
+/// Messages about coarse resolution in a record.
+/// Of its gauges if `responses`, of its sensors, and in motion of positions and clock.
 pub fn said(record: &Record, responses: bool) -> Vec<String> {
     let moving = matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep);
     let mut said = Vec::new();
@@ -156,7 +157,8 @@ pub(crate) fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
     targets(place).into_iter().flat_map(sides).collect()
 }
 
-/// The step that all readings are multiples of; `None` where they have none, or too few readings share a value.
+/// The step that all readings are multiples of.
+/// `None` if there is none, or too few readings share a value.
 pub fn step_of(readings: &[f64]) -> Option<f64> {
     let mut values: Vec<f64> = readings.iter().copied().filter(|v| v.is_finite()).collect();
     values.sort_by(f64::total_cmp);

@@ -6,7 +6,7 @@
 //! difference. The error is the tool point's place in the frame of the work, minus the place where it should
 //! be.
 
-use crate::effect::{Against, Difference, Missing, STANDARD_DEGC, read_difference};
+use crate::effect::{Difference, Missing, read_difference};
 use crate::record::{Axis, LINEAR, Record, Role};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
@@ -254,11 +254,7 @@ impl Chain {
         sensor: impl Fn(&str) -> S,
     ) -> Vec<JointPlaces<A, S>> {
         let of = |d: &Difference| {
-            let (minus, reference_degc) = match &d.against {
-                Against::Sensor(m) => (Some(sensor(m)), 0.0),
-                Against::Reference(degc) => (None, *degc),
-                Against::Standard => (None, STANDARD_DEGC),
-            };
+            let (minus, reference_degc) = (d.minus().map(&sensor), d.reference_degc());
             DifferenceSource { sensor: sensor(&d.sensor), minus, reference_degc }
         };
         let joint = |j: &Joint| JointPlaces {

@@ -5,6 +5,7 @@
 //! about the circle's centre. The bar reads `e_a·cos θ + e_b·sin θ` of their errors `e_a` and `e_b` (ISO
 //! 230-4; guide, "Run records").
 
+use crate::record::median;
 use crate::role::{Axis, Column, Role};
 use std::f64::consts::{PI, TAU};
 
@@ -117,11 +118,11 @@ fn widened(
                     break;
                 }
                 if let Some(other) = before {
-                    turned += turn(angle[other], angle[from]);
+                    turned += turn_rad(angle[other], angle[from]);
                     from = other;
                 }
                 if let Some(other) = behind {
-                    turned += turn(angle[to], angle[other]);
+                    turned += turn_rad(angle[to], angle[other]);
                     to = other;
                 }
             }
@@ -155,9 +156,7 @@ fn is_same_rate(a: f64, b: f64, alike: f64) -> bool {
 pub fn tick(time_s: &[f64]) -> Option<f64> {
     let steps: Vec<f64> = time_s.windows(2).map(|w| w[1] - w[0]).filter(|h| *h > 0.0).collect();
     // The median by size. The median by order is the pause if both senses of turning are in one record.
-    let mut by_size = steps.clone();
-    by_size.sort_by(f64::total_cmp);
-    let usual = *by_size.get(by_size.len() / 2)?;
+    let usual = (!steps.is_empty()).then(|| median(steps.iter().copied()))?;
     // Clocks step by a decimal fraction of a second.
     let tick = (-1..=6)
         .map(|n| 1.0 / 10f64.powi(n))
@@ -169,22 +168,20 @@ pub fn tick(time_s: &[f64]) -> Option<f64> {
     (rounded && usual < 100.0 * tick).then_some(tick)
 }
 
-/// The angle from one row to the next, the shorter way, rad.
-fn turn(from: f64, to: f64) -> f64 {
+/// The signed angle from one angle to the next, the shorter way, rad.
+pub fn turn_rad(from: f64, to: f64) -> f64 {
     (to - from + PI).rem_euclid(TAU) - PI
 }
 
 /// [`rates`] from only the two steps beside each row.
 fn near_rates(angle: &[f64], time_s: &[f64]) -> Vec<f64> {
     let step = |from: usize| {
-        let turned = turn(angle[from], angle[from + 1]);
+        let turned = turn_rad(angle[from], angle[from + 1]);
         let h = time_s[from + 1] - time_s[from];
         if h > 0.0 { turned / h } else { 0.0 }
     };
     let steps: Vec<f64> = (0..angle.len().saturating_sub(1)).map(step).collect();
-    let mut sizes: Vec<f64> = steps.iter().map(|s| s.abs()).filter(|s| *s > 0.0).collect();
-    sizes.sort_by(f64::total_cmp);
-    let usual = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(steps.iter().map(|s| s.abs()).filter(|s| *s > 0.0));
     let unusual = |s: f64| (s.abs() - usual).abs();
     (0..angle.len())
         .map(|row| match (row.checked_sub(1).and_then(|i| steps.get(i)), steps.get(row)) {

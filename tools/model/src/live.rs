@@ -13,8 +13,7 @@
 
 use crate::chain::{Chain, JointPlaces};
 use crate::effect::{
-    Against, Basis, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC,
-    State, sign,
+    Basis, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC, State, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -248,11 +247,8 @@ impl Live {
                 effect.delta.as_ref().filter(|_| effect.description().needs.contains(&Need::Delta))
             {
                 sensor = Some(find("temperature", &layout.sensors, &delta.sensor)?);
-                match &delta.against {
-                    Against::Sensor(m) => minus = Some(find("temperature", &layout.sensors, m)?),
-                    Against::Reference(degc) => reference = *degc,
-                    Against::Standard => {}
-                }
+                minus = delta.minus().map(|m| find("temperature", &layout.sensors, m)).transpose()?;
+                reference = delta.reference_degc();
             }
             let channel = effect.channel().map(|c| find("channel", &layout.channels, c)).transpose()?;
             longest = longest.max(effect.coefficient_count());

@@ -9,7 +9,6 @@ use rtec_files::text::{open_regular, unreadable};
 use sha2::{Digest, Sha256};
 use std::borrow::Borrow;
 use std::fmt::Write as _;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 pub use crate::role::{Axis, Column, Kind, LINEAR, Role};
@@ -234,7 +233,7 @@ impl Record {
         let Some(missing) = circle.plane.iter().find(|a| !logged.contains(a)) else { return Ok(()) };
         let moves = |a: &Axis| {
             let p = self.data(&Role::Position(a.clone())).unwrap_or_default();
-            let (lo, hi) = p.iter().fold((f64::MAX, f64::MIN), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
+            let [lo, hi] = span(p);
             hi - lo > MOVES * circle.radius_mm
         };
         let instead: Vec<&str> =
@@ -258,11 +257,7 @@ impl Record {
         for ((axis, share), stated) in circle.plane.iter().zip(shares).zip(circle.centre_mm.iter().flatten())
         {
             let Some(p) = self.data(&Role::Position(axis.clone())) else { continue };
-            let (lo, hi) = p
-                .iter()
-                .zip(angle)
-                .map(|(p, a)| p - circle.radius_mm * share(*a))
-                .fold((f64::MAX, f64::MIN), |(lo, hi), c| (lo.min(c), hi.max(c)));
+            let [lo, hi] = span(p.iter().zip(angle).map(|(p, a)| p - circle.radius_mm * share(*a)));
             if (lo - stated).max(stated - hi) > SAME_PLACE * circle.radius_mm {
                 let found = format!(
                     "centre_mm with {stated} mm on {axis}, while the positions of {axis} run about {:.3} mm",
@@ -391,6 +386,16 @@ pub fn span(values: impl IntoIterator<Item: Borrow<f64>>) -> [f64; 2] {
     values.into_iter().map(|v| *v.borrow()).fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
+/// The median, the upper one of an even number; 0 of no values.
+pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+    let mut v: Vec<f64> = values.into_iter().collect();
+    if v.is_empty() {
+        return 0.0;
+    }
+    let n = v.len();
+    *v.select_nth_unstable_by(n / 2, f64::total_cmp).1
+}
+
 /// Harmonics of a gauge's saw: the error of the sum is a hundredth of a step.
 const ROUNDING_HARMONICS: i32 = 12;
 
@@ -484,16 +489,9 @@ fn possible_text(role: &Role) -> &'static str {
 /// # Errors
 /// It cannot be read, or is no regular file.
 pub fn sha256_of(file: &Path) -> Result<String, InputError> {
-    let (mut hash, mut buffer) = (Sha256::new(), vec![0; 1 << 16]);
-    let mut input = open_regular(file)?;
-    loop {
-        match input.read(&mut buffer) {
-            Ok(0) => return Ok(hex(&hash.finalize())),
-            Ok(length) => hash.update(&buffer[..length]),
-            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
-            Err(e) => return Err(unreadable(file, &e)),
-        }
-    }
+    let mut hash = Sha256::new();
+    std::io::copy(&mut open_regular(file)?, &mut hash).map_err(|e| unreadable(file, &e))?;
+    Ok(hex(&hash.finalize()))
 }
 
 /// Bytes as lower-case hexadecimal digits.

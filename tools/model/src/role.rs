@@ -249,9 +249,9 @@ pub struct Column {
 
 impl Column {
     /// A column with values in the role's own unit.
-    /// For a role without one (a channel) the unit stays empty.
+    /// For a role without one (a channel) it is 1.
     pub fn new(name: &str, role: Role, data: Vec<f64>) -> Self {
-        Self { name: name.to_owned(), unit: role.unit().unwrap_or_default().to_owned(), role, data }
+        Self { name: name.to_owned(), unit: role.unit().unwrap_or("1").to_owned(), role, data }
     }
 
     /// Its name in a verdict: its role, or `temperature.T3`, `channel.z9`.

@@ -11,8 +11,8 @@ use std::path::Path;
 
 const HEAD: &str = "# Effects\n\n\
     What a machine may do wrong, as [`machine.toml`](machine-toml.md) names it. The measured error is the sum of the effects: e in µm, p in\n\
-    mm, ΔT in K, t in s, v in mm/s, a in mm/s², dir = ±1. A, B, C are axes. Outside its bounds no value is read, loaded or fitted; outside\n\
-    what is plausible a value is warned of. What shows an effect is the run that tells it from its neighbours.\n\n";
+    mm, ΔT in K, t in s, v in mm/s, a in mm/s², dir = ±1. A, B and C stand for the letters of linear axes, as in `scale.x`. Outside its bounds no\n\
+    value is read, loaded or fitted; outside what is plausible there is a warning. *Shown by*: the run that separates an effect from similar ones.\n\n";
 
 #[test]
 fn the_page_of_effects_is_what_the_dictionary_says() {
@@ -158,6 +158,11 @@ fn range([low, high]: [f64; 2]) -> String {
 
 /// A short form: powers of ten if there would be many digits.
 fn number(v: f64) -> String {
+    for (turn, name) in [(std::f64::consts::PI, "π"), (std::f64::consts::TAU, "2π")] {
+        if (v.abs() - turn).abs() < 1e-9 {
+            return format!("{}{name}", if v < 0.0 { "-" } else { "" });
+        }
+    }
     let plain = format!("{}", (v * 1e9).round() / 1e9);
     if v == 0.0 || (plain != "0" && plain.len() < 9) {
         plain

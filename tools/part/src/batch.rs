@@ -7,6 +7,7 @@ use crate::determine::is_times;
 use crate::written_step::{left_in_mean, written_step_mm};
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
+use rtec_model::record::span;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -138,7 +139,7 @@ pub struct Judgement {
 
 /// A change of one feature's table.
 #[derive(Debug, Clone, Serialize)]
-pub struct TableChange {
+pub struct ProposedCorrection {
     /// Name of the feature, as the file has it.
     pub feature: String,
     /// The error to add at an angle.
@@ -152,7 +153,7 @@ pub struct Batch {
     /// Every place, features and angles ascending.
     pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle, to be added to the table if the user decides so.
-    pub offer_table: Vec<TableChange>,
+    pub offer_table: Vec<ProposedCorrection>,
     /// The offered changes in words, with the person concerned.
     pub offers: Vec<String>,
     /// Step in which the errors are written, µm, if the parts scatter by less.
@@ -171,8 +172,8 @@ pub struct Batch {
 /// `seen` are the errors that probing on the machine found on the same feature.
 ///
 /// # Errors
-/// A bad file, an invalid word or a missing column. A place measured twice on one part; fewer than three parts
-/// at a place; other features besides the one that was `seen`.
+/// A bad file, an invalid word or a missing column. A place measured twice on one part; fewer than three
+/// parts at a place; other features besides the one that was `seen`.
 pub fn evaluate_columns(
     file: &Path,
     columns: &[String],
@@ -239,7 +240,7 @@ fn judge(
         .collect();
     if seen.is_some() && places.iter().all(|p| p.seen_on_machine_um.is_none()) {
         let ends = |angles: &mut dyn Iterator<Item = f64>| {
-            let (low, high) = angles.fold((f64::MAX, f64::MIN), |(l, h), a| (l.min(a), h.max(a)));
+            let [low, high] = span(angles);
             if low > high { "no angle".to_owned() } else { format!("angle_rad {low:.3} to {high:.3}") }
         };
         let found = ends(&mut places.iter().filter_map(|p| p.angle_rad));
@@ -284,7 +285,7 @@ fn judge(
         .filter(|p| p.finding == BatchFinding::Systematic)
         .filter_map(|p| {
             let error = PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None };
-            Some(TableChange { feature: p.feature.clone(), error })
+            Some(ProposedCorrection { feature: p.feature.clone(), error })
         })
         .collect();
     let offers = places.iter().filter_map(offer).collect();
@@ -395,7 +396,7 @@ fn is_other_unit(largest: f64) -> bool {
     largest > 0.0 && largest < LEAST_TOLD_UM
 }
 
-/// Largest contradiction by rounding of nominal, measured and error to 1 µm each.
+/// Largest contradiction that rounding of three values to 1 µm explains, µm.
 const ROUNDING_UM: f64 = 1.6;
 
 /// Two-sided probability of a t this large by chance.
@@ -437,19 +438,19 @@ impl Line {
     }
 }
 
-/// Probability that chance makes a reading of a batch wild.
+/// Probability of a false outlier in a batch.
 const CHANCE: f64 = 1e-3;
-/// Largest share of wild readings at a place.
+/// Largest share of outliers at a place.
 const MOST_WILD: f64 = 0.25;
-/// Largest difference of neighbouring wild readings that form a state.
-/// It is a share of their own distance. A state is a worn or another tool.
+/// Difference of neighbouring outliers that form a state, as share of distance.
+/// A state is another tool, or a worn one.
 const STATE_SHARE: f64 = 0.5;
 
 /// A reading and how far it is from the others.
 struct Farthest {
     /// Index among the readings.
     at: usize,
-    /// Probability of such a distance of the farthest reading by chance.
+    /// Probability of such a largest distance by chance.
     p_value: f64,
 }
 

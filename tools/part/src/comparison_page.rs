@@ -37,8 +37,3 @@ pub fn logged(decisions: &[String]) -> String {
     });
     format!("<h2>Decisions</h2><ol>{items}</ol></html>\n")
 }
-
-/// The whole page: before, after and decisions.
-pub fn inspection_page(before: &ErrorReport, after: &ErrorReport, decisions: &[String]) -> String {
-    side_by_side(before, after) + &logged(decisions)
-}

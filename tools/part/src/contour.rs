@@ -1,5 +1,4 @@
 //! The contour of a turned part: segments and features in probing order.
-//! It also computes the geometry that probing needs.
 
 use crate::edges::Edges;
 use crate::fit::Zx;
@@ -93,16 +92,15 @@ impl Spline {
         Zx::new(d[p].0 / d[p].2, d[p].1 / d[p].2)
     }
 
-    /// The curve from corner to corner.
-    /// It may turn only at a knot that stands there as often as its degree: it runs through a control point then. `is_corner` says
-    /// whether it turns between two directions.
+    /// The curve split at its corners.
+    /// A corner is possible only at a knot repeated `degree` times, because there the curve runs through a
+    /// control point. `is_corner` decides for two directions.
     pub(crate) fn between_corners(mut self, is_corner: impl Fn(Zx, Zx) -> bool) -> Vec<Self> {
         let (p, mut pieces, mut i) = (self.degree, Vec::new(), self.degree + 1);
         while i < self.points.len() {
             let (u, n) = (self.knots[i], self.points.len());
-            // Knots ascend.
             let times = self.knots[i..n].iter().take_while(|k| **k <= u).count();
-            // Through the last point of one piece; a knot more often leaps to the first of the next.
+            // At a knot repeated more often the curve jumps from the last point of one piece to the next.
             let (last, first) = (i - 1, i - 1 + times.saturating_sub(p));
             let inside = times >= p && self.knots[p] < u && u < self.knots[n] && first + 1 < n;
             let turns = || {
@@ -330,19 +328,23 @@ pub struct Contour {
     pub cleaned: Vec<String>,
 }
 
+/// A straight line's direction within (−90, 90] degrees.
+pub(crate) fn folded_deg(deg: f64) -> f64 {
+    if deg > 90.0 {
+        deg - 180.0
+    } else if deg <= -90.0 {
+        deg + 180.0
+    } else {
+        deg
+    }
+}
+
 impl FeatureKind {
     pub(crate) fn of(segment: &Segment) -> Self {
         match segment {
             Segment::Line { a, b } => {
                 let d = *b - *a;
-                let deg = d.x.atan2(d.z).to_degrees();
-                let deg = if deg > 90.0 {
-                    deg - 180.0
-                } else if deg <= -90.0 {
-                    deg + 180.0
-                } else {
-                    deg
-                };
+                let deg = folded_deg(d.x.atan2(d.z).to_degrees());
                 if deg.abs() < 1e-4 {
                     Self::Cylinder { radius_mm: a.x }
                 } else if (deg.abs() - 90.0).abs() < 1e-4 {
@@ -368,7 +370,7 @@ pub fn nose(centre: Zx, radius_mm: f64) -> Contour {
 /// Centre and radius of a contour's nose: a quarter circle at its free end.
 /// `None` if the contour begins with something else.
 pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
-    // A drawing is exact to a micrometre; on a nose of 100 mm its angles are as exact.
+    // Drawings are exact to 1 µm, and on a nose of 100 mm their angles are as exact.
     const NEAR: (f64, f64) = (1e-3, 1e-5);
     let Segment::Arc { centre, radius_mm, start_rad, sweep_rad } = contour.features.first()?.segment else {
         return None;

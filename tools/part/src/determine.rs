@@ -1,5 +1,5 @@
-//! A feature's errors from probed points as people give them.
-//! It checks the request, reports what is left out, and refuses numbers that cannot be meant.
+//! A feature's errors from probed points as users give them.
+//! It checks the request, reports what is left out, and refuses implausible numbers.
 
 use crate::errors::{ErrorReport, Nominal, Probed};
 use crate::fit::{self, FitShape, FittedShape, Zx};
@@ -81,7 +81,7 @@ const OTHER_SIZE: f64 = 1.3;
 const NO_SIZE_ERROR_UM: f64 = 500.0;
 /// Largest error of a taper; a larger one shows another taper.
 const OTHER_TAPER_DEG: f64 = 1.0;
-/// Errors of this size are not those of a finish cut.
+/// Errors of this size are not those of a finish cut, µm.
 const FALSE_TRIP_UM: f64 = 200.0;
 
 /// The nominal feature, as requested or as recognised from the points.
@@ -233,7 +233,7 @@ pub(crate) fn is_times(ratio: f64, times: f64) -> bool {
     (ratio / times - 1.0).abs() < 0.02
 }
 
-/// What a circle of twice or half its nominal size may mean.
+/// Possible meaning of a circle of twice or half its nominal size.
 fn double_hint(nominal_to_found: f64) -> &'static str {
     match () {
         () if is_times(nominal_to_found, 2.0) => "; twice that is its diameter",
@@ -247,7 +247,7 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 /// Messages go to `say`.
 ///
 /// # Errors
-/// A file that cannot be read, a number that cannot be meant, points that do not determine the feature.
+/// A file that cannot be read, an implausible number, points that do not determine the feature.
 pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<ErrorReport, InputError> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
@@ -340,7 +340,7 @@ pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<Error
     Ok(report)
 }
 
-/// A taper too far from nominal, and what may have been meant.
+/// A taper too far from nominal, and its possible meaning.
 fn taper_slip(args: &ErrorRequest, r: &ErrorReport) -> Option<(f64, &'static str)> {
     let (asked, found) = args.taper_deg.zip(r.inclination_deg)?;
     let off = r.inclination_error_deg.filter(|off| off.abs() > OTHER_TAPER_DEG)?;

@@ -1,6 +1,7 @@
 //! Part errors from probed points (NISTIR 4854, section 3).
 //! The steps are probe tip, geometric-thermal correction, fit, `error.cor` and whiskers.
 
+use crate::contour::folded_deg;
 use crate::cor::{PointError, error_cor, turned_near};
 use crate::fit::{self, FitError, FitShape, FittedShape, Robust, TwoStep, Zx, sequence};
 use crate::path::{PathPoint, touches};
@@ -607,10 +608,10 @@ fn coordinates(points: &[Zx]) -> Vec<f64> {
 }
 
 /// Largest distance of a part from its place in the path, mm.
-/// The second constant is the largest distance of a trip beyond a touch's end, mm.
 const OFF_WAY_MM: f64 = 5.0;
+/// Largest distance of a trip beyond a touch's end, mm.
 const PAST_MM: f64 = 1.0;
-/// Largest part of a face's normal across the part's axis.
+/// Largest component of a face's normal across the part's axis.
 /// A face is within 10° of square to the axis.
 const FACE: f64 = 0.17;
 /// Smallest cosine of two directions that count as one: 26°.
@@ -668,14 +669,7 @@ fn unwrap_angles(errors: &mut [PointError], order: &[usize]) {
 /// A straight feature's inclination to the part's axis, degrees.
 fn inclination_deg(surface: &FittedShape) -> Option<f64> {
     let FittedShape::Line { normal, .. } = surface else { return None };
-    let deg = (-normal.z).atan2(normal.x).to_degrees();
-    Some(if deg > 90.0 {
-        deg - 180.0
-    } else if deg <= -90.0 {
-        deg + 180.0
-    } else {
-        deg
-    })
+    Some(folded_deg((-normal.z).atan2(normal.x).to_degrees()))
 }
 
 /// The shape moved outward.
@@ -695,6 +689,14 @@ fn place(fitted: &FittedShape) -> ([f64; 2], Option<f64>) {
         FittedShape::Circle { centre, radius_mm } => ([centre.z, centre.x], Some(radius_mm)),
         FittedShape::Line { through, .. } => ([through.z, through.x], None),
     }
+}
+
+/// The error bars, from the nominal outline outward by the magnified error.
+pub(crate) struct Whiskers {
+    pub outline: Vec<Zx>,
+    pub bars: Vec<(Zx, Zx)>,
+    rejected: Vec<bool>,
+    size_mm: f64,
 }
 
 impl ErrorReport {
@@ -723,17 +725,6 @@ impl ErrorReport {
             }
         }
     }
-}
-
-/// The error bars, from the nominal outline outward by the magnified error.
-pub(crate) struct Whiskers {
-    pub outline: Vec<Zx>,
-    pub bars: Vec<(Zx, Zx)>,
-    rejected: Vec<bool>,
-    size_mm: f64,
-}
-
-impl ErrorReport {
     /// Half of the size error's 95 % interval, µm (Student's t).
     pub fn size_within_um(&self) -> Option<f64> {
         Some(self.student()? * self.size_standard_error_um?)

@@ -300,16 +300,7 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
         FittedShape::Circle { centre, .. } => {
             let unit = |p: Zx| (p - centre).unit();
             let units: Vec<Zx> = points.iter().filter_map(|&p| unit(p)).collect();
-            let mean = units.iter().fold(Zx::new(0.0, 0.0), |s, &u| s + u) * (1.0 / n);
-            let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
-            for u in units {
-                let j = u - mean;
-                (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
-            }
-            let det = a * d - b * b;
-            if !(det > 0.0 && det.is_finite()) {
-                return None;
-            }
+            let (mean, [a, b, d], det) = spread_of(&units, n)?;
             let (zz, zx, xx) = (d / det, -b / det, a / det);
             // The radius is the mean distance, so it varies with the centre along the points' mean direction.
             let size = 1.0 / n + mean.z * mean.z * zz + 2.0 * mean.z * mean.x * zx + mean.x * mean.x * xx;
@@ -332,6 +323,18 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     }
 }
 
+/// The mean of the unit vectors of `n` points, their moments and their determinant.
+/// `None` if the points do not determine a circle.
+fn spread_of(units: &[Zx], n: f64) -> Option<(Zx, [f64; 3], f64)> {
+    let mean = units.iter().fold(Zx::new(0.0, 0.0), |s, &u| s + u) * (1.0 / n);
+    let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
+    for j in units.iter().map(|u| *u - mean) {
+        (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
+    }
+    let det = a * d - b * b;
+    (det > 0.0 && det.is_finite()).then_some((mean, [a, b, d], det))
+}
+
 /// How much a form error changes a circle's size, µm per µm of amplitude.
 /// It is for the worst of two to four waves per turn. Around a whole circle it is 1 or less. On a short arc
 /// it is far larger, because such waves look like another radius there. `None` if the points do not determine
@@ -339,15 +342,7 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
 pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
     let n = angles_rad.len() as f64;
     let units: Vec<Zx> = angles_rad.iter().map(|a| Zx::at_angle(*a)).collect();
-    let mean = units.iter().fold(Zx::new(0.0, 0.0), |s, &u| s + u) * (1.0 / n);
-    let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
-    for j in units.iter().map(|u| *u - mean) {
-        (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
-    }
-    let det = a * d - b * b;
-    if !(det > 0.0 && det.is_finite()) {
-        return None;
-    }
+    let (mean, [a, b, d], det) = spread_of(&units, n)?;
     let centre = Zx::new((d * mean.z - b * mean.x) / det, (a * mean.x - b * mean.z) / det);
     let weight = |u: Zx| 1.0 / n - centre.dot(u - mean);
     let held = |waves: f64| {
@@ -407,8 +402,8 @@ impl TwoStep {
 /// A form error has one sign: a worn tool leaves material, a chipped one removes it. The other side has the
 /// good points, which the first circle is pulled away from.
 ///
-/// Of white noise the rule drops about 30 % of the points, all on one side. The size is then off by about half
-/// an SD, whatever the number of points. `part errors` uses [`beyond_noise`] instead.
+/// Of white noise the rule drops about 30 % of the points, all on one side. The size is then off by about
+/// half an SD, whatever the number of points. `part errors` uses [`beyond_noise`] instead.
 ///
 /// # Errors
 /// As [`least_squares`].
@@ -438,7 +433,7 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
     TwoStep::without(shape, points, rejected)
 }
 
-/// Share of features in which chance sets a point apart.
+/// Probability per feature that a good point is left out.
 const CHANCE: f64 = 0.01;
 
 /// Sums over points, from which the residual squares of a linear fit follow.
@@ -489,7 +484,7 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
     let (n, off_um) = (points.len(), deviations_um(robust, points));
     let mean =
         points.iter().fold(Zx::new(0.0, 0.0), |s, p| s + robust.normal_at(*p)) * (1.0 / n.max(1) as f64);
-    // How far a small change of the shape moves its surface at each point.
+    // Change of the surface at each point per small change of the shape.
     let (parameters, slopes): (usize, Vec<[f64; 2]>) = match *robust {
         FittedShape::Circle { .. } => {
             let normal = |p: &Zx| robust.normal_at(*p) - mean;

@@ -1,5 +1,4 @@
-//! From a drawing to a probed, compensated part.
-//! It has the process-intermittent and the post-process loop of NISTIR 4854.
+//! From a drawing to a probed, compensated part: the loops of NISTIR 4854.
 //!
 //! | module | content |
 //! |---|---|
@@ -8,7 +7,7 @@
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips compared with the plan |
 //! | [`fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
-//! | [`determine`] | errors from probed points as people give them
+//! | [`determine`] | errors from probed points as users give them
 //! | [`cor`] | `error.cor`, read and written |
 //! | [`table`], [`line_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |

@@ -1,5 +1,4 @@
-//! The finish cut of a straight feature.
-//! Errors by place become requested counts by machine position.
+//! The finish cut of a straight feature: errors by place become requested counts.
 
 use crate::cor::LineError;
 use crate::fit::Zx;
@@ -29,7 +28,7 @@ impl LineTable {
     }
 
     /// A machine position relative to the feature's first point, mm.
-    /// The values are the place along the feature, and the distance from the line of the nose's centre.
+    /// Returns the place along the feature, and the distance from the line of the nose's centre.
     fn at(&self, machine: Zx) -> [f64; 2] {
         let (n, along) = self.directions();
         let first = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| e.place);

@@ -72,7 +72,7 @@ pub struct Probe {
     pub stem: Option<Stem>,
 }
 
-/// A gauging point and the way of the probe to it.
+/// A gauging point and the path of the probe to it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GaugingPoint {
     /// The place on the nominal surface that is touched.
@@ -107,9 +107,9 @@ pub struct PathPoint {
 /// A collision of the probe with the part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Collision {
-    /// The gauging point, from 1, on whose way it is.
+    /// The gauging point, from 1, on the path to it.
     pub point: usize,
-    /// Whether it is during the touch itself and not on the way to it.
+    /// Whether it is during the touch and not on the path to it.
     pub touching: bool,
     /// The tip's centre at the collision, mm.
     pub at: Zx,
@@ -257,7 +257,7 @@ impl Plan {
         way
     }
 
-    /// All collisions of the probe on its way, or in a touch before the trip.
+    /// All collisions of the probe on its path, or in a touch before the trip.
     pub fn hits(&self, contour: &Contour) -> Vec<Collision> {
         let mut hits = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
@@ -276,9 +276,9 @@ impl Plan {
         hits
     }
 
-    /// Adds by-pass points where the way to a point collides with the part.
+    /// Adds by-pass points where the path to a point collides with the part.
     /// They go over the top or round the front, with the fewest points that are clear. If no such detour is
-    /// clear, the way is unchanged, and [`Plan::hits`] names it.
+    /// clear, the path is unchanged, and [`Plan::hits`] names it.
     pub fn add_bypasses(&mut self, contour: &Contour, clear_mm: f64) {
         let away = self.probe.tip_mm + clear_mm;
         let top = contour.reach() + Zx::new(away, away);
@@ -324,7 +324,7 @@ impl Plan {
         ]
     }
 
-    /// The contour with points, touches, ways and collisions.
+    /// The contour with points, touches, paths and collisions.
     pub fn svg(&self, contour: &Contour) -> String {
         let mut svg = Svg::default();
         contour.draw(&mut svg, true);

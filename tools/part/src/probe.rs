@@ -15,8 +15,8 @@ pub struct Trip {
     pub point: usize,
     /// The tip's centre at the trip, in part coordinates.
     pub tip_centre: Zx,
-    /// Half the width of the position's uncertainty, in µm.
-    /// It is the time between two looks times the speed, or a count if an axis stood still.
+    /// Half width of the position's uncertainty, µm.
+    /// It is the time between two polls times the speed, or a count if an axis stood still.
     pub uncertainty_um: f64,
     /// Time of the trip on the corrector's clock.
     pub t_s: f64,
@@ -159,8 +159,7 @@ pub fn run_record(
 ) -> Option<Record> {
     let (z, x) = (Axis::new("z")?, Axis::new("x")?);
     let column = |name: &str, role: Role, value: &dyn Fn(usize) -> f64| {
-        let unit = role.unit().unwrap_or("1").to_owned();
-        Column { name: name.to_owned(), role, unit, data: (0..trips.len()).map(value).collect() }
+        Column::new(name, role, (0..trips.len()).map(value).collect())
     };
     let sign = |v: f64| if v.abs() < 1e-9 { 0.0 } else { v.signum() };
     let off = |n: usize| (trips[n].tip_centre - expected[n]).dot(approach[n] * -1.0) * 1e3;

@@ -53,7 +53,7 @@ pub struct Controller {
     pub template: String,
 }
 
-/// The dialects that come with the program: name, dialect, template.
+/// The built-in dialects: name, dialect, template.
 pub const BUILT_IN: [(&str, &str, &str); 3] = [
     (
         "report",

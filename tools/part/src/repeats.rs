@@ -48,7 +48,7 @@ fn way_mm(fitted: &FittedShape, from: Zx, to: Zx) -> f64 {
     }
 }
 
-/// Groups points on a shape into places; the shape has so many `parameters`.
+/// Groups points on a shape with this number of `parameters` into places.
 /// `None` if most points have a place of their own.
 pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<Repeats> {
     // Starts after the widest gap, so that no arc and no place is cut in two.
@@ -112,7 +112,7 @@ mod tests {
                 assert_eq!(found.map(|r| r.places), (touches > 1).then_some(7), "{touches}: {shape:?}");
             }
         }
-        // Points of their own, whatever the arc and whatever lies between: a hole, a groove.
+        // Single points on any arc and with any gap: a hole, a groove.
         for n in [8_u32, 12, 16, 20, 30] {
             let at = |deg: f64| Zx::new(100.0, 0.0) + Zx::at_angle(deg.to_radians()) * 25.0;
             let share = |k: u32| f64::from(k) / f64::from(n - 1);

@@ -239,8 +239,8 @@ impl FinishTable {
 }
 
 /// Number of checked places along a chord.
-/// The second constant is the share of the allowance that is safe between them.
 const SAMPLES: u32 = 32;
+/// Share of the allowance that is safe between the checked places.
 const SAMPLED: f64 = 0.998;
 /// Largest number of straight moves in a program.
 const MAX_MOVES: usize = 100_000;

@@ -50,8 +50,6 @@ fn made(
         let column = Column::new(&name, own, data);
         Ok(match unit {
             Some(unit) => Column { unit, ..column },
-            // A channel has no unit by its role.
-            None if column.unit.is_empty() => Column { unit: "1".to_owned(), ..column },
             None => column,
         })
     };

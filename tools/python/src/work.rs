@@ -12,7 +12,7 @@ use rtec_files::stamp::signed;
 use rtec_files::trace::{RequestReader, TraceReader, request_columns, trace_columns};
 use rtec_files::{InputError, Said};
 use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, TermFound};
-use rtec_fit::thermal::{prediction_chart, residual_chart};
+use rtec_fit::thermal::{self, prediction_chart, residual_chart};
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
 use rtec_measure::export::linuxcnc::Unit;
@@ -26,7 +26,7 @@ use rtec_model::chain::Chain;
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
-use rtec_reconcile::{Options, Place, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
+use rtec_reconcile::{Options, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
@@ -35,7 +35,7 @@ use rtec_sim::example::{EXAMPLES, Example};
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, Setting};
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::Spec;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 fn inners(records: Vec<Record>) -> Vec<rtec_model::record::Record> {
@@ -129,15 +129,17 @@ impl FitAsked {
         }
         Ok(workflow::Asked {
             sensors: self.sensors,
-            environment: self.environment,
-            folds: self.folds,
-            lag: self.lag,
-            square: self.square,
-            speed: true,
-            base: self.base.map(|m| m.inner),
             date: self.date.map(day).transpose()?,
-            valid_days: i64::from(self.valid_days),
             despite_suspicions: self.despite_suspicions,
+            options: thermal::Options {
+                environment: self.environment,
+                folds: self.folds,
+                lag: self.lag,
+                square: self.square,
+                base: self.base.map(|m| m.inner),
+                valid_days: i64::from(self.valid_days),
+                ..thermal::Options::default()
+            },
         })
     }
 }
@@ -183,7 +185,7 @@ pub(crate) fn fit_named(
         let asked = asked.asked()?;
         let done = workflow::fit_named(inners(records), &effects, &asked, say)?;
         let ideal = rtec_model::machine::Machine::ideal("");
-        let base = asked.base.as_ref().unwrap_or(&ideal);
+        let base = asked.options.base.as_ref().unwrap_or(&ideal);
         let mut pictures: Vec<Picture> = Vec::new();
         for record in &done.records {
             let (before, after) = (base.beyond(record)?, done.machine.beyond(record)?);
@@ -537,7 +539,6 @@ pub(crate) fn where_they_disagree(
             return Err(bad("reconcile", "no record", "a record to learn from"));
         }
         let places = rtec_reconcile::find(&inners(train), &machine.inner, level)?;
-        let places: Vec<Value> = places.iter().map(Place::to_json).collect();
         pretty(&json!({"where": places, "level": level, "seed": SEED}))
     })
 }

@@ -5,7 +5,7 @@ use crate::extent::{self, GRID_SHARE};
 use crate::verdict::Verdict;
 use rtec_estimate::Shape;
 use rtec_model::effect::{Dictionary, Effect, Wave};
-use rtec_model::record::{Axis, Column, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, span};
 
 /// All positions of an axis, in rising order.
 fn places(axis: &Axis, train: &[Record]) -> Vec<f64> {
@@ -141,8 +141,7 @@ pub(crate) fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
 fn isolating(s: &Shape, train: &[Record]) -> String {
     let over = &s.against[0];
     let columns = || train.iter().flat_map(|r| &r.columns).filter(|c| is_of(c, over));
-    let range =
-        columns().flat_map(|c| &c.data).fold([f64::MAX, f64::MIN], |[l, h], x| [l.min(*x), h.max(*x)]);
+    let range = span(columns().flat_map(|c| &c.data));
     let far = match columns().next() {
         Some(c) if range[0] < range[1] => {
             format!(" at least from {:.4} to {:.4} {}", range[0], range[1], c.unit)
@@ -168,7 +167,7 @@ fn is_of(c: &Column, over: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{axis, column};
+    use crate::testing::axis;
     use rtec_estimate::Rival;
     use rtec_model::effect::Difference;
     use rtec_model::record::Kind;
@@ -210,8 +209,8 @@ mod tests {
     fn on_a_grid_the_other_periods_are_said() {
         let p: Vec<f64> = (0..60).map(|i| 20.0 * f64::from(i % 30)).collect();
         let columns = vec![
-            column("p", Role::Position(axis()), p.clone()),
-            column("e", Role::Error(axis()), vec![0.0; p.len()]),
+            Column::new("p", Role::Position(axis()), p.clone()),
+            Column::new("e", Role::Error(axis()), vec![0.0; p.len()]),
         ];
         let train = [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()];
         let mut wave = Dictionary::default().effect("screw_periodic.x").unwrap();
@@ -226,8 +225,8 @@ mod tests {
     fn a_constant_on_a_grid_may_be_a_screw_and_this_is_said() {
         let train = |pitch: f64, off: f64| {
             let p: Vec<f64> = (0..60).map(|i| pitch * f64::from(i % 30) + off * f64::from(i % 7)).collect();
-            let e = column("e", Role::Error(axis()), vec![2.0; p.len()]);
-            let columns = vec![column("p", Role::Position(axis()), p), e];
+            let e = Column::new("e", Role::Error(axis()), vec![2.0; p.len()]);
+            let columns = vec![Column::new("p", Role::Position(axis()), p), e];
             [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()]
         };
         let dictionary = Dictionary::default();

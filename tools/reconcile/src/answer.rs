@@ -18,7 +18,7 @@ pub struct Finding {
     pub p_value: f64,
     /// Log odds of the set with it against the set without it.
     pub evidence: f64,
-    /// Posterior share of its name among all names for its place, 0 to 1.
+    /// Posterior share of its name for its place, 0 to 1; shapes are left out.
     pub name_mass: f64,
     /// Posterior share of its mode (a period, a number of lobes) within its name.
     pub mode_mass: f64,

@@ -3,8 +3,8 @@
 use crate::SEED;
 use crate::answer::Finding;
 use crate::gap::Gap;
+use crate::localisation::LEAST_P;
 use crate::verdict::{Reconciliation, Refined, SetUp};
-use crate::where_found::{LEAST_P, Place};
 use rtec_estimate::Rival;
 use rtec_model::effect::{Against, Difference, Effect, Search};
 use serde_json::{Map, Value, json};
@@ -123,7 +123,7 @@ impl Reconciliation {
         let gaps: Vec<Value> = self.gap.iter().map(gap).collect();
         json!({
             "verdict": self.verdict,
-            "where": self.places.iter().map(Place::to_json).collect::<Vec<_>>(),
+            "where": self.places,
             "effects": self.effects.iter().map(finding).collect::<Vec<_>>(),
             "refined": self.refined.iter().map(refined).collect::<Vec<_>>(),
             "stand_in": self.curve.as_ref().map(|(e, _)| json!({"name": e.name(), "file": crate::LAWS_FILE})),

@@ -27,8 +27,7 @@ pub(crate) struct Doubts {
     pub(crate) said: Vec<Suspicion>,
     /// The training records without doubted data; empty if all is doubted.
     pub(crate) train: Vec<Record>,
-    /// For each of them, the row numbers in the measured record.
-    pub(crate) rows: Vec<Vec<usize>>,
+
     /// What was left out of the training, one line each.
     pub(crate) left_out: Vec<String>,
     holdout: Vec<Record>,
@@ -64,10 +63,9 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     };
     of_holdout.retain(|s| !turned(s));
     said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
-    let (left, rows): (Vec<Record>, Vec<Vec<usize>>) =
-        train.iter().filter_map(|r| without(r, &of_train, machine)).unzip();
+    let left: Vec<Record> = train.iter().filter_map(|r| without(r, &of_train, machine)).collect();
     left_out.extend(lines(&train, &left, &of_train));
-    Doubts { said, train: left, rows, left_out, holdout, of_holdout }
+    Doubts { said, train: left, left_out, holdout, of_holdout }
 }
 
 /// The mistakes that records show by themselves.
@@ -98,8 +96,8 @@ impl Doubts {
     /// The hold-outs without doubted columns that the model reads.
     /// Columns that it does not read may be wrong. Also says what was left out.
     pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
-        let left = self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model));
-        let left: Vec<Record> = left.map(|(r, _)| r).collect();
+        let left: Vec<Record> =
+            self.holdout.iter().filter_map(|r| without(r, &self.of_holdout, model)).collect();
         let lines = lines(&self.holdout, &left, &self.of_holdout);
         (left, lines)
     }
@@ -108,15 +106,21 @@ impl Doubts {
     /// Such records cannot show a lag.
     pub(crate) fn without_clocks(&mut self) -> bool {
         let before = self.train.len();
-        for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
-            if self.said.iter().any(|s| about(s, &record) && is_of_clock(s, &record)) {
-                self.rows.remove(k);
-                self.left_out.push(format!("{}: all of it ({})", record.path.display(), What::Unit));
-            } else {
-                self.train.insert(0, record);
+        let said = std::mem::take(&mut self.said);
+        let of_clock = |r: &Record| said.iter().any(|s| about(s, r) && is_of_clock(s, r));
+        self.drop_where(|r| of_clock(r).then_some(What::Unit));
+        self.said = said;
+        self.train.len() < before
+    }
+
+    /// Leaves out the training records with a mistake, the last one first.
+    fn drop_where(&mut self, mistake: impl Fn(&Record) -> Option<What>) {
+        for record in std::mem::take(&mut self.train).into_iter().rev() {
+            match mistake(&record) {
+                Some(what) => self.left_out.push(format!("{}: all of it ({what})", record.path.display())),
+                None => self.train.insert(0, record),
             }
         }
-        self.train.len() < before
     }
 
     /// The given records that are used neither for learning nor for judging, and why.
@@ -150,15 +154,7 @@ impl Doubts {
 
     /// Adds suspicions of whole training records, which are then left out.
     pub(crate) fn also(&mut self, more: Vec<Suspicion>) {
-        for (k, record) in std::mem::take(&mut self.train).into_iter().enumerate().rev() {
-            match more.iter().find(|s| about(s, &record)) {
-                Some(s) => {
-                    self.rows.remove(k);
-                    self.left_out.push(format!("{}: all of it ({})", record.path.display(), s.what.name()));
-                }
-                None => self.train.insert(0, record),
-            }
-        }
+        self.drop_where(|r| more.iter().find(|s| about(s, r)).map(|s| s.what));
         self.said.extend(more);
     }
 }
@@ -186,7 +182,7 @@ fn lines(before: &[Record], after: &[Record], said: &[Suspicion]) -> Vec<String>
 }
 
 /// The record without its doubted columns; `None` if nothing remains.
-fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Record, Vec<usize>)> {
+fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<Record> {
     let clocked = machine.effects().any(reads_clock);
     let useless = |s: &Suspicion| whole(s, record) || clocked && is_of_clock(s, record);
     if said.iter().any(|s| about(s, record) && useless(s)) {
@@ -232,7 +228,7 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<(Re
             return None;
         }
     }
-    Some((left, keep))
+    Some(left)
 }
 
 /// Whether an effect depends on the length of the clock's second.

@@ -7,7 +7,7 @@ use rtec_estimate::refit::{Refit, left};
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Kind, Record, Role, span};
 
 /// Folds of the blocked cross-validation.
 pub(crate) const FOLDS: usize = 5;
@@ -119,9 +119,8 @@ impl Over {
             return Self { name: "angle (°)".to_owned(), values, in_order: false, direction: Vec::new() };
         }
         let span = |axis: &&Axis| {
-            let p = record.data(&Role::Position((*axis).clone())).unwrap_or_default();
-            p.iter().copied().reduce(f64::max).unwrap_or(0.0)
-                - p.iter().copied().reduce(f64::min).unwrap_or(0.0)
+            let [low, high] = span(record.data(&Role::Position((*axis).clone())).unwrap_or_default());
+            (high - low).max(0.0)
         };
         let moving: Vec<&Axis> = record.axes(Role::Position).filter(|a| span(a) > STILL_MM).collect();
         let own = moving.iter().find(|a| response.axis() == Some(**a));
@@ -257,13 +256,6 @@ pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Tr
         own
     };
     held.iter().map(own).collect()
-}
-
-/// Sets the gaps on these hold-outs' traces alone.
-pub(crate) fn without_strangers(gap: &mut [Gap], traces: &[Trace]) {
-    for g in gap {
-        g.without_strangers = pooled(traces, &g.unit, true);
-    }
 }
 
 #[cfg(test)]

@@ -10,9 +10,9 @@
 //! | `workflow` | the whole workflow: doubts, the estimate, changes to the model |
 //! | `doubt`, `suspected` | people's mistakes that records show by themselves: reported and left out |
 //! | `mistakes` | mistakes as hypotheses beside the model |
-//! | `drawn` | a subsample of very many rows |
+//! | `subsample` | a subsample of very many rows |
 //! | `answer` | the estimate as findings |
-//! | `where_found` | where measured and simulated disagree |
+//! | `localisation` | where measured and simulated disagree |
 //! | `room` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained` | a curve in place of what no effect explains |
 //! | `extent` | aliases on a grid of places, for the advice |
@@ -30,21 +30,21 @@ mod advice;
 mod answer;
 mod document;
 mod doubt;
-mod drawn;
 mod extent;
 mod gap;
 mod interval;
+mod localisation;
 mod mistakes;
 mod next_run;
 mod regression;
 mod report;
 mod room;
+mod subsample;
 mod suspected;
 #[cfg(test)]
 mod testing;
 mod unexplained;
 mod verdict;
-mod where_found;
 mod why;
 mod workflow;
 
@@ -53,13 +53,13 @@ pub const SEED: u64 = 4832;
 
 pub use answer::Finding;
 pub use gap::{Gap, Over, Trace};
+pub use localisation::Place;
 pub use next_run::{NextRuns, Open, Tells, next_runs};
 pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
 pub use report::{html, pictures};
 pub use rtec_estimate::{Rival, Shape, Tried};
 pub use unexplained::LAWS_FILE;
 pub use verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
-pub use where_found::Place;
 pub use why::why;
 pub use workflow::{find, reconcile};
 

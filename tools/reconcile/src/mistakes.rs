@@ -1,5 +1,5 @@
 //! Looks for people's mistakes beside a model.
-//! It compares a record with the same record with a mistake undone, by one likelihood. The likelihood is the
+//! It compares a record with the same record with a mistake corrected, by one likelihood. The likelihood is the
 //! density of the numbers as the file has them.
 
 use crate::answer::{Answer, Finding, analyse, score, stated};
@@ -17,8 +17,8 @@ use std::f64::consts::PI;
 #[derive(Clone)]
 pub(crate) struct Mistake {
     said: Suspicion,
-    /// The record with the mistake undone.
-    undone: Record,
+    /// The record with the mistake corrected.
+    corrected: Record,
     /// Log Jacobian of undoing the mistake, plus the evidence from directions.
     /// The Jacobian says how much closer the numbers lie in the file than after undoing. Directions must
     /// agree with positions.
@@ -30,22 +30,22 @@ impl Mistake {
     /// Set-up terms have those of the responses and of time.
     fn units(&self) -> Units {
         let set_up = |c: &Column| c.role == Role::Time || c.role.is_response();
-        let asked = self.undone.columns.iter().any(|c| c.name == self.said.column && set_up(c));
+        let asked = self.corrected.columns.iter().any(|c| c.name == self.said.column && set_up(c));
         if self.said.what == What::Unit && asked { Units::Any } else { Units::AsWritten }
     }
 }
 
 /// Mistakes that were made together, each with its record's index.
-type Made = Vec<(usize, Mistake)>;
+type JointMistakes = Vec<(usize, Mistake)>;
 
 /// A mistake that is suspected of a record.
 pub(crate) struct Suspected {
     pub(crate) said: Suspicion,
     /// Log odds of the mistake.
     odds: f64,
-    /// Names of the effects that are found with the mistake undone.
+    /// Names of the effects that are found with the mistake corrected.
     without: Vec<String>,
-    /// Indices of the model's effects that are still replaced with the mistake undone.
+    /// Indices of the model's effects that are still replaced with it corrected.
     replaced: Vec<usize>,
 }
 
@@ -85,7 +85,7 @@ const CERTAIN: f64 = 99.0;
 /// Only mistakes that make their own record likelier by more than their price are candidates.
 const LOOKED_AT: usize = 3;
 const MOST: usize = 3;
-/// Largest ratio of a hold-out's residual to the training's noise, once undone.
+/// Largest ratio of a hold-out's residual to the training's noise, once corrected.
 const EXPLAINED: f64 = 2.0;
 
 /// Mistakes of training records that explain them better than the findings do.
@@ -122,11 +122,11 @@ pub(crate) fn of_training(
             for m in candidates(record, &now, models.last().unwrap_or(&model)) {
                 let gain = |(model, (stands, left)): (&Vec<Effect>, (&f64, &Vec<f64>))| {
                     // The model does not read the changed column here.
-                    let same = m.jacobian == 0.0 && unexplained(&m.undone, model) == *left;
+                    let same = m.jacobian == 0.0 && unexplained(&m.corrected, model) == *left;
                     if same {
                         0.0
                     } else {
-                        alone(&m.undone, model, &intervals, m.units()).0 + m.jacobian - stands
+                        alone(&m.corrected, model, &intervals, m.units()).0 + m.jacobian - stands
                     }
                 };
                 let stands = if m.units() == Units::Any { &any } else { &written };
@@ -148,9 +148,9 @@ pub(crate) fn of_training(
         let habit = habit(&tried, now.len());
         tried.retain(|t| t.0 > ONE_IN.ln());
         tried.truncate(LOOKED_AT);
-        let mut sets: Vec<Made> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
+        let mut sets: Vec<JointMistakes> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
         sets.extend(habit);
-        let mut likeliest: Option<(f64, (Units, f64), Made)> = None;
+        let mut likeliest: Option<(f64, (Units, f64), JointMistakes)> = None;
         for set in sets {
             let units = set[0].1.units();
             let known = as_they_stand.iter().find(|s| s.0 == units).map(|s| s.1);
@@ -161,7 +161,7 @@ pub(crate) fn of_training(
             let mut others = now.clone();
             let mut gain = -before - ONE_IN.ln();
             for (k, m) in &set {
-                others[*k] = m.undone.clone();
+                others[*k] = m.corrected.clone();
                 gain += m.jacobian;
             }
             let undone = score(&others, machine, answer, units, -gain);
@@ -173,7 +173,7 @@ pub(crate) fn of_training(
         let Some((gain, undone, set)) = likeliest else { break };
         as_they_stand = vec![undone];
         for (k, m) in &set {
-            now[*k] = m.undone.clone();
+            now[*k] = m.corrected.clone();
         }
         let then = analyse(&now, machine, level);
         let without: Vec<String> = then.findings.iter().map(|(f, _)| f.effect.name()).collect();
@@ -190,7 +190,7 @@ pub(crate) fn of_training(
 
 /// A mistake that every record shows, at the price of a single one.
 /// Its author always makes it in the same way.
-fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<Made> {
+fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<JointMistakes> {
     let same = |a: &Mistake, b: &Mistake| {
         (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
     };
@@ -224,7 +224,7 @@ pub(crate) fn of_hold_out(
     let mut all = train.to_vec();
     all.push(record.clone());
     let weigh = |m: Mistake| {
-        let (then, noise) = alone(&m.undone, &effects, &intervals, m.units());
+        let (then, noise) = alone(&m.corrected, &effects, &intervals, m.units());
         let stands = if m.units() == Units::Any { of_any_unit } else { as_it_stands };
         let gain = then + m.jacobian - stands - ONE_IN.ln() - CERTAIN.ln();
         (gain > 0.0 && explained(&noise)).then_some((gain, m.said))
@@ -381,10 +381,10 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     let mut out = Vec::new();
     let rows = record.rows() as f64;
     let as_logged = agreement(record);
-    let mut add = |what: What, column: &str, text: String, undone: Option<Record>, jacobian: f64| {
-        if let Some(undone) = undone {
-            let jacobian = jacobian + agreement(&undone) - as_logged;
-            out.push(Mistake { said: Suspicion::new(record, column, what, &[], text), undone, jacobian });
+    let mut add = |what: What, column: &str, text: String, corrected: Option<Record>, jacobian: f64| {
+        if let Some(corrected) = corrected {
+            let jacobian = jacobian + agreement(&corrected) - as_logged;
+            out.push(Mistake { said: Suspicion::new(record, column, what, &[], text), corrected, jacobian });
         }
     };
     let only = |text: &str| format!("the run agrees with the model only {text}");
@@ -533,8 +533,8 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                 // positions.
                 let sound =
                     |u: &Record| said_of(u, model) >= said_of(record, model) && paired(u) >= paired(record);
-                let undone = renamed(record, &swap).filter(|u| part == "run" || sound(u));
-                add(What::Swapped, column, only(&text), undone, 0.0);
+                let corrected = renamed(record, &swap).filter(|u| part == "run" || sound(u));
+                add(What::Swapped, column, only(&text), corrected, 0.0);
             }
         }
     }

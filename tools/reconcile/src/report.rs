@@ -1,14 +1,15 @@
 //! `report.html`: the answer as one page with plots.
 
 use crate::gap::Trace;
+use crate::localisation::{LEAST_P, Place};
 use crate::verdict::{Reconciliation, Verdict};
-use crate::where_found::{LEAST_P, Place};
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::words::escaped;
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
 use rtec_measure::report::{Run, STYLE, signed_line};
 use rtec_model::effect::{Effect, Search};
 use rtec_model::machine::NORMAL_95;
+use rtec_model::record::span;
 use std::fmt::Write as _;
 
 /// Size of a plot, px.
@@ -139,8 +140,7 @@ fn contributions(h: &mut String, r: &Reconciliation) {
     for effect in r.model.effects().filter(|e| !e.description().may_be_set_up()) {
         let predicted = rows.predict(effect);
         let range = |s: &Segment| {
-            let part = predicted[s.rows.clone()].iter();
-            let (l, u) = part.fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(*v), u.max(*v)));
+            let [l, u] = span(&predicted[s.rows.clone()]);
             (u - l, unit_of(&rows.responses[s.response].to_string()))
         };
         let Some((range, unit)) = rows.segments.iter().map(range).max_by(|a, b| a.0.total_cmp(&b.0)) else {
@@ -481,7 +481,7 @@ fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
     if points.len() / 2 <= stretches {
         return points;
     }
-    let (l, u) = points.iter().fold((f64::MAX, f64::MIN), |(l, u), p| (l.min(p.0), u.max(p.0)));
+    let [l, u] = span(points.iter().map(|p| p.0));
     let mut ends: Vec<Option<(usize, usize)>> = vec![None; stretches];
     for (i, p) in points.iter().enumerate() {
         let at = ((p.0 - l) / (u - l).max(f64::MIN_POSITIVE) * stretches as f64) as usize;
@@ -497,7 +497,7 @@ fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
 fn places(h: &mut String, r: &Reconciliation) {
     h.push_str("<h2>What it goes with</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
     for p in found(r) {
-        let (lo, hi) = p.profile.iter().fold((f64::MAX, f64::MIN), |(l, u), v| (l.min(v[1]), u.max(v[1])));
+        let [lo, hi] = span(p.profile.iter().map(|v| v[1]));
         let [a, b] = [p.profile.first(), p.profile.last()].map(|v| v.map_or(0.0, |v| v[0]));
         let mut line = String::new();
         for v in &p.profile {

@@ -3,17 +3,13 @@
 
 use crate::answer::Finding;
 use rtec_fit::thermal;
-use rtec_model::effect::{Against, Difference, Heat};
+use rtec_model::effect::{Difference, Heat};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Kind, Record, Role};
 
 /// The two sensors of a difference, in either order.
 fn pair(d: &Difference) -> [Option<&str>; 2] {
-    let minus = match &d.against {
-        Against::Sensor(m) => Some(m.as_str()),
-        Against::Standard | Against::Reference(_) => None,
-    };
-    let mut both = [Some(d.sensor.as_str()), minus];
+    let mut both = [Some(d.sensor.as_str()), d.minus()];
     both.sort_unstable();
     both
 }
@@ -50,7 +46,8 @@ pub(crate) fn other_sensors(
         let ours: Vec<&Difference> = ours.collect();
         // The rows are few or unsuitable for a fit, so there is no other choice.
         let response = Role::Error(axis);
-        let Ok(theirs) = thermal::chosen(&beyond.iter().collect::<Vec<_>>(), &response, &options) else {
+        let Ok(theirs) = thermal::select_differences(&beyond.iter().collect::<Vec<_>>(), &response, &options)
+        else {
             continue;
         };
         let theirs: Vec<&Difference> = theirs.iter().collect();

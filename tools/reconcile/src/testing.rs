@@ -7,18 +7,13 @@ pub(crate) fn axis() -> Axis {
     Axis::new("x").expect("a letter is an axis")
 }
 
-pub(crate) fn column(name: &str, role: Role, data: Vec<f64>) -> Column {
-    let unit = role.unit().unwrap_or("1").to_owned();
-    Column { name: name.to_owned(), role, unit, data }
-}
-
 /// Rows 5 s apart at positions that never repeat, with an error by row number.
 pub(crate) fn record(rows: usize, error: impl Fn(f64) -> f64) -> Record {
     let of = |f: &dyn Fn(f64) -> f64| (0..rows).map(|i| f(i as f64)).collect::<Vec<f64>>();
     let columns = vec![
-        column("t", Role::Time, of(&|i| 5.0 * i)),
-        column("p", Role::Position(axis()), of(&|i| (i * 61.803_398_875) % 100.0)),
-        column("e", Role::Error(axis()), of(&error)),
+        Column::new("t", Role::Time, of(&|i| 5.0 * i)),
+        Column::new("p", Role::Position(axis()), of(&|i| (i * 61.803_398_875) % 100.0)),
+        Column::new("e", Role::Error(axis()), of(&error)),
     ];
     Record::new(Path::new("run.run.toml"), Kind::Positioning, columns).expect("a sound record")
 }

@@ -151,6 +151,7 @@ pub(crate) fn stand_in(
 mod tests {
     use super::*;
     use crate::testing::{axis, record};
+    use rtec_model::record::span;
 
     fn shape(against: &[&str], manner: &str) -> Shape {
         let against = against.iter().map(|a| (*a).to_owned()).collect();
@@ -166,7 +167,7 @@ mod tests {
         let mut stand_in = stand_in(&shape(&["position.x"], "smooth"), 3, &train, &mut model).unwrap();
         stand_in.effect.set_values(&[1.0, -2.0, 4.0]).unwrap();
         let p = train[0].data(&Role::Position(axis())).unwrap();
-        let (lo, hi) = p.iter().fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(*x), h.max(*x)));
+        let [lo, hi] = span(p);
         let mut sum = vec![0.0; p.len()];
         stand_in.effect.add(&train[0], &Role::Error(axis()), &mut sum).unwrap();
         for (p, e) in p.iter().zip(&sum) {

@@ -2,7 +2,7 @@
 
 use crate::answer::Finding;
 use crate::gap::{Gap, Trace, chance, unit_of};
-use crate::where_found::Place;
+use crate::localisation::Place;
 use rtec_estimate::priors::HELD;
 use rtec_estimate::setup::What;
 use rtec_estimate::{Shape, Tried};

@@ -4,14 +4,14 @@ use crate::Options;
 use crate::advice::advice;
 use crate::answer::{Answer, Finding, analyse, stated};
 use crate::doubt::{self, Doubts, doubts};
-use crate::drawn::{MOST_ROWS, at_least_every, bounded};
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::interval;
+use crate::localisation::{self, Place};
 use crate::mistakes;
 use crate::room;
+use crate::subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::unexplained::stand_in;
 use crate::verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
-use crate::where_found::{self, Place};
 use rtec_estimate::Rival;
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
@@ -24,7 +24,7 @@ use rtec_measure::derive::derive;
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::{Dictionary, Effect, Heat, Law, Refine, Search};
 use rtec_model::machine::{Machine, Provenance, Source};
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Kind, Record, Role, span};
 use std::borrow::Cow;
 
 /// Below this number of rows no effect can be distinguished from chance.
@@ -134,7 +134,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     if let (Some(left), Some(date)) = (&blocked, &options.date) {
         interval::state(&mut model, &used, left, date);
     }
-    let mut places = where_found::places(&used, machine);
+    let mut places = localisation::places(&used, machine);
     if why_nothing.is_none() {
         let like = |e: &Effect, p: f64| Some((Shape::like(&rows_of, e, "")?, p));
         let named = effects.iter().filter_map(|(f, _)| like(&f.effect, f.p_value));
@@ -142,7 +142,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         let shapes = answer.unexplained.iter().map(|s| (s.clone(), options.level));
         let found = named.chain(corrected).chain(shapes);
         let share = |s: &Shape| gap::explained(&traces_of, &s.response);
-        where_found::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
+        localisation::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let advice = match why_nothing {
@@ -218,7 +218,9 @@ fn said_beside(
     let of = gap::by_record(held, traces);
     let strange = |k: &usize| strangers.iter().any(|(s, _)| s == k);
     let good: Vec<Trace> = (0..of.len()).filter(|k| !strange(k)).flat_map(|k| of[k].to_vec()).collect();
-    gap::without_strangers(gap, &good);
+    for g in gap.iter_mut() {
+        g.without_strangers = gap::pooled(&good, &g.unit, true);
+    }
     let names: Vec<String> = strangers.iter().map(|(k, _)| held[*k].path.display().to_string()).collect();
     Some(format!(
         "{}: of another machine, or the model is wrong there: the gap is given with and without",
@@ -267,15 +269,26 @@ impl Work<'_> {
         }
         warm_plate(&mut answer.findings, train, machine.dictionary());
         let refined = if learn { correct(&mut model, machine, answer) } else { Vec::new() };
-        let write = Writer { train, date: self.options.date.as_ref() };
         let mut effects = Vec::new();
         for (f, half) in &answer.findings {
             // The model already has an effect of this identity, so this was a correction, not an addition.
-            if write.add(&mut model, &f.effect, half, "") {
+            if self.write(&mut model, &f.effect, half, "") {
                 effects.push((f.clone(), half.clone()));
             }
         }
         Better { model, refined, effects, curve: None }
+    }
+
+    /// Adds an effect with its provenance, unless the model has its identity.
+    fn write(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
+        let provenance = Provenance {
+            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::stamp::VERSION)),
+            date: self.options.date.clone(),
+            from: self.train.iter().map(Source::of).collect(),
+            interval: intervals(effect, half).into_iter().collect(),
+            set_up: false,
+        };
+        model.push(effect.clone(), provenance).is_ok()
     }
 
     /// Adds a curve for the first shape, or says why there is none.
@@ -296,8 +309,7 @@ impl Work<'_> {
             let alone = shape.against.len() == 1;
             let (effect, half) = refit.beside_set_up(&answer.estimate.noise, alone)?;
             let unit = gap::unit_of(&shape.response);
-            let write = Writer { train: self.train, date: self.options.date.as_ref() };
-            if !write.add(&mut model, &effect, &half, ": unexplained") {
+            if !self.write(&mut model, &effect, &half, ": unexplained") {
                 return Some(format!("the model has {} already", effect.name()));
             }
             let unseen = if held.is_empty() {
@@ -393,26 +405,6 @@ fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]
     }
 }
 
-/// The provenance that is written with each effect.
-struct Writer<'w> {
-    train: &'w [Record],
-    date: Option<&'w String>,
-}
-
-impl Writer<'_> {
-    /// Adds an effect with its provenance, unless the model has its identity.
-    fn add(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
-        let provenance = Provenance {
-            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::stamp::VERSION)),
-            date: self.date.cloned(),
-            from: self.train.iter().map(Source::of).collect(),
-            interval: intervals(effect, half).into_iter().collect(),
-            set_up: false,
-        };
-        model.push(effect.clone(), provenance).is_ok()
-    }
-}
-
 /// The records that were analysed, and the result.
 struct Analysed {
     /// All their rows, as measured.
@@ -493,7 +485,7 @@ fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary
         .all(|r| matches!(r.kind, Kind::Plate | Kind::Part) && r.column(&Role::Temperature).is_none());
     let ppm: Vec<f64> =
         findings.iter().map(|(f, _)| f).filter(|f| scale(f)).map(|f| f.effect.scalar(0)).collect();
-    let (lo, hi) = ppm.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+    let [lo, hi] = span(&ppm);
     if !silent || ppm.len() < 2 || lo * hi <= 0.0 || (hi - lo).abs() > 0.5 * lo.abs().max(hi.abs()) {
         return;
     }
@@ -562,8 +554,9 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{axis, column, noise, record};
+    use crate::testing::{axis, noise, record};
     use rtec_model::effect::Against;
+    use rtec_model::record::Column;
     use std::path::Path;
 
     /// A nameless reversal does not hide a scale.
@@ -696,7 +689,7 @@ mod tests {
             effect
         };
         let mut run = record(145, |i| dice[i as usize] * 0.09);
-        run.columns.push(column("T", Role::Temperature, warm));
+        run.columns.push(Column::new("T", Role::Temperature, warm));
         let run = Record::new(&run.path, run.kind, run.columns).unwrap();
         let mut columns = run.columns.clone();
         growth(1.25).add(&run, &Role::Error(axis()), &mut columns[2].data).unwrap();

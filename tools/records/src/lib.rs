@@ -1,9 +1,9 @@
 //! Run records of a machine tool, for the daemon and for evaluations.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | [`record`] | run records, read strictly and written whole |
-//! | [`spool`] | finished records on their way to the shop's store |
+//! | [`spool`] | sends finished records to the shop's store |
 //!
 //! Statistics and charts of a record are in `rtec-measure`.
 

@@ -1,5 +1,5 @@
 //! Run records on file: `NAME.run.toml` beside a CSV.
-//! They are read strictly and written whole (formats.md, "Run record").
+//! They are read strictly and written whole (tools/guide/reference/records.md).
 
 use rtec_files::clock::{self, absolute_ns, of_day_ns};
 use rtec_files::csv::{self, Reader, Style};
@@ -17,16 +17,16 @@ use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
-/// The roles, as an error names them.
+/// The roles as an error message lists them.
 pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolant, angle, channel, or position, direction, \
      velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
 
 /// Reads a record from its sidecar.
 ///
 /// # Errors
-/// The first finding, with file, line and column. It is an unreadable file, an unknown key, kind or role, or a wrong
-/// unit. In the CSV it is a listed column that is missing, a short row, a value that is missing or not finite, time
-/// running backwards, or no response.
+/// The first finding, with file, line and column: an unreadable file, an unknown key, kind or role, or a
+/// wrong unit. In the CSV a listed column that is missing, a short row, a value that is missing or not
+/// finite, time running backwards, or no response.
 pub fn read(path: &Path) -> Result<Record, InputError> {
     let record = read_log(path)?;
     has_response(path, &record.columns)?;
@@ -82,14 +82,13 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     }
 }
 
-/// Reads a record in pieces.
-/// It may have any number of rows, and needs the memory of a few.
+/// Reads a record of any number of rows in pieces, with bounded memory.
 pub struct RecordPieces {
     path: PathBuf,
     sidecar: Sidecar,
     /// Length of the CSV, bytes.
     bytes: u64,
-    rows: Rows<File>,
+    rows: RowReader<File>,
     /// Number of rows before the present piece.
     before: usize,
 }
@@ -116,7 +115,7 @@ impl RecordPieces {
         let (csv_path, mut file) = sidecar.open(path)?;
         let bytes = file.metadata().map_or(0, |m| m.len());
         let marks = sidecar.marks(&csv_path, &mut file)?;
-        let rows = Rows::new(&csv_path, file, &sidecar, marks)?;
+        let rows = RowReader::new(&csv_path, file, &sidecar, marks)?;
         has_response(path, &rows.columns)?;
         Ok(Some(Self { path: path.to_owned(), sidecar, bytes, rows, before: 0 }))
     }
@@ -127,7 +126,7 @@ impl RecordPieces {
     /// When the file has changed.
     pub fn rewind(&mut self) -> Result<(), InputError> {
         let (csv_path, file) = self.sidecar.open(&self.path)?;
-        self.rows = Rows::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
+        self.rows = RowReader::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
         self.before = 0;
         Ok(())
     }
@@ -194,7 +193,7 @@ fn of_parts(
 ) -> Result<Record, InputError> {
     let marks = sidecar.marks(csv_path, &mut csv)?;
     let mut csv = Hashed { input: csv, hash: Sha256::new() };
-    let mut rows = Rows::new(csv_path, &mut csv, &sidecar, marks)?;
+    let mut rows = RowReader::new(csv_path, &mut csv, &sidecar, marks)?;
     rows.expect(bytes);
     while rows.next(|_| ())? {}
     let (written, columns) = (rows.written(), rows.columns);
@@ -360,8 +359,8 @@ pub fn write(record: &mut Record) -> std::io::Result<()> {
     rtec_files::write::whole(&record.path, to_sidecar(record).as_bytes())
 }
 
-/// The rows of a record's CSV, checked one by one.
-struct Rows<R> {
+/// Reads and checks the rows of a record's CSV one by one.
+struct RowReader<R> {
     reader: Reader<R>,
     /// Format of the numbers; `None` for decimal points and commas between cells.
     marks: Option<TableMarks>,
@@ -378,13 +377,13 @@ struct Rows<R> {
     high: Vec<f64>,
     /// Fields with further checks: time does not run backwards, directions are whole.
     further: Vec<usize>,
-    /// Last value of each column before the held rows.
+    /// Last value of each column before the rows in memory.
     before: Vec<Option<f64>>,
     /// Fields of a row that is read by the fast path.
     fields: Vec<f64>,
 }
 
-impl<R: Read> Rows<R> {
+impl<R: Read> RowReader<R> {
     fn new(path: &Path, csv: R, sidecar: &Sidecar, marks: Option<TableMarks>) -> Result<Self, InputError> {
         let mut reader = Reader::new(path, csv)?;
         let header = reader.header_with("a header line", &sidecar.names())?;
@@ -444,7 +443,7 @@ impl<R: Read> Rows<R> {
             .map_or_else(|| TableMarks::new(&self.reader).written(file), |marks| marks.written(file))
     }
 
-    /// Number of rows that the columns hold.
+    /// Number of rows in the columns.
     fn held(&self) -> usize {
         self.columns.first().map_or(0, |c| c.data.len())
     }
@@ -477,7 +476,7 @@ impl<R: Read> Rows<R> {
 
     #[inline]
     fn fields_are_good(&self) -> bool {
-        // Counts all outliers without a branch for each, because nearly every row is good.
+        // Counts all invalid values without a branch for each, because nearly every row is good.
         let ranges = self.low.iter().zip(&self.high);
         let outside = self.fields.iter().zip(ranges).filter(|(v, (low, high))| v < low || v > high).count();
         outside == 0
@@ -489,7 +488,7 @@ impl<R: Read> Rows<R> {
             })
     }
 
-    /// The full path, cell by cell, which gives a finding its place.
+    /// The slow path, cell by cell, which gives a finding its place.
     #[inline(never)]
     fn next_with_care(&mut self, kept: impl FnOnce(&[u8])) -> Result<bool, InputError> {
         let (header, before, marks) = (&self.header, &self.before, &self.marks);
@@ -588,7 +587,7 @@ struct Sidecar {
 }
 
 impl Sidecar {
-    /// Copies into a record what the sidecar says of the whole run.
+    /// Copies the sidecar's facts about the whole run into a record.
     fn describe(&self, record: &mut Record) {
         let Self { file, date, note, zero, .. } = self;
         (record.file, record.date, record.note, record.zero) =
@@ -850,7 +849,8 @@ mod tests {
         let mut runner = proptest::test_runner::TestRunner::deterministic();
         for _ in 0..all {
             let mut rows = rows.new_tree(&mut runner).unwrap().current();
-            // Most rows have the right length and time that increases, because otherwise hardly any would be read.
+            // Most rows have the right length and time that increases, because otherwise hardly any would be
+            // read.
             for (n, row) in rows.iter_mut().enumerate() {
                 let fits = row.iter().all(|c| c.parse::<f64>().is_ok());
                 row[0] = if fits { n.to_string() } else { row[0].clone() };
@@ -1030,9 +1030,9 @@ mod tests {
         assert_eq!(super::read(&r.path).unwrap(), r);
         let text = std::fs::read_to_string(&r.path).unwrap();
         assert!(text.contains("radius_mm = 150.0\nplane = [\"x\", \"y\"]\n"), "{text}");
-        // The columns that follow from the angle are not written.
+        // Columns derived from the angle are not written.
         assert_eq!(std::fs::read_to_string(folder.path().join("b.csv")).unwrap(), "a,e\n0,1\n0.1,2\n0.2,3\n");
-        // A run without these keys is read as before.
+        // A run without these keys reads as before.
         let plain = BALLBAR.replace("radius_mm = 150.0\nplane = [\"x\", \"y\"]\n", "");
         assert_eq!(read(&plain, "a,e\n0,1\n").unwrap().circle(), None);
     }

@@ -1,9 +1,10 @@
 //! Sends finished records to the shop's store.
 //! They wait in a spool folder until the store has them.
 //!
-//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it. The digest is of both files, so a
-//! record has the same key however often it is sent. The sidecar is sent last: if it is there, the record is complete.
-//! A record moves to `sent/` below the spool only after it was read back from the store unchanged.
+//! A record is sent as `inbox/MACHINE/DIGEST/NAME.run.toml` with its CSV beside it. The digest is of both
+//! files, so a record has the same key however often it is sent. The sidecar is sent last: if it is there,
+//! the record is complete. A record moves to `sent/` below the spool only after it was read back from the
+//! store unchanged.
 
 use rtec_files::InputError;
 use rtec_files::folder::Folder as Open;
@@ -148,7 +149,7 @@ pub struct SpoolLimits {
 }
 
 impl SpoolLimits {
-    /// No limits, for a user who fills a folder of his own.
+    /// No limits, for users who fill their own folders.
     pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
 
     /// Checks that there is room for `bytes` more bytes.
@@ -195,8 +196,8 @@ pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
 }
 
 /// Puts a record into an existing spool: its CSV, then its sidecar, each whole.
-/// It gets its own name, with a number added where another record waits under that name. `go_on` is asked between
-/// pieces; where it returns false, the record is not kept.
+/// It gets its own name, with a number added where another record waits under that name. `go_on` is asked
+/// between pieces; where it returns false, the record is not kept.
 ///
 /// # Errors
 /// When the spool cannot be written or has no room. Partial files are removed.
@@ -283,8 +284,8 @@ pub fn finish(spool: &Path) -> io::Result<()> {
 }
 
 /// Finishes the work of killed processes.
-/// A record with both files is moved to its place; a partial one is removed. A record that was sent is moved to the
-/// sent ones.
+/// A record with both files is moved to its place; a partial one is removed. A record that was sent is moved
+/// to the sent ones.
 fn finish_begun(folder: &Open) -> io::Result<()> {
     for name in folder.names()? {
         if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
@@ -339,7 +340,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
     let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
     let mut round = ShippingResult::default();
     if !waiting.is_empty() {
-        // Checked before the first record is sent. A record that cannot be moved would be sent again and again.
+        // Checked before the first record is sent. A record that cannot be moved would be sent again and
+        // again.
         let tried = format!(".tried-{}", std::process::id());
         let sent = folder.make_folder(SENT).and_then(|sent| {
             sent.write(&tried, b"", 0o600, &|| true)?;
@@ -433,7 +435,8 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
 /// Its sidecar is in the folder `sending` already.
 fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
-    // A kill between the two moves leaves the CSV in the spool. The sidecar names it, and no other record does.
+    // A kill between the two moves leaves the CSV in the spool. The sidecar names it, and no other record
+    // does.
     for sidecar in names.iter().filter(|n| n.ends_with(".run.toml") && !folder.has(n).unwrap_or(true)) {
         let words = sending.read(sidecar, LONGEST_SIDECAR)?.unwrap_or_default();
         let text = String::from_utf8_lossy(&words);
@@ -472,7 +475,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     /// A store that fails before its nth call, or in the middle of it.
-    /// It keeps the files that it got as a whole.
+    /// It keeps complete files.
     struct Flaky {
         calls: Cell<usize>,
         gone_at: usize,
@@ -578,7 +581,7 @@ mod tests {
         assert!(matches!(ship(spool.path(), &store, "../m"), Err(ShipError::Name(_))));
     }
 
-    /// A store whose spool another process sends too.
+    /// A store whose spool is sent by another process too.
     struct Beside<'a> {
         spool: &'a Path,
         store: &'a Folder,

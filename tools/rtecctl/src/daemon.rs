@@ -6,8 +6,7 @@ use crate::say;
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, ControlConfig, INSTALLED};
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Jump, Observed, Response};
-use rtec_files::InputError;
+use rtec_control::protocol::{ClientRequest, DaemonStatus, Explained, Jump, Observed, Response};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -39,8 +38,7 @@ impl Daemon {
 
     /// Names of the axes, from the running daemon, else from the configuration.
     pub(crate) fn axes(&self) -> Vec<String> {
-        let status = self.view().ok().and_then(|mut client| client.ask(&ClientRequest::Status {}).ok());
-        if let Some(Response::Status(status)) = status {
+        if let Some(status) = self.view().ok().and_then(|mut client| status(&mut client).ok()) {
             return status.axes.into_iter().map(|axis| axis.name).collect();
         }
         let config = Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded());
@@ -49,16 +47,7 @@ impl Daemon {
 
     /// The configured control sockets and files.
     fn control(&self) -> anyhow::Result<ControlConfig> {
-        let mut control = match &self.config {
-            Some(file) => Config::load(file)?.control,
-            // Not named by the user: if the file has mistakes, the daemon has reported them.
-            None => Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded()).control,
-        };
-        if let Some(socket) = &self.socket {
-            // Another daemon than that of the file: everything is derived from this socket.
-            control = ControlConfig { socket: socket.clone(), ..Config::embedded().control };
-        }
-        Ok(control)
+        Ok(ControlConfig::of(self.config.as_deref(), self.socket.as_deref())?)
     }
 
     /// Connects by the socket of the highest role that this user may use.
@@ -77,14 +66,8 @@ impl Daemon {
     /// Path of the record of every command.
     /// A running daemon states it; otherwise it is as configured.
     pub(crate) fn log_path(&self) -> anyhow::Result<PathBuf> {
-        let told = self.connect().ok().and_then(|mut client| {
-            let latest = ClientRequest::Observe { events_after: Some(u64::MAX) };
-            match client.ask(&latest) {
-                Ok(Response::Observed(all)) => Some(PathBuf::from(all.log.file)),
-                _ => None,
-            }
-        });
-        told.map_or_else(|| Ok(self.control()?.log_path()), Ok)
+        let seen = self.connect().and_then(|mut client| observe(&mut client, NO_EVENTS));
+        seen.map_or_else(|_| Ok(self.control()?.log_path()), |seen| Ok(PathBuf::from(seen.log.file)))
     }
 
     /// Sends a request, and prints the answer if JSON is wanted.
@@ -119,11 +102,6 @@ impl Daemon {
     }
 }
 
-/// Opens a file for the daemon to read, with this user's rights.
-pub(crate) fn open(file: &Path) -> Result<File, InputError> {
-    rtec_files::text::open_regular(file)
-}
-
 /// Absolute path of a user's file, because the daemon has another directory.
 /// A missing file keeps its name, so that the daemon refuses it by that name.
 pub(crate) fn absolute(file: &Path) -> String {
@@ -148,6 +126,14 @@ pub(crate) fn unexpected(answer: &Response) -> anyhow::Error {
 pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<Observed> {
     match ask(client, &ClientRequest::Observe { events_after })? {
         Response::Observed(seen) => Ok(*seen),
+        other => Err(unexpected(&other)),
+    }
+}
+
+/// The parts of every axis's total.
+pub(crate) fn explained(client: &mut Client) -> anyhow::Result<Vec<Explained>> {
+    match ask(client, &ClientRequest::Explain { axis: None })? {
+        Response::Explained { axes } => Ok(axes),
         other => Err(unexpected(&other)),
     }
 }

@@ -1,6 +1,7 @@
 //! JSON documents, as every verb prints and writes them.
 //! Each ends with its format and the program that wrote it; a list has neither.
 
+use crate::say;
 use anyhow::Context;
 use rtec_files::stamp::signed;
 use serde::Serialize;
@@ -14,6 +15,12 @@ pub(crate) fn pretty(document: &impl Serialize) -> anyhow::Result<String> {
 /// The document on one line.
 pub(crate) fn line(document: &impl Serialize) -> anyhow::Result<String> {
     Ok(signed(serde_json::to_string(document)?) + "\n")
+}
+
+/// Prints the document over several lines.
+pub(crate) fn say_pretty(document: &impl Serialize) -> anyhow::Result<()> {
+    say(&pretty(document)?);
+    Ok(())
 }
 
 /// Writes a text as a file, whole or not at all.

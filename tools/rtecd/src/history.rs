@@ -13,23 +13,23 @@ const PAGE: usize = 256;
 #[derive(Debug, Default)]
 pub(crate) struct History {
     latched: BTreeMap<String, u64>,
-    ledgers: Vec<Ledger>,
+    ledgers: Vec<LedgerRing>,
 }
 
 /// The ledger of one axis since homing, or since the daemon's start.
 #[derive(Debug, Default)]
-struct Ledger {
+struct LedgerRing {
     rows: VecDeque<LedgerRow>,
     dropped: u64,
     /// Time, ns, and position, counts, at the last look.
     last: (u64, i64),
     /// The next look begins a new ledger.
-    anew: bool,
+    restart_pending: bool,
 }
 
 impl History {
     pub(crate) fn new(axes: usize) -> Self {
-        let fresh = || Ledger { anew: true, ..Ledger::default() };
+        let fresh = || LedgerRing { restart_pending: true, ..LedgerRing::default() };
         Self { ledgers: (0..axes).map(|_| fresh()).collect(), ..Self::default() }
     }
 
@@ -40,7 +40,7 @@ impl History {
             EventKind::Homed { .. } => {
                 let axis = event.axis.and_then(|n| self.ledgers.get_mut(usize::from(n)));
                 if let Some(ledger) = axis {
-                    ledger.anew = true;
+                    ledger.restart_pending = true;
                 }
             }
             _ => {}
@@ -77,13 +77,13 @@ impl History {
     }
 }
 
-impl Ledger {
+impl LedgerRing {
     fn look(&mut self, t_ns: u64, axis: &AxisStatus) {
         let same = |row: &LedgerRow| {
             (row.requested, row.completed, row.in_effect, row.insertions)
                 == (axis.requested, axis.completed, axis.in_effect, axis.insertions)
         };
-        if self.anew {
+        if self.restart_pending {
             *self = Self { last: (t_ns, axis.position_counts), ..Self::default() };
         }
         if !self.rows.back().is_some_and(same) {

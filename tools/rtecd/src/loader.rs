@@ -188,7 +188,7 @@ pub(crate) fn work(job: Job, told: &LoadFlags) -> Result<Loaded, InputError> {
                 let expected = format!("at most {:.1} ms: fewer effects", may.as_secs_f64() * 1e3);
                 return Err(InputError::whole(&file, found, expected));
             }
-            let files = reader.taken();
+            let files = reader.taken.into_inner();
             Ok(Loaded::Model { prepared: Box::new(prepared), warnings, files })
         }
         Job::Table { table, source } => {
@@ -284,10 +284,6 @@ impl<'s> Reader<'s> {
         }
         self.left.set(self.left.get() - content.len() as u64);
         Ok(content)
-    }
-
-    fn taken(self) -> BTreeMap<PathBuf, String> {
-        self.taken.into_inner()
     }
 }
 

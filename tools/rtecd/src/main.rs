@@ -40,7 +40,7 @@ use log::{Level, Log};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use rtec_control::card::{self, Access, OpenError};
-use rtec_control::config::{CardConfig, Config, ConfigFindings, PortPlace};
+use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED, PortPlace};
 use rtec_control::lock::{self, LockError};
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
@@ -58,9 +58,6 @@ use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-
-/// Path of an installed machine's configuration.
-const INSTALLED: &str = "/etc/rtec/rtec.toml";
 
 /// Time after which a missing card is tried again.
 const CARD_AGAIN: Duration = Duration::from_millis(100);
@@ -224,7 +221,8 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         }
         CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
             let open = || {
-                card::io_bar(&id, bar, &profile, Access::Drive).and_then(|base| card::ports(base, &profile))
+                card::first_io_port(&id, bar, &profile, Access::Drive)
+                    .and_then(|base| card::ports(base, &profile))
             };
             let Some(card) = patience.open(log, open)? else { return Ok(()) };
             work(card, config, Kind::Real, outside, log)

@@ -230,12 +230,8 @@ fn no_folder(folder: &Path) -> String {
 /// An axis or a sensor that was not known at every trip has no column.
 fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Option<Record> {
     let seconds = |t: &Trip| u64::midpoint(t.at_ns[0], t.at_ns[1]).saturating_sub(run.began_ns) as f64 / 1e9;
-    let column = |name: &str, role: Role, data: Vec<f64>| {
-        let unit = role.unit().unwrap_or("1").to_owned();
-        Column { name: name.to_owned(), role, unit, data }
-    };
     let good = |role: &Role, data: &[f64]| data.iter().all(|v| check(role, *v, None).is_ok());
-    let mut columns = vec![column("t", Role::Time, run.trips.iter().map(seconds).collect())];
+    let mut columns = vec![Column::new("t", Role::Time, run.trips.iter().map(seconds).collect())];
     let mut counts_um = Vec::new();
     for (n, axis) in axes.iter().enumerate() {
         let name = format!("position.{}", axis.name);
@@ -243,7 +239,7 @@ fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Op
         if let (Some(role), Some(data)) = (Role::parse(&name), data)
             && good(&role, &data)
         {
-            columns.push(column(&name, role, data));
+            columns.push(Column::new(&name, role, data));
             counts_um.push(axis.count_um);
         }
     }
@@ -256,7 +252,7 @@ fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Op
         if let Some(data) = data.filter(|d| good(&Role::Temperature, d))
             && !columns.iter().any(|c| c.name == *name)
         {
-            columns.push(column(name, Role::Temperature, data));
+            columns.push(Column::new(name, Role::Temperature, data));
         }
     }
     let (day, of_day) = ((run.began_s / 86_400.0) as i64, (run.began_s % 86_400.0) as u64);

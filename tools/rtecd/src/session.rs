@@ -346,13 +346,7 @@ impl Session {
         if self.state_file_said != text {
             log.record(Level::Error, "state_file_lost", &text, &[]);
             let t_ns = control.status().t_ns;
-            self.tell(EventReport {
-                t_ns,
-                axis: None,
-                kind: "state_file_lost".to_owned(),
-                text: text.clone(),
-                trip: None,
-            });
+            self.tell_own(t_ns, "state_file_lost", text.clone());
             self.state_file_said = text;
         }
     }
@@ -376,7 +370,7 @@ impl Session {
         let text = format!("the daemon did not run for {:.1} s", gap.as_secs_f64());
         log.event(Level::Warning, "stood_still", &text);
         let t_ns = control.status().t_ns;
-        self.tell(EventReport { t_ns, axis: None, kind: "stood_still".to_owned(), text, trip: None });
+        self.tell_own(t_ns, "stood_still", text);
     }
 
     /// Whether the end of the record of commands is written to the system's journal.
@@ -396,7 +390,7 @@ impl Session {
             Err(why) => (Level::Warning, "record_lost", why),
         };
         log.event(level, kind, &text);
-        self.tell(EventReport { t_ns, axis: None, kind: kind.to_owned(), text, trip: None });
+        self.tell_own(t_ns, kind, text);
     }
 
     /// Writes the captured record at the daemon's end, within this time.
@@ -405,6 +399,11 @@ impl Session {
         while let Some(kept) = self.record_spool.last(patience) {
             self.tell_kept(kept, 0, log);
         }
+    }
+
+    /// Tells an event of the daemon itself.
+    fn tell_own(&mut self, t_ns: u64, kind: &str, text: String) {
+        self.tell(EventReport { t_ns, axis: None, kind: kind.to_owned(), text, trip: None });
     }
 
     /// Keeps an event for later questions, and passes it on.
@@ -562,10 +561,7 @@ impl Session {
 
     /// Latched faults: the axis (`None` for the machine's own) and the fault's word.
     pub(crate) fn latched(&self, now: &Status) -> Vec<(Option<String>, String)> {
-        let own = now.faults.iter().map(|fault| (None, word(fault)));
-        let axes = self.config.axes.iter().zip(now.axes());
-        let of = |axis: &ConfiguredAxis, fault| (Some(axis.name.clone()), word(fault));
-        own.chain(axes.flat_map(|(axis, s)| s.faults.iter().map(move |f| of(axis, f)))).collect()
+        self.latched_faults(now).into_iter().map(|latched| (latched.axis, word(latched.fault))).collect()
     }
 
     /// Faults latched since before the first look, which have no events of their own.

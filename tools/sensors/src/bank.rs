@@ -106,7 +106,7 @@ impl Bank {
     }
 }
 
-fn number_of(path: &Path) -> Result<f64, String> {
+fn read_number(path: &Path) -> Result<f64, String> {
     let text = fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
     text.trim().parse().map_err(|_| format!("{}: `{}` is no number", path.display(), text.trim()))
 }
@@ -134,22 +134,22 @@ fn iio(root: &Path, device: &str, channel: u32) -> Result<f64, String> {
     let stem = found.ok_or_else(|| format!("{}: no temperature {channel}", dir.display()))?;
     let file = |what: &str| dir.join(format!("{stem}_{what}"));
     if file("input").exists() {
-        return Ok(number_of(&file("input"))? / 1000.0);
+        return Ok(read_number(&file("input"))? / 1000.0);
     }
     let or =
-        |what: &str, default: f64| if file(what).exists() { number_of(&file(what)) } else { Ok(default) };
-    Ok((number_of(&file("raw"))? + or("offset", 0.0)?) * or("scale", 1.0)? / 1000.0)
+        |what: &str, default: f64| if file(what).exists() { read_number(&file(what)) } else { Ok(default) };
+    Ok((read_number(&file("raw"))? + or("offset", 0.0)?) * or("scale", 1.0)? / 1000.0)
 }
 
 fn hwmon(root: &Path, chip: &str, input: u32) -> Result<f64, String> {
     let dir = folder(&root.join("sys/class/hwmon"), chip)?;
-    Ok(number_of(&dir.join(format!("temp{input}_input")))? / 1000.0)
+    Ok(read_number(&dir.join(format!("temp{input}_input")))? / 1000.0)
 }
 
 fn one_wire(root: &Path, id: &str) -> Result<f64, String> {
     let dir = root.join("sys/bus/w1/devices").join(id);
     if dir.join("temperature").exists() {
-        return Ok(number_of(&dir.join("temperature"))? / 1000.0);
+        return Ok(read_number(&dir.join("temperature"))? / 1000.0);
     }
     let path = dir.join("w1_slave");
     let text = fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;

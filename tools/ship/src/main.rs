@@ -61,21 +61,14 @@ enum Failure {
 
 fn main() -> ExitCode {
     rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
-    match run(&Args::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(Failure::Kept(said)) => {
-            eprintln!("rtec-ship: {said}");
-            ExitCode::from(1)
-        }
-        Err(Failure::Bad(said)) => {
-            eprintln!("rtec-ship: {said}");
-            ExitCode::from(2)
-        }
-        Err(Failure::Away(said)) => {
-            eprintln!("rtec-ship: {said}");
-            ExitCode::from(3)
-        }
-    }
+    let (code, said) = match run(&Args::parse()) {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::Kept(said)) => (1, said),
+        Err(Failure::Bad(said)) => (2, said),
+        Err(Failure::Away(said)) => (3, said),
+    };
+    eprintln!("rtec-ship: {said}");
+    ExitCode::from(code)
 }
 
 fn run(args: &Args) -> Result<(), Failure> {

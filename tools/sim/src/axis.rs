@@ -100,7 +100,7 @@ pub(crate) struct AxisSim {
     pub accel_mm_s2: f64,
     /// Commanded speed, counts/s, and feed-forward acceleration, counts/s².
     wanted: (f64, f64),
-    /// Friction in addition to the spec's, N: at −v and +v.
+    /// Friction in addition to the spec's, N, at −v and at +v.
     pub extra_friction: Friction,
     scale: Decoder,
     /// The MTC's counter.
@@ -113,8 +113,8 @@ pub(crate) struct AxisSim {
     per_count: f64,
     up: bool,
     /// The signal that changes at that edge.
-    /// Below: its lines at the card and at the gate.
     signal: Signal,
+    /// The signal's lines at the card and at the gate.
     signal_lines: u64,
     /// All lines of the axis at the card.
     lines: u64,
@@ -296,7 +296,7 @@ impl AxisSim {
         self.speed == 0.0 && self.wanted == (0.0, 0.0)
     }
 
-    /// Is at rest from `from_ns` on.
+    /// Keeps the axis at rest from `from_ns` on.
     pub(crate) fn stand(&mut self, from_ns: u64) {
         self.integral = 0.0;
         self.accel_mm_s2 = 0.0;

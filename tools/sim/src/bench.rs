@@ -122,9 +122,9 @@ fn full_cycle<C: Card>(
 /// At A = B = low this equals an inversion. Elsewhere a level that is already high hides it (NISTIR 4832, The
 /// "Original RTEC").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Or;
+pub struct OrGates;
 
-impl Gates for Or {
+impl Gates for OrGates {
     fn out(self, scale: State, outputs: u8) -> State {
         State::from_bits(scale.bits() | outputs)
     }
@@ -170,11 +170,11 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
 }
 
 /// A computer that corrects one axis.
-/// It looks when it has time, and its writes take effect later.
+/// It polls when it has time, and its writes take effect later.
 struct Rig<'a, G> {
     gates: G,
     computer: Option<&'a Computer>,
-    /// Whether each look is one pass of a loop (Design B).
+    /// Whether each poll is one pass of a loop (Design B).
     passes: bool,
     edges: &'a [Edge],
     next: usize,
@@ -183,7 +183,7 @@ struct Rig<'a, G> {
     /// Whether it runs on when the computer stops, as a circuit does.
     goes_on: bool,
     scale: Decoder,
-    /// State of the scale at the last look.
+    /// State of the scale at the last poll.
     seen: State,
     outputs: u64,
     t_ns: u64,
@@ -234,7 +234,7 @@ impl<G: Gates> Rig<'_, G> {
 
 impl<G: Gates> Card for Rig<'_, G> {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
-        // Time of the next look. A circuit, or a computer that waits for an edge, looks at once.
+        // Time of the next poll. A circuit, or a computer that waits for an edge, polls at once.
         let waits = |rig: &Self| rig.next_edge_ns().min(wake_ns);
         let mut look_ns = match self.computer {
             None => waits(self).max(self.t_ns),
@@ -400,7 +400,7 @@ impl BenchRun<'_> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
             AnyDesign::Original => {
-                self.go(Or, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
+                self.go(OrGates, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
             }
             AnyDesign::A => {
                 self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok(), |_| (0.0, None))

@@ -19,7 +19,7 @@ pub struct Computer {
     pub after_ns: u64,
     /// Time of a loop that reads A and B and writes A' and B' (Design B), ns.
     pub pass_ns: u64,
-    /// Times between two looks while it waits: cumulative share and ns.
+    /// Times between two polls while it waits: cumulative share and ns.
     /// Empty if an edge is recognised at once; the reaction time then includes everything.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub looks: Vec<(f64, u64)>,
@@ -33,9 +33,9 @@ const TAIL: f64 = 0.9999;
 
 impl Computer {
     /// The 8051 family at 12 MHz.
-    /// It takes 4 µs from recognising "A&B low" until a pulse can be added. Pulses are 2 µs wide and overlap by half
-    /// (3 µs for the pair), with 2 µs after them (NISTIR 4832, The "Original RTEC"). A pass of Design B is some ten
-    /// instructions of one microsecond.
+    /// It takes 4 µs from recognising "A&B low" until a pulse can be added. Pulses are 2 µs wide and overlap
+    /// by half (3 µs for the pair), with 2 µs after them (NISTIR 4832, The "Original RTEC"). A pass of Design
+    /// B is some ten instructions of one microsecond.
     pub fn i8051() -> Self {
         Self {
             name: "8051, 12 MHz".into(),
@@ -49,8 +49,8 @@ impl Computer {
     }
 
     /// A digital signal processor of 1992, ten times as fast as the 8051.
-    /// (NISTIR 4832, Design B) It runs at 20 MHz, with 100 ns an instruction and byte-wide I/O that needs masking.
-    /// Steps are as long as a 1 MHz decoder needs.
+    /// (NISTIR 4832, Design B) It runs at 20 MHz, with 100 ns an instruction and byte-wide I/O that needs
+    /// masking. Steps are as long as a 1 MHz decoder needs.
     pub fn dsp() -> Self {
         Self {
             name: "DSP, 100 ns an instruction".into(),
@@ -63,7 +63,7 @@ impl Computer {
         }
     }
 
-    /// A PC that polls, with the measured distribution of the time between two looks.
+    /// A PC that polls, with the measured distribution of the time between two polls.
     /// `rtecctl selftest latency --json` on that PC gives it (`poll_gap_ns`).
     ///
     /// # Errors
@@ -107,12 +107,12 @@ impl Computer {
         })
     }
 
-    /// The time until the next look, ns.
+    /// The time until the next poll, ns.
     pub(crate) fn next_look_ns(&self, noise: &mut Noise) -> u64 {
         at_share(&self.looks, noise.uniform())
     }
 
-    /// Worst time until the next look, ns.
+    /// Worst time until the next poll, ns.
     pub fn worst_look_ns(&self) -> u64 {
         at_share(&self.looks, TAIL)
     }

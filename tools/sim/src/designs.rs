@@ -146,7 +146,7 @@ fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -
             (a, b) => a.or(b.map(|b| b.0)),
         };
     }
-    let (low, high) = safe_range(design, computer, config, seed);
+    let (low, high) = safe_range(design, computer, config, Pll::default(), seed);
     let states =
         (0..4).filter(|&s| served_at_rest(design, computer, config, State::from_bits(s))).count() as u8;
     let death = death(&run);
@@ -210,12 +210,7 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
 
 /// Lowest and highest encoder frequency at which the design is safe, Hz.
 /// Found by bisection to 0.1 %; (0, 0) if there is none.
-pub fn safe_range(design: AnyDesign, computer: &Computer, config: AxisConfig, seed: u64) -> (f64, f64) {
-    safe_range_of(design, computer, config, Pll::default(), seed)
-}
-
-/// As [`safe_range`], with the ECC's PLL.
-pub fn safe_range_of(
+pub fn safe_range(
     design: AnyDesign,
     computer: &Computer,
     config: AxisConfig,

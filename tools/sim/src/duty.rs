@@ -3,7 +3,7 @@
 //! hold starts the cycle.
 
 use crate::insertion::GateDesign;
-use crate::lathe::{Bench, Cut, Lathe, Move, RAPID_MM_S, Stand, arc_moves, cut_away, probing_moves};
+use crate::lathe::{Bench, Cut, Lathe, LatheState, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
 use crate::wires::MachineWires;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -147,16 +147,13 @@ impl Duty {
             .map(|(a, b)| Move { segment: Segment::Line { a, b }, feed_mm_s: RAPID_MM_S, cutting: false })
             .collect();
         moves.extend(program);
-        let machine = match &self.machine {
-            Some(file) => Machine::read(file)?,
-            None => Machine::ideal("ideal lathe"),
-        };
-        let stand = Stand {
+        let machine = Machine::read_or_ideal(self.machine.as_deref(), "ideal lathe")?;
+        let stand = LatheState {
             bench: &self.bench,
             machine: &machine,
             begin_s: self.begin_s,
             design: GateDesign::C,
-            // A mock card's time stops between a look and the write after it, so a decoder could check
+            // A mock card's time stops between a poll and the write after it, so a decoder could check
             // nothing.
             decoder_hz: f64::INFINITY,
             seed: self.seed,

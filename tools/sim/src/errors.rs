@@ -120,11 +120,7 @@ impl Errors {
         }
         let frame = frame(t_s, machine, &self.heat, &self.channels, &axes);
         self.truth.evaluate(&Frame { angle_rad, ..frame });
-        let mut offset_mm = [0.0; AXES];
-        for (o, e) in offset_mm.iter_mut().zip(self.truth.errors_um()) {
-            *o = e / 1000.0;
-        }
-        machine.set_tool_offset_mm(offset_mm);
+        machine.set_tool_offset_mm(self.errors_um().map(|e| e / 1000.0));
     }
 
     /// The last evaluated errors of X, Y, Z, µm.

@@ -1,7 +1,7 @@
 //! The experiments that characterise a machine, run on the simulated one.
 //! Each runs without and with compensation, and gives a run record and a plot.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | `runs` | both runs of an experiment, their rows, records and plots |
 //! | `motion` | displacement, circles, plate, feeds, drive forces |

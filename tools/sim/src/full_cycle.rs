@@ -45,7 +45,7 @@ pub struct FullCycle {
     lines: MachineLines,
     inputs: u64,
     look_ns: u64,
-    /// Whether the next look comes at once, after a change of mode or a write.
+    /// Whether the next poll comes at once, after a change of mode or a write.
     look_at_once: bool,
     probing: bool,
     held: Option<HeldBy>,
@@ -119,15 +119,15 @@ struct FullCycleAxis {
     waited_for_gate: u64,
     overlaps: u64,
     late: u64,
-    /// The mode has changed since the last look or total.
+    /// The mode has changed since the last poll or total.
     look_at_once: bool,
 }
 
-/// The data of one look for an axis.
+/// The data of one poll for an axis.
 #[derive(Debug, Clone, Copy)]
 struct Look {
     t_ns: u64,
-    /// Bounds of the time of an edge that this look shows, ns.
+    /// Bounds of the time of an edge that this poll shows, ns.
     edge_ns: (u64, u64),
     may_insert: bool,
 }
@@ -395,7 +395,7 @@ impl FullCycleAxis {
         self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
     }
 
-    /// Handles a look; returns the signal to invert now, if any.
+    /// Handles a poll; returns the signal to invert now, if any.
     fn look(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
         self.look_at_once = false;
         if state != self.scale.state() {

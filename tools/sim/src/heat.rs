@@ -1,9 +1,9 @@
 //! Heat in the machine: a lumped network of thermal masses.
 //! The spindle and the coolant drive it.
 //!
-//! It is tuned to the machining centre of WO 97/43703. At 5500 rpm the sensor at the spindle's nose rises by some 16
-//! K in three hours (figure 17). With coolant the front of the housing stays cool while its rear heats. The gradient
-//! along the housing is therefore larger wet than dry (text after table 7).
+//! It is tuned to the machining centre of WO 97/43703. At 5500 rpm the sensor at the spindle's nose rises by
+//! some 16 K in three hours (figure 17). With coolant the front of the housing stays cool while its rear
+//! heats. The gradient along the housing is therefore larger wet than dry (text after table 7).
 
 use crate::noise::Noise;
 
@@ -118,8 +118,7 @@ impl Default for Network {
 }
 
 impl Network {
-    /// Another machine of the same build.
-    /// Each property has a factor of its own, drawn from `factor`.
+    /// Another machine of the same build; `factor` scales each property.
     pub fn drawn(factor: &mut impl FnMut() -> f64) -> Self {
         let mut drawn = Self::default();
         let Self { capacity, conductance, wet, watt } = &mut drawn;
@@ -238,8 +237,8 @@ impl Heat {
 pub type Cycle = &'static [(f64, f64)];
 
 /// The spindle cycle of WO 97/43703, figure 9 and table 4.
-/// It runs three hours at 5500 rpm, rests an hour, runs an hour at 3000, and rests an hour. Then it runs a quarter of
-/// an hour each at 1500, 3000, 5500 and 3000, with five minutes' rest in between.
+/// Three hours at 5500 rpm, an hour at rest, an hour at 3000, an hour at rest. Then a quarter of an hour each
+/// at 1500, 3000, 5500 and 3000, with five minutes' rest in between.
 pub const FIGURE_9: Cycle = &[
     (5500.0, 180.0),
     (0.0, 60.0),
@@ -298,7 +297,7 @@ mod tests {
         }
     }
 
-    /// Drawn machines warm differently, each within its physics.
+    /// Random machines warm differently, each within its physics.
     #[test]
     fn drawn_networks_warm_differently() {
         let mut noise = Noise::new(1, 1);

@@ -1,4 +1,4 @@
-//! Interface of every insertion design: look at a card, take totals, give status.
+//! Interface of every insertion design: poll a card, take totals, give status.
 //!
 //! | design | implemented by |
 //! |---|---|
@@ -54,8 +54,7 @@ impl MtcDecoder {
 
 /// One corrected and homed axis, for a replay or a comparison of designs.
 pub trait CorrectedAxis {
-    /// Handles one look at the card.
-    /// A card that can wait does so until `by_ns` at most.
+    /// Handles one poll of the card, at `by_ns` at the latest if the card can wait.
     ///
     /// # Errors
     /// When the card fails.
@@ -81,7 +80,7 @@ pub trait CorrectedAxis {
     /// The present state of the axis.
     fn axis(&self) -> AxisStatus;
 
-    /// Time of the last look on the card's clock, ns.
+    /// Time of the last poll on the card's clock, ns.
     fn now_ns(&self) -> u64;
 }
 

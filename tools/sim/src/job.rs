@@ -5,9 +5,10 @@ use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
 use crate::insertion::GateDesign;
-use crate::lathe::{Lathe, Move, Stand, axes, cut_away};
+use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;
+use crate::sim::keep;
 use crate::workpiece::Workpiece;
 use rtec_correct::AxisSetup;
 use rtec_correct::part_table::PartTable;
@@ -81,7 +82,7 @@ pub enum RunError {
 
 /// The control law with its inputs, and with lags known since the machine's start.
 fn control(
-    stand: &Stand,
+    stand: &LatheState,
     table: Option<(&FinishTable, f64)>,
     model: Option<&Machine>,
     lead_s: f64,
@@ -127,7 +128,7 @@ const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard
 /// The corrected axes: homed, enabled, and in probing mode if `probing`.
 fn corrected(
     card: &mut Polled<Lathe>,
-    stand: &Stand,
+    stand: &LatheState,
     probing: bool,
     report: &mut impl FnMut(Event) -> bool,
 ) -> Result<CorrectedMachine, StartError> {
@@ -158,7 +159,7 @@ fn corrected(
 /// # Errors
 /// The engine refuses the configuration, there is no move, or the controller gave up.
 pub fn run(
-    stand: &Stand,
+    stand: &LatheState,
     cut: &FinishCut,
     moves: &[Move],
     job: Job,
@@ -176,10 +177,7 @@ pub fn run(
     let over = |lathe: &Lathe| lathe.finished() || lathe.machine().fault().is_some();
     let mut card = Polled::new(lathe, over, stand.bench.poll_ns, stand.seed);
     let mut events = Vec::new();
-    let mut report = |event: Event| {
-        events.push(event);
-        true
-    };
+    let mut report = |event: Event| keep(&mut events, event);
     let mut corrected = corrected(&mut card, stand, tip_mm.is_some(), &mut report)?;
     let (mut control_ns, period_ns) = (0_u64, (stand.bench.control_ms * 1e6) as u64);
     let mut waiting = true;

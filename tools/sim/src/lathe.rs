@@ -50,7 +50,7 @@ pub struct Bench {
     pub decel_mm_s2: f64,
     /// Gain of the position loop, 1/s.
     pub gain: f64,
-    /// Time between two looks of the corrector, ns.
+    /// Time between two polls of the corrector, ns.
     pub poll_ns: f64,
     /// Time between two totals from the control side, ms.
     pub control_ms: f64,
@@ -147,7 +147,7 @@ const JERK_MM_S3: f64 = 100_000.0;
 
 /// A machine with its errors, some time after it was switched on.
 #[derive(Debug, Clone, Copy)]
-pub struct Stand<'a> {
+pub struct LatheState<'a> {
     /// Machine, tool and probe.
     pub bench: &'a Bench,
     /// The machine's errors.
@@ -282,7 +282,7 @@ impl Lathe {
     /// A machine at rest at `start` (machine mm), after the stand's warm-up time.
     /// Its program is for a probe with `tip_mm`, or for the tool.
     pub(crate) fn new(
-        stand: &Stand,
+        stand: &LatheState,
         start: Zx,
         origin: Zx,
         moves: &[Move],

@@ -1,10 +1,9 @@
-//! The simulated machine for the unchanged engine.
-//! It runs in virtual time and in real time. Every experiment runs on it, and it compares every insertion
-//! design.
+//! The simulated machine for the unchanged engine, in virtual and real time.
+//! Every experiment runs on it, and it compares every insertion design.
 //!
 //! Each part of the machine that moves, counts, grows warm, cuts or touches is here, once.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
@@ -28,10 +27,10 @@
 //! | [`noise`] | seeded noise |
 //! | `control`, `errors` | the control side above the engine; the true machine's errors and friction |
 //!
-//! These do not belong here: a part's shape (`rtec-part`), a machine's errors (`rtec-model`), another control
-//! law (`rtec-correct`), the daemon.
+//! A part's shape belongs to `rtec-part`, a machine's errors to `rtec-model`, another control law to
+//! `rtec-correct`; the daemon is not here either.
 //!
-//! At work: `cargo run -p rtec-sim --example corrected_move`, which the tests run too.
+//! Example: `cargo run -p rtec-sim --example corrected_move`, which the tests run too.
 
 pub mod attended;
 pub mod axis;

@@ -1,12 +1,12 @@
 //! A polled card on a virtual clock.
-//! It looks at intervals, and knows changes only by the times of its looks.
+//! It knows changes only by the times of its polls.
 
 use crate::attended::Attended;
 use crate::noise::Noise;
 use rtec_driver::card::{Card, CardError, Sample};
 
 /// The card.
-/// Of all its looks, only the one before a change and the one that sees it are made.
+/// Of all its polls, only the one before a change and the one that sees it are made.
 #[derive(Debug)]
 pub(crate) struct Polled<A> {
     pub attended: A,
@@ -25,7 +25,7 @@ impl<A: Attended> Polled<A> {
         Self { attended, ended, poll_ns, look_ns: 0, second_look_ns: None, noise }
     }
 
-    /// Time of the next look; at the latest `wake_ns`.
+    /// Time of the next poll; at the latest `wake_ns`.
     fn next_look_ns(&mut self, wake_ns: u64) -> Result<u64, CardError> {
         let next_ns = self.look_ns + self.poll_ns;
         let wake_ns = wake_ns.max(next_ns);
@@ -37,7 +37,7 @@ impl<A: Attended> Polled<A> {
             if changes {
                 let before_ns =
                     quiet_until_ns.saturating_sub(1 + (self.poll_ns as f64 * self.noise.uniform()) as u64);
-                // Nothing has changed since the last look; a look just before the change may be in the past.
+                // Nothing has changed since the last poll; a poll just before the change may be in the past.
                 if before_ns <= self.look_ns {
                     return Ok(next_ns);
                 }

@@ -21,6 +21,12 @@ use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
 
 pub use crate::control::CONTROL_NS;
 
+/// Keeps an event of the engine, which then goes on.
+pub(crate) fn keep(events: &mut Vec<Event>, event: Event) -> bool {
+    events.push(event);
+    true
+}
+
 /// Construction of a machine.
 #[derive(Debug, Clone)]
 pub struct Spec {
@@ -300,10 +306,7 @@ impl Sim {
         loop {
             let by_ns = end_ns.min(self.next_control_ns);
             let (corrected, machine, events) = (&mut self.corrected, &mut self.machine, &mut self.events);
-            let mut report = |e: Event| {
-                events.push(e);
-                true
-            };
+            let mut report = |e: Event| keep(events, e);
             while corrected.now_ns() < by_ns {
                 corrected.poll(machine, by_ns, &mut report)?;
             }
@@ -368,11 +371,7 @@ impl Sim {
             coolant: self.machine.coolant(),
             load_n: self.load_n,
         };
-        let events = &mut self.events;
-        let mut report = |e: Event| {
-            events.push(e);
-            true
-        };
+        let mut report = |e: Event| keep(&mut self.events, e);
         for request in control.requests(t_s, &self.corrected.status(), now) {
             self.corrected.take(request, &mut self.machine, &mut report)?;
         }
@@ -422,11 +421,7 @@ impl Sim {
     /// # Errors
     /// The simulated card failed.
     pub fn hold(&mut self, on: bool) -> Result<(), SimError> {
-        let events = &mut self.events;
-        let mut report = |e: Event| {
-            events.push(e);
-            true
-        };
+        let mut report = |e: Event| keep(&mut self.events, e);
         self.corrected.take(Request::Hold { on, by: 0 }, &mut self.machine, &mut report)?;
         Ok(())
     }

@@ -31,7 +31,7 @@ pub struct StrokeMotion {
 pub struct Truth {
     commanded: AtomicU64,
     /// Deviation of the axis from the command.
-    /// It changes slowly, so a command read a moment too early does no harm.
+    /// It changes slowly, so a command read slightly too early is accurate enough.
     off: AtomicU64,
     mtc_count: AtomicI64,
     illegal: AtomicU64,
@@ -131,9 +131,9 @@ pub type MovingAxes = MachineWires<Stroking>;
 const MM_PER_COUNT: f64 = 1e-3;
 /// Gain of an axis that follows commands and insertions in milliseconds, 1/s.
 const GAIN_PER_S: f64 = 300.0;
-/// Time to reach the feed, part of it at rising acceleration, s.
-/// 20 mm/s needs less than the 1 m/s² of such axes.
+/// Time to reach the feed, s; 20 mm/s needs less than the 1 m/s² of such axes.
 const RAMP_S: f64 = 0.03;
+/// Part of that time at rising acceleration, s.
 const RISE_S: f64 = 0.006;
 
 impl StrokeMotion {
@@ -300,7 +300,7 @@ mod tests {
             (at + 700.0).abs() < 1.0 && (operator.truth[0].commanded_counts() + 700.0).abs() < 1e-9,
             "{at}"
         );
-        // It is let go on its way to another place: first there, then to and fro as before.
+        // Released during a jog, it completes the jog first, then continues its cycle.
         operator.truth[0].jog_to(-300.0);
         run(&mut axes, 1_000_000_000, 1_010_000_000, 0);
         operator.truth[0].go_on();
@@ -331,7 +331,7 @@ mod tests {
         assert!((tripped_at.unwrap() - 0.5).abs() < 1e-4, "{tripped_at:?}");
     }
 
-    /// The process is not scheduled between any two looks.
+    /// The process is not scheduled between any two polls.
     /// For an insertion the machine has not moved meanwhile.
     #[test]
     fn a_process_that_is_kept_away_overtakes_no_insertion() {

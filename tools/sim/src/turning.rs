@@ -1,11 +1,11 @@
 //! The experiment of NISTIR 4854 (section 2), step by step.
-//! Steps are semi-finish cut, probing, errors, table, finish cut and inspection, on the simulated machine.
+//! Semi-finish cut, probing, errors, table, finish cut and inspection on the simulated machine.
 
 use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;
 use crate::insertion::GateDesign;
 use crate::job::{Job, Ran, RunError, captured, run};
-use crate::lathe::{self, BEYOND_RAD, Bench, Move, Stand, arc_moves, probing_moves};
+use crate::lathe::{self, BEYOND_RAD, Bench, LatheState, Move, arc_moves, probing_moves};
 use crate::machine::ControllerSpec;
 use crate::path::AXES;
 use crate::workpiece::Workpiece;
@@ -277,7 +277,7 @@ impl Setup {
     ) -> Result<Ran, TurningError> {
         let (bench, machine, design) = (&self.bench, &self.machine, self.gate_design()?);
         let decoder_hz = ControllerSpec::default().decoder_hz;
-        let stand = Stand { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
+        let stand = LatheState { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
         let ran = run(&stand, &self.cut(radius_mm), moves, job, part)?;
         let faults = ran.status.axes[..2].iter().any(|a| a.faults.any()) || ran.status.faults.any();
         if faults {

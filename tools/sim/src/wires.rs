@@ -1,6 +1,6 @@
 //! Machines at the other end of a mock card's wires, in real time.
 //! The card's time advances at most to the next change of a line, and by a sixteenth of a count at the axes'
-//! highest speed. After a late look the machine has waited. An insertion takes a few looks, and no count
+//! highest speed. After a late poll the machine has waited. An insertion takes a few polls, and no count
 //! overtakes it if the process is not scheduled in the middle of it.
 
 use crate::attended::Attended;
@@ -25,7 +25,7 @@ pub struct MachineWires<A> {
     now_ns: u64,
     /// Time until which the inputs stay if the outputs do, ns.
     quiet_until_ns: u64,
-    /// Longest advance of the machines at one look, ns.
+    /// Longest advance of the machines at one poll, ns.
     patience_ns: u64,
     outputs: u64,
     inputs: u64,

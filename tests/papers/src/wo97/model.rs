@@ -3,6 +3,7 @@
 use super::{Centre, Run, error_of, record};
 use crate::PaperError;
 use crate::rows::{Agreement, Rows};
+use rtec_fit::thermal::Options;
 use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Need;
@@ -142,8 +143,8 @@ fn fitted(run: &Run<'_>, wet: &Record) -> Result<Fit, PaperError> {
     let (runs, production) = (run.experiment("wet-runs", None)?, run.experiment("production-cycle", None)?);
     let train =
         [wet, record(&runs, "warm-day")?, record(&runs, "shift")?, record(&production, "production-cycle")?];
-    let asked =
-        Asked { base: Some(geometry(run.truth)?), date: Some(20_000), speed: false, ..Asked::default() };
+    let options = Options { base: Some(geometry(run.truth)?), speed: false, ..Options::default() };
+    let asked = Asked { date: Some(20_000), options, ..Asked::default() };
     Ok(workflow::fit(train.map(Clone::clone).into(), Vec::new(), &asked, &mut |_| ())?)
 }
 

@@ -79,7 +79,7 @@ pub(super) fn read(
         }
         _ => {}
     }
-    let simulated = read_simulated(source, &mut s, card.kind);
+    let (simulated_um, simulated) = read_simulated(source, &mut s, card.kind);
     let budget = s.whole(source, "reference_budget_counts");
     for (key, limit) in [("max_correction_counts", max), ("reference_budget_counts", budget)] {
         if let Some(at) = limit.filter(|at| at.value < INCREMENT_COUNTS) {
@@ -176,7 +176,7 @@ pub(super) fn read(
             .any(|c| c.lines == (engine.lines.a, engine.lines.b)),
         reference_budget_counts: budget.map(|b| b.value),
         engine,
-        simulated: Simulated { count_um: simulated.count_um.unwrap_or(count_um), ..simulated.rest },
+        simulated: Simulated { count_um: simulated_um.unwrap_or(count_um), ..simulated },
     };
     Some((axis, trace))
 }
@@ -231,19 +231,15 @@ fn refuse_other_kinds(
     refused.is_some() || by_name.is_some()
 }
 
-/// The values of `simulated`; those of the configuration if it has none.
-struct ReadSimulated {
-    count_um: Option<f64>,
-    rest: Simulated,
-}
-
-fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option<Kind>) -> ReadSimulated {
-    let mut found = ReadSimulated {
-        count_um: None,
-        rest: Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false },
-    };
+/// The count of `simulated`, if it has one, and its other values.
+fn read_simulated(
+    source: &mut SourceFile<'_>,
+    s: &mut Section<'_>,
+    kind: Option<Kind>,
+) -> (Option<f64>, Simulated) {
+    let mut found = Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false };
     if !s.has("simulated") {
-        return found;
+        return (None, found);
     }
     let mut table = s.table(source, "simulated", "simulated").with(keys::SIMULATED);
     if kind != Some(Kind::Mock) {
@@ -254,14 +250,14 @@ fn read_simulated(source: &mut SourceFile<'_>, s: &mut Section<'_>, kind: Option
         );
     }
     let expected = "a number from 0.0001 to 1000, or the same below zero where it counts backwards";
-    found.count_um = table
+    let count_um = table
         .value(source, "count_um", expected, |v| {
             v.as_number().filter(|um| (1e-4..=1000.0).contains(&um.abs()))
         })
         .map(|at| at.value);
-    found.rest.compensates_ppm = table.number_or_default(source, "compensates_ppm");
+    found.compensates_ppm = table.number_or_default(source, "compensates_ppm");
     let ignores = table.pick(source, "feedback", &[false, true]);
-    found.rest.ignores = ignores.is_some_and(|i| i.value);
+    found.ignores = ignores.is_some_and(|i| i.value);
     table.finish(source);
-    found
+    (count_um, found)
 }

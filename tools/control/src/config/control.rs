@@ -1,6 +1,6 @@
 //! `[control]`: sockets with their users, and files that outlive the process.
 
-use super::{beside, keys};
+use super::{Config, ConfigFindings, INSTALLED, beside, keys};
 use crate::owned_directory::directory_owner;
 use crate::role::Role;
 use nix::unistd::{Group, Uid};
@@ -68,6 +68,22 @@ const INSTALLED_LOGS: &str = "/var/log/rtec";
 const INSTALLED_RUN: &str = "/run/rtec";
 
 impl ControlConfig {
+    /// The daemon at this socket, or of this configuration, or the installed one.
+    ///
+    /// # Errors
+    /// The findings in the configuration that is named.
+    pub fn of(config: Option<&Path>, socket: Option<&Path>) -> Result<Self, ConfigFindings> {
+        if let Some(socket) = socket {
+            // Another daemon than that of the file: everything is derived from this socket.
+            return Ok(Self { socket: socket.to_owned(), ..Config::embedded().control });
+        }
+        match config {
+            Some(file) => Ok(Config::load(file)?.control),
+            // Not named by the user: if the file has mistakes, the daemon has reported them.
+            None => Ok(Config::load(Path::new(INSTALLED)).unwrap_or_else(|_| Config::embedded()).control),
+        }
+    }
+
     /// Path of the state file: as configured, else beside the socket.
     pub fn state_path(&self) -> PathBuf {
         self.state_file.clone().unwrap_or_else(|| self.socket.with_file_name("state"))

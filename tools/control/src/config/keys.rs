@@ -132,8 +132,8 @@ keys! {
     pub(super) MODEL:
     file: Text, "", "none", "the path of the machine model; it runs once `rtecctl model load` has taken it";
     period_ms: Whole(10, 20), "ms", "10", "time between two evaluations";
-    ramp_um_s: Number(1e-3, 1000.0), "µm/s", "5", "how fast a correction goes to a new place that no motion asks for";
-    lead_ms: Number(1e-3, 1000.0), "ms", "0", "how long before the axes are there it is evaluated: one `period_ms` and the lag of the position loop";
+    ramp_um_s: Number(1e-3, 1000.0), "µm/s", "5", "rate limit of correction changes that are not caused by motion";
+    lead_ms: Number(1e-3, 1000.0), "ms", "0", "look-ahead time of the evaluation: one `period_ms` and the lag of the position loop";
     log_s: Number(0.05, 60.0), "s", "5", "time between two logged sets of temperatures";
 }
 

@@ -7,8 +7,8 @@ use crate::decimal::number;
 pub(super) fn content(line: &[u8], by: u8, width: Option<usize>) -> &[u8] {
     let comment = if memchr::memchr(b'#', line).is_some() { comment_at(line, by, width) } else { None };
     let text = line[..comment.unwrap_or(line.len())].trim_ascii_end();
-    if text.first().is_none_or(|first| first.is_ascii_whitespace() || is_separator(*first, by))
-        && text.iter().all(|byte| byte.is_ascii_whitespace() || is_separator(*byte, by))
+    if text.first().is_none_or(|first| first.is_ascii_whitespace() || is_cell_separator(*first, by))
+        && text.iter().all(|byte| byte.is_ascii_whitespace() || is_cell_separator(*byte, by))
     {
         return &[];
     }
@@ -34,7 +34,7 @@ pub(super) fn is_foreign_comment(line: &[u8], by: u8, width: Option<usize>) -> b
 }
 
 /// Whether a byte is a separator; before the header is read, any possible one.
-pub(super) fn is_separator(byte: u8, by: u8) -> bool {
+pub(super) fn is_cell_separator(byte: u8, by: u8) -> bool {
     byte == by || by == b',' && matches!(byte, b';' | b'\t' | b'|')
 }
 
@@ -56,14 +56,14 @@ fn comment_at(line: &[u8], by: u8, width: Option<usize>) -> Option<usize> {
             let is_first = line[..at].trim_ascii_start().is_empty();
             let is_blank = |byte: Option<&u8>| byte.is_none_or(u8::is_ascii_whitespace);
             let apart = is_blank(behind) || is_blank(at.checked_sub(1).map(|at| &line[at]));
-            let parted = behind.is_some_and(|byte| *byte != b' ' && is_separator(*byte, by));
+            let parted = behind.is_some_and(|byte| *byte != b' ' && is_cell_separator(*byte, by));
             let is_whole = width.is_none_or(|width| cells >= width);
             // A line that begins with # is a comment, whatever follows.
             if !is_error && (is_first || apart && !parted && is_whole) {
                 return Some(at);
             }
         }
-        at_cell &= byte.is_ascii_whitespace() || is_separator(byte, by);
+        at_cell &= byte.is_ascii_whitespace() || is_cell_separator(byte, by);
     }
     None
 }

@@ -3,7 +3,7 @@
 use super::report::Report;
 use crate::statistics::mean;
 use rtec_measure::plot::{Chart, Series, Style};
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 
 impl Report {
     /// The patent's figure 17: γ and temperature range of every sensor.
@@ -60,7 +60,8 @@ pub fn prediction_chart(
 #[must_use]
 pub fn residual_chart(record: &Record, response: &Role, before_um: &[f64], after_um: &[f64]) -> Chart {
     let span = |v: &[f64]| {
-        v.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - v.iter().fold(f64::INFINITY, |a, b| a.min(*b))
+        let [low, high] = span(v);
+        high - low
     };
     let moves = record.columns.iter().filter(|c| matches!(c.role, Role::Position(_)) && span(&c.data) > 0.0);
     let along = moves.max_by(|a, b| span(&a.data).total_cmp(&span(&b.data)));

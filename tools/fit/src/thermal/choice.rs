@@ -1,4 +1,4 @@
-//! The choice of sensors alone, for comparison with another choice.
+//! Selection of sensors without a fit, for comparison with another selection.
 
 use super::Options;
 use super::problem::Problem;
@@ -8,21 +8,24 @@ use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::record::{Record, Role};
 
-/// The temperature differences that [`super::fit`] chooses for a response.
-/// They are chosen before blocks of time are left out to test them. Empty if the temperatures explain no more than chance.
+/// The temperature differences that [`super::fit`] selects for a response.
+/// They are those before blocks of time are left out to test them. Empty if the temperatures explain no more
+/// than chance.
 ///
 /// # Errors
 /// As [`super::fit`].
-pub fn chosen(train: &[&Record], response: &Role, options: &Options) -> Result<Vec<Difference>, InputError> {
+pub fn select_differences(
+    train: &[&Record],
+    response: &Role,
+    options: &Options,
+) -> Result<Vec<Difference>, InputError> {
     let quiet: Vec<Record> = train.iter().map(|r| quiet::temperatures(r)).collect();
     let problem = Problem::new(&quiet.iter().collect::<Vec<_>>(), response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();
     let terms = problem.select(&all).map_or_else(Vec::new, |s| s.structure.terms);
     let mut out: Vec<Difference> = Vec::new();
-    for (sensor, minus) in terms.iter().filter_map(|t| pair_of(*t)) {
-        let name = &problem.sensors[sensor];
-        let difference =
-            minus.map_or_else(|| Difference::single(name), |m| Difference::pair(name, &problem.sensors[m]));
+    for pair in terms.iter().filter_map(|t| pair_of(*t)) {
+        let difference = problem.difference(pair);
         if !out.contains(&difference) {
             out.push(difference);
         }

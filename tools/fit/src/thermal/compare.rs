@@ -40,7 +40,7 @@ pub(super) fn baselines(
     };
     judge("mean".to_owned(), &[])?;
     for (sensor, minus) in &problem.offered {
-        let term = Term::Thermal { sensor: *sensor, minus: *minus, lag: 0, square: false };
+        let term = Term::plain((*sensor, *minus));
         judge(format!("linear {}", problem.name(term)), &[term])?;
     }
     let steps = |r: &Record| {

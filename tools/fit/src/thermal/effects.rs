@@ -5,7 +5,7 @@ use super::jackknife::{Intervals, Jackknife};
 use super::problem::Problem;
 use super::term::Term;
 use rtec_model::effect::laws::{coolant, offset, spindle_speed, thermal_growth, thermal_lag};
-use rtec_model::effect::{Dictionary, Difference, Effect, ValueError};
+use rtec_model::effect::{Dictionary, Effect, ValueError};
 use rtec_model::record::{Axis, Role};
 
 /// The structure as effects of the dictionary.
@@ -39,10 +39,7 @@ pub(super) fn effects(
             }
             Term::Thermal { sensor, minus, lag, square } => {
                 let law = if lag > 0 { thermal_lag::NAME } else { thermal_growth::NAME };
-                let delta = match minus {
-                    Some(m) => Difference::pair(&problem.sensors[sensor], &problem.sensors[m]),
-                    None => Difference::single(&problem.sensors[sensor]),
-                };
+                let delta = problem.difference((sensor, minus));
                 let key = if square { "um_per_K2" } else { "um_per_K" };
                 let tau = problem.taus[lag];
                 let same = |e: &Effect| {

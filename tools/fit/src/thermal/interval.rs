@@ -1,12 +1,11 @@
 //! The 95 % prediction interval.
-//! It combines what the fit cannot know at a row with the residuals of unseen blocks.
+//! It combines what the fit cannot know in a row with the residuals of unseen blocks.
 
 use super::problem::Problem;
 use super::rows::Rows;
-use super::term::{Pair, Term, unlagged};
+use super::term::{Term, unlagged};
 use crate::statistics::{mean_square, quantile, rms};
 use rtec_files::InputError;
-use rtec_model::effect::Difference;
 use rtec_model::machine::{Validity, unknown_um};
 use rtec_model::record::{Record, Role, span};
 
@@ -86,9 +85,7 @@ pub(super) struct Watched {
 
 impl Watched {
     pub(super) fn new(problem: &Problem, train: &[&Record], response: &Role) -> Result<Self, InputError> {
-        let plain =
-            |(sensor, minus): &Pair| Term::Thermal { sensor: *sensor, minus: *minus, lag: 0, square: false };
-        let offered: Vec<Term> = problem.offered.iter().map(plain).collect();
+        let offered: Vec<Term> = problem.offered.iter().map(|pair| Term::plain(*pair)).collect();
         Ok(Self { rows: Rows::new(problem, &offered, train, response)?, offered })
     }
 
@@ -108,11 +105,7 @@ impl Watched {
             };
             let [lo, hi] = span(rows.iter().map(|i| u[*i]));
             let margin = BEYOND * (hi - lo);
-            let name = &problem.sensors[sensor];
-            let difference = match minus {
-                Some(m) => Difference::pair(name, &problem.sensors[m]),
-                None => Difference::single(name),
-            };
+            let difference = problem.difference((sensor, minus));
             let um_per_k = (y / sd(u).max(1e-9)).min(problem.plausible[0]);
             Validity { difference, range_k: [lo - margin, hi + margin], um_per_k }
         };

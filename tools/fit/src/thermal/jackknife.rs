@@ -39,10 +39,11 @@ pub(super) struct Jackknife {
     pub(super) tau_s: BTreeMap<usize, [f64; 2]>,
 }
 
-/// Range around the grid's value in which a lag is refined (log), and its accuracy.
+/// Range around the grid's value in which a lag is refined (log).
 const REACH: f64 = 0.5;
+/// Accuracy of a refined lag (log).
 const CLOSE: f64 = 1e-3;
-/// Draws of the temperatures' own errors. Their spread is known to a fifth.
+/// Random draws of the temperatures' errors; their spread is then known to a fifth.
 const DRAWS: usize = 12;
 
 /// The terms with their lags refined between the grid's steps, on all rows.
@@ -213,7 +214,7 @@ pub(super) fn jackknife(
     Ok(Jackknife { coefficients, squares: BTreeMap::new(), tau_s })
 }
 
-/// Coefficients and lags from temperatures that are as likely as the smoothed ones.
+/// Coefficients and lags fitted to random draws of the true temperatures.
 struct Drawn(Vec<(Vec<f64>, Vec<f64>)>);
 
 fn drawn(problem: &Problem, terms: &[Term], train: &[&Record], response: &Role) -> Result<Drawn, InputError> {
@@ -231,7 +232,7 @@ fn drawn(problem: &Problem, terms: &[Term], train: &[&Record], response: &Role) 
 }
 
 impl Drawn {
-    /// The interval of a value, with what its temperatures may be off by.
+    /// The interval of a value, including the uncertainty of its temperatures.
     fn allow_for(
         &self,
         value: f64,

@@ -44,7 +44,7 @@ mod select;
 mod term;
 
 pub use charts::{prediction_chart, residual_chart};
-pub use choice::chosen;
+pub use choice::select_differences;
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
@@ -60,7 +60,7 @@ use problem::Problem;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_model::effect::{Against, Difference, Effect, Heat, ValueError};
+use rtec_model::effect::{Difference, Effect, Heat, ValueError};
 use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Reach, Source};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
@@ -114,20 +114,15 @@ impl Options {
         let own = |e: &&Effect| e.description().heat == Heat::Growth;
         let of = |e: &Effect| {
             let d = e.delta.as_ref().filter(|_| e.axes().first() == response.axis())?;
-            let minus = match &d.against {
-                Against::Sensor(m) => Some(m.clone()),
-                _ => None,
-            };
-            Some((d.sensor.clone(), minus))
+            Some((d.sensor.clone(), d.minus().map(str::to_owned)))
         };
         self.base.iter().flat_map(Machine::effects).filter(own).filter_map(of).collect()
     }
 
     /// Whether the options name this sensor.
     fn names(&self, sensor: &str) -> bool {
-        let minus = |d: &Difference| matches!(&d.against, Against::Sensor(m) if m == sensor);
         self.environment.as_deref() == Some(sensor)
-            || self.sensors.iter().any(|d| d.sensor == sensor || minus(d))
+            || self.sensors.iter().any(|d| d.sensors().any(|own| own == sensor))
     }
 
     /// Whether the base has an effect of this name.
@@ -186,7 +181,8 @@ fn fit_response(
     options: &Options,
     machine: &mut Machine,
 ) -> Result<Report, InputError> {
-    // Structure and values are those of the true temperatures; what a prediction is worth, those of the logs that it will read.
+    // Select terms and fit values on smoothed temperatures. Judge predictions on raw logs, as the live model
+    // reads them.
     let (quiet, spread): (Vec<Record>, Vec<Spread>) = train.iter().map(|r| smoothed(r)).unzip();
     let quiet: &[&Record] = &quiet.iter().collect::<Vec<_>>();
     let mut problem = Problem::new(quiet, response, options)?;
@@ -205,8 +201,8 @@ fn fit_response(
     };
     let mut warnings: Vec<String> = problem.still.iter().map(still).collect();
     if !terms.is_empty() && blocks.mean_square() > baselines["mean"].mean_square() {
-        // Nested cross-validation rejects it: structures chosen without a block predict that block worse than
-        // the mean.
+        // Nested cross-validation rejects it: structures selected without a block predict that block worse
+        // than the mean.
         warnings.push(format!(
             "{} is left out: chosen without a block of rows, it says less of that block than the mean does; a run in which these temperatures move more \
              would tell",
@@ -410,22 +406,29 @@ fn enter(
     let mut fitted = Vec::new();
     for (effect, interval) in effects {
         fitted.push(Fitted::of(&effect, &interval));
-        let provenance = Provenance {
-            added_by: Some("model fit".to_owned()),
-            date: Some(date::format(options.date)),
-            from: train.iter().map(|r| Source::of(r)).collect(),
-            interval,
-            set_up: effect.description().may_be_set_up(),
-        };
+        let provenance = provenance(&effect, train, date::format(options.date), interval);
         own.push(effect.clone(), provenance.clone())?;
         take_in(machine, effect, provenance, train)?;
     }
     Ok(fitted)
 }
 
+/// The provenance of a fitted effect.
+pub(crate) fn provenance(
+    effect: &Effect,
+    records: &[&Record],
+    date: String,
+    interval: Intervals,
+) -> Provenance {
+    let from = records.iter().map(|r| Source::of(r)).collect();
+    let set_up = effect.description().may_be_set_up();
+    Provenance { added_by: Some("model fit".to_owned()), date: Some(date), from, interval, set_up }
+}
+
 /// Adds a fitted effect to a machine.
-/// A zero from an earlier fit and this fit's zero are merged.
-/// It is in what was fitted where these runs have it.
+/// The set-up zeros of an earlier fit and of this one are added. The earlier one counts only if it acts in
+/// these
+/// runs, because then it was subtracted before this fit.
 fn take_in(
     machine: &mut Machine,
     effect: Effect,

@@ -8,7 +8,7 @@ use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_least_squares::dot;
 use rtec_model::effect::laws::thermal_growth;
-use rtec_model::effect::{Against, Dictionary, Lag, Lags, STANDARD_DEGC};
+use rtec_model::effect::{Dictionary, Difference, Lag, Lags, STANDARD_DEGC};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
 
@@ -51,7 +51,7 @@ pub(super) struct Problem {
     pub(super) coolant: Option<Vec<f64>>,
     pub(super) speed: Option<Vec<f64>>,
     pub(super) square: bool,
-    /// What the temperatures of each record may be off by, where that is known.
+    /// Uncertainty of each record's smoothed temperatures, if known.
     pub(super) spread: Vec<Spread>,
 }
 
@@ -95,6 +95,12 @@ fn place_of((sensor, minus): Pair, sensors: usize) -> usize {
 }
 
 impl Problem {
+    /// The difference of these sensors by their names.
+    pub(super) fn difference(&self, (sensor, minus): Pair) -> Difference {
+        let name = &self.sensors[sensor];
+        minus.map_or_else(|| Difference::single(name), |m| Difference::pair(name, &self.sensors[m]))
+    }
+
     pub(super) fn new(records: &[&Record], response: &Role, options: &Options) -> Result<Self, InputError> {
         let first = records[0];
         let sensors: Vec<String> = first.names(&Role::Temperature).map(str::to_owned).collect();
@@ -128,7 +134,7 @@ impl Problem {
         let taus = lag_grid(records, options.lag);
         let bins = Bins::new(records, rows.div_ceil(BINS));
         let binned = sensors.iter().map(|s| bins.sensor(s, &taus)).collect();
-        // A run that logs no coolant is dry. One that logs no speed may have had any.
+        // A run without a coolant column is dry. One without a speed column may have had any speed.
         let everywhere =
             |role: &Role| *role == Role::Coolant || records.iter().all(|r| r.column(role).is_some());
         let varies = |v: &Vec<f64>| v.iter().any(|x| (x - v[0]).abs() > 1e-9);
@@ -176,7 +182,7 @@ impl Problem {
         self.taus.len() - 1
     }
 
-    /// A text that says how the environment's sensor was chosen.
+    /// How the environment's sensor was chosen, in words.
     pub(super) fn environment_by(&self, options: &Options) -> String {
         match (&options.environment, self.environment) {
             (Some(_), _) => "given".to_owned(),
@@ -302,9 +308,9 @@ fn differences(
     let (mut offered, mut pairs): (Vec<Pair>, Vec<Pair>) = (Vec::new(), Vec::new());
     for d in &options.sensors {
         let s = place(first, sensors, &d.sensor)?;
-        offered.push(match &d.against {
-            Against::Sensor(m) => (s, Some(place(first, sensors, m)?)),
-            _ => (s, environment.filter(|e| *e != s)),
+        offered.push(match d.minus() {
+            Some(m) => (s, Some(place(first, sensors, m)?)),
+            None => (s, environment.filter(|e| *e != s)),
         });
     }
     if offered.is_empty() {

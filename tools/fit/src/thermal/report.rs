@@ -2,7 +2,7 @@
 
 use super::jackknife::Intervals;
 use crate::statistics::mean_square;
-use rtec_model::effect::{Against, Effect};
+use rtec_model::effect::Effect;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -82,10 +82,7 @@ pub struct Fitted {
 
 impl Fitted {
     pub(crate) fn of(effect: &Effect, interval: &Intervals) -> Self {
-        let minus = effect.delta.as_ref().and_then(|d| match &d.against {
-            Against::Sensor(m) => Some(m.clone()),
-            _ => None,
-        });
+        let minus = effect.delta.as_ref().and_then(|d| d.minus().map(str::to_owned));
         let parameter = |(i, p): (usize, &rtec_model::effect::Parameter)| {
             let value = effect.scalar(i);
             let [low, high] = interval.get(&p.name).map_or([value, value], |v| v[0]);

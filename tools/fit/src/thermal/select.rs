@@ -1,6 +1,6 @@
 //! Selects terms: CASC over the sensors, the refit by rounds, then exchanges.
 
-use super::judge::{Beside, Judged};
+use super::judge::{CachedColumns, Judged};
 use super::problem::Problem;
 use super::report::{Dropped, Ranked, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
@@ -300,7 +300,7 @@ impl Problem {
             // The same difference a second time would only correct an inexact lag.
             let new = |p: &Pair| now.terms.iter().all(|t| pair_of(*t) != Some(*p));
             let few = |(s, m): &Pair| {
-                let term = Term::Thermal { sensor: *s, minus: *m, lag: 0, square: false };
+                let term = Term::plain((*s, *m));
                 Self::sensor_count(&[now.terms.as_slice(), &[term]].concat()) <= SENSORS
             };
             let offered: Vec<_> = candidates.iter().copied().filter(new).filter(few).collect();
@@ -402,7 +402,7 @@ impl Problem {
         let rows: Vec<usize> = self.stretches(folds).flatten().collect();
         let warmth = |j: &Judged| {
             let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
-            let u = self.column(Term::Thermal { sensor, minus, lag: 0, square: false });
+            let u = self.column(Term::plain((sensor, minus)));
             rows.iter().map(|i| u[*i]).sum::<f64>() / rows.len() as f64
         };
         let hottest = singles.iter().max_by(|a, b| warmth(a).total_cmp(&warmth(b)));
@@ -484,7 +484,7 @@ impl Problem {
         for k in 0..now.terms.len() {
             let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
             let terms = now.terms.clone();
-            let mut with = |beside: &mut Beside, lag: usize| {
+            let mut with = |beside: &mut CachedColumns, lag: usize| {
                 let terms = relagged(&terms, k, lag);
                 for n in 0..terms.len() {
                     if standing[n] != terms[n] {
@@ -516,21 +516,21 @@ impl Problem {
     /// The terms' columns are given.
     fn best_lag(
         &self,
-        beside: &mut Beside,
+        beside: &mut CachedColumns,
         terms: &[Term],
         sensor: usize,
         minus: Option<usize>,
         folds: &[usize],
     ) -> Option<Judged> {
         let with = |lag: usize| [terms, &[Term::Thermal { sensor, minus, lag, square: false }]].concat();
-        let judge = |beside: &mut Beside, lag: usize| {
+        let judge = |beside: &mut CachedColumns, lag: usize| {
             let all = with(lag);
             beside.push(&self.column(all[terms.len()]))?;
             let judged = beside.judge(&all);
             beside.pop();
             judged
         };
-        let at = |beside: &mut Beside, lag: usize| {
+        let at = |beside: &mut CachedColumns, lag: usize| {
             let all = with(lag);
             let term = all[terms.len()];
             if terms.contains(&term) {
@@ -583,7 +583,7 @@ impl Problem {
         let Term::Thermal { sensor, minus, lag, .. } = j.terms[j.terms.len() - 1] else {
             unreachable!("only differences are ranked")
         };
-        let plain = Term::Thermal { sensor, minus, lag: 0, square: false };
+        let plain = Term::plain((sensor, minus));
         let t = &self.binned[sensor][0];
         let bound = |f: fn(f64, f64) -> f64| t.iter().copied().fold(t[0], f);
         Ranked {

@@ -15,6 +15,13 @@ pub(super) enum Term {
     Speed,
 }
 
+impl Term {
+    /// A difference without lag or square.
+    pub(super) fn plain((sensor, minus): Pair) -> Self {
+        Self::Thermal { sensor, minus, lag: 0, square: false }
+    }
+}
+
 /// The difference of a term; `None` for other terms.
 pub(super) fn pair_of(term: Term) -> Option<Pair> {
     match term {

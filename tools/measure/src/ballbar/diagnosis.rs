@@ -1,9 +1,8 @@
-//! What makes a circle's deviations.
-//! The model's own effects fitted to the radial errors of one plane.
+//! Causes of a circle's deviations: effects of the model fitted to radial errors.
 //!
-//! Linear effects are fitted first, then spikes and cyclic errors over a grid of lengths and periods. Last, all are fitted together by
-//! Gauss–Newton, with the autocorrelation of the residual. Structure that no effect explains is fitted beside them and widens the intervals
-//! (`structure`). Intervals hold 95 %.
+//! Linear effects are fitted first, then spikes and cyclic errors over a grid of lengths and periods. Last,
+//! all are fitted together by Gauss–Newton, with the autocorrelation of the residual. Structure that no
+//! effect explains is fitted beside them and widens the intervals (`structure`). Intervals are 95 %.
 
 use super::structure::{self, Structure, StructureVariance};
 use super::{ByAxis, Trace, law};
@@ -13,7 +12,7 @@ use rtec_files::InputError;
 use rtec_least_squares::{Directions, orthonormal};
 use rtec_model::circle::{rates, tick};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
-use rtec_model::record::{Axis, Role, rounding_error};
+use rtec_model::record::{Axis, Role, median, rounding_error};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -25,7 +24,7 @@ use std::ops::Range;
 pub struct Spike {
     /// Height right after the reversal, µm, with the sign of the new direction.
     pub um: f64,
-    /// Travel over which it dies out to 1/e, mm.
+    /// Travel over which it decays to 1/e, mm.
     pub length_mm: f64,
 }
 
@@ -39,9 +38,9 @@ pub struct Cyclic {
 }
 
 impl Cyclic {
-    /// Whether a screw causes it.
-    /// The period must be a lead, or half a lead (two turns of a bearing). The tolerance is its own interval or a scale's bound in the
-    /// dictionary, which is slightly above the loosest screw of ISO 3408-3.
+    /// Whether the period is one of a screw: a lead, or half of it (bearing).
+    /// The tolerance is the period's interval, or the dictionary's bound of a scale error, which is slightly
+    /// above the loosest screw of ISO 3408-3.
     fn is_of_a_screw(&self, half_mm: f64) -> bool {
         let dictionary = Dictionary::default();
         let scale = dictionary.laws().find(|l| l.describe().name == laws::scale::NAME);
@@ -51,8 +50,8 @@ impl Cyclic {
     }
 }
 
-/// Periods that screws make, mm.
-/// Leads of metric screws (the law's own) and of inch ones, and the halves of both.
+/// Periods of screws, mm.
+/// Metric leads (from the law), inch leads, and half of each.
 fn made_periods_mm() -> impl Iterator<Item = f64> {
     let metric = Dictionary::default()
         .laws()
@@ -62,41 +61,40 @@ fn made_periods_mm() -> impl Iterator<Item = f64> {
     metric.iter().chain(&INCH_LEADS_MM).flat_map(|lead| [*lead, 0.5 * lead])
 }
 
-/// One cause's share in the circular deviation.
+/// The share of one cause in the circular deviation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Contribution {
     /// The cause.
     pub cause: String,
-    /// Range of what it does to the radius, µm.
+    /// Range of its effect on the radius, µm.
     pub um: f64,
-    /// Its share of the sum of all such ranges, %.
-    /// `None` where its interval holds zero: the runs do not tell that it is there.
+    /// Its share of the sum of all ranges, %; `None` if its interval contains zero.
     pub percent: Option<f64>,
 }
 
-/// Free values, each with half its interval.
+/// Free values, each with the half width of its interval.
 type Values = BTreeMap<String, (f64, f64)>;
 
-/// Causes that look alike in these runs: their sum alone is told.
+/// Causes that these runs cannot separate: only their sum is known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NotSeparable {
     /// The causes.
     pub causes: [&'static str; 2],
-    /// Range of what they do to the radius together, µm.
+    /// Range of their joint effect on the radius, µm.
     pub um: f64,
     /// Its 95 % interval, µm.
     pub interval_95: [f64; 2],
 }
 
-/// What makes the deviations of a plane.
-/// `None` where the runs do not tell; effects that do not show beyond the noise are left out of spikes and cyclic errors.
+/// Causes of the deviations of a plane.
+/// `None` where the runs do not determine a value. Spikes and cyclic errors below the noise are left out.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Diagnosis {
     /// Centre of the first record's circle: its set-up, µm.
-    /// One way round that of the least-squares circle, without an interval.
+    /// With one direction of rotation, that of the least-squares circle, without an interval.
     pub centre_um: [Option<f64>; 2],
     /// Mean radius of the first record minus the nominal one, µm.
-    /// One way round as the centre.
+    /// With one direction of rotation as for the centre.
     pub radius_um: Option<f64>,
     /// Scale of the first axis minus that of the second, ppm.
     pub scale_mismatch_ppm: Option<f64>,
@@ -109,72 +107,69 @@ pub struct Diagnosis {
     pub spike: ByAxis<Spike>,
     /// Following error of the first axis minus the second, ms: `following_error.A`.
     pub servo_mismatch_ms: Option<f64>,
-    /// Cyclic error per axis, of a period that screws are made with.
+    /// Cyclic error per axis with a period of a screw.
     pub cyclic: ByAxis<Cyclic>,
-    /// A form along the axis that repeats at a period no screw is made with.
-    /// A map as likely as a wave.
+    /// Cyclic error per axis with a period that no screw has.
+    /// It may be a map as well as a wave.
     pub form: ByAxis<Cyclic>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
-    /// Causes by their share, largest first, then those that are not told.
-    /// Without those that look alike.
+    /// Separable causes: those with a share, largest first, then the others.
     pub contributions: Vec<Contribution>,
-    /// Causes that one sense of turning at one feed does not tell apart.
+    /// Causes that one direction of rotation at one feed cannot separate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_separable: Option<NotSeparable>,
-    /// RMS of what the causes leave at best, µm.
+    /// RMS of the least residual that the causes can leave, µm.
     pub rms: f64,
-    /// Standard deviation of one reading beside its neighbours, µm.
-    /// Of the record where it is largest.
+    /// Standard deviation of one reading, µm, of the record where it is largest.
     pub scatter_um: f64,
-    /// RMS of structure that is the same both ways and unexplained, µm.
-    /// Maps and bends: the third harmonic and above. `None` if it is below the noise. It widens the intervals.
+    /// RMS of unexplained structure that is the same in both directions, µm.
+    /// Maps and bends, from the third harmonic up. `None` if it is below the noise. It widens the intervals.
     pub unexplained_um: Option<f64>,
 }
 
 /// Leads of inch screws, mm: 0.1, 0.2, 0.25, 0.4, 0.5 and 1 inch.
 const INCH_LEADS_MM: [f64; 6] = [2.54, 5.08, 6.35, 10.16, 12.7, 25.4];
-/// Rows nearer than this to where an axis turns are in no cause, mm.
-/// Play up to 20 µm is taken up by then, and such a row may stand on either side of the turn.
+/// Rows nearer than this to a reversal are not fitted, mm.
+/// Up to 20 µm of play is taken up by then, and the row's direction may be uncertain.
 const SETTLED_MM: f64 = 0.03;
-/// Rows are left out to so many times the play that is found.
+/// Width left out around a reversal, as a multiple of the play found.
 const TAKEN_UP: f64 = 1.5;
-/// More play than this is no machine tool's.
+/// Largest play of a machine tool, mm.
 const LONGEST_PLAY_MM: f64 = 0.5;
-/// Where structure shows, laws were chosen among it as well.
-/// Their variance is so many times larger.
+/// Factor on the variance where structure is fitted: laws were chosen in it.
 const CHOSEN_AMONG: f64 = 1.5;
-/// Structure that shows: its RMS over that of the noise that is left.
+/// Structure is reported from this ratio of its RMS to the noise.
 const SHOWS: f64 = 0.5;
-/// Least independent share of a column; below it, others explain the column.
+/// Least independent share of a column; below it, other columns explain it.
 const DISTINCT: f64 = 1e-4;
-/// Share of the radius after which a spike at the start has died out.
-/// An axis may have turned just before a record begins, so the law does not know its spike.
+/// Share of the radius after which a spike at the start has decayed.
+/// An axis may have reversed just before the record, so its spike is unknown.
 const DIED_OUT: f64 = 0.25;
-/// Share by which a speed differs from the feed where an axis starts or stops.
+/// Largest relative difference of a row's speed from the feed.
 const AT_FEED: f64 = 0.02;
-/// With one sense of turning at one feed only the sum of both can be seen.
+/// Name of the sum that one direction of rotation at one feed shows.
 const TOGETHER: &str = "squareness and servo mismatch";
-/// A value that lies in the directions shown to no more than this is not told.
+/// A value is reported only if this share of it lies in the observable directions.
 const RESOLVED: f64 = 0.99;
-/// More autocorrelation than this is structure that no cause here explains.
+/// Largest autocorrelation of the noise; more is unexplained structure.
 const MOST_MEMORY: f64 = 0.95;
 
-/// Drift of a bar's radius and centre in a record, µm, one standard deviation.
-/// (Physics: 0.6 K in a steel bar of 300 mm.)
+/// Prior drift of a bar's radius and centre in a record, 1 σ, µm.
+/// It is that of 0.6 K in a steel bar of 300 mm.
 const DRIFT_UM: f64 = 2.0;
 
-/// Times that rounding is taken out as the laws predict it.
+/// Iterations of the correction of rounding.
 const ROUNDING_STEPS: usize = 3;
 
-/// A term of the fit.
-/// Effects with the weights of their sum, and which of the first one's values are free.
+/// A term of the fit: a weighted sum of effects.
+/// `free` lists the free values of the first effect.
 #[derive(Clone)]
 pub(super) struct Term {
     pub(super) name: String,
     pub(super) parts: Vec<(Effect, f64)>,
     pub(super) free: Vec<usize>,
-    /// Only in this record: its centre and radius.
+    /// The only record that the term applies to: its centre and radius.
     pub(super) only: Option<usize>,
 }
 
@@ -192,28 +187,29 @@ pub(super) struct Fit<'t> {
     pub(super) terms: Vec<Term>,
     /// Rows that follow the one before them in the same contour.
     pub(super) follows: Vec<bool>,
-    /// Rows that count.
+    /// Rows that are fitted.
     pub(super) counts: Vec<bool>,
-    /// Noise's coefficient from row to row.
+    /// Autocorrelation of the noise from row to row.
     pub(super) phi: f64,
-    /// What there are no laws for.
+    /// Structure without laws.
     pub(super) structure: Structure,
-    /// How many of the last columns beside are drift.
+    /// Number of drift columns, the last ones of `beside`.
     pub(super) drift: usize,
-    /// Columns fitted beside the terms, and a whitened orthonormal basis of them.
+    /// Columns fitted beside the terms.
     pub(super) beside: DMatrix<f64>,
+    /// Orthonormal basis of those columns after whitening.
     pub(super) beside_white: DMatrix<f64>,
 }
 
-/// What the runs show of the free values, in the terms' order.
+/// Uncertainty of the free values, in the order of the terms.
 pub(super) struct Shown {
     /// Half the width of each 95 % interval.
     pub(super) halves: Vec<f64>,
-    /// What the sum of squares may rise by within each interval.
+    /// Allowed rise of the sum of squares for each interval.
     rises: Vec<f64>,
-    /// Whether the runs tell it at all.
+    /// Whether the runs determine the value.
     resolved: Vec<bool>,
-    /// What the harmonics say of what has no law.
+    /// Structure in the laws' orders.
     beside: Option<StructureVariance>,
 }
 
@@ -224,7 +220,7 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
         let mut said = Vec::new();
         let finer = without_rounding(traces, settled_mm)?;
         let found = diagnose_beyond(finer.as_deref().unwrap_or(traces), settled_mm, &mut said)?;
-        // Play is taken up over its own width: more of it than was left out, and rows within are in the fit.
+        // Rows within the play found must not be fitted: repeat with more left out.
         let play_mm = found.reversal.values().map(|um| um.abs() / 1000.0).fold(0.0, f64::max);
         if TAKEN_UP * play_mm <= settled_mm || settled_mm > LONGEST_PLAY_MM {
             warnings.append(&mut said);
@@ -234,9 +230,9 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
     }
 }
 
-/// The readings of a coarse gauge without the rounding error that the laws predict.
-/// Equal values round alike: the error is a saw over the reading, no cause, and other causes than the true ones would explain it. Where
-/// noise or what has no law dithers the readings, it averages out and nothing is taken. `None` for gauges without steps.
+/// The readings of a coarse gauge less the rounding error that the laws predict.
+/// Equal values round alike, so rounding looks like a cause. Where noise or structure dithers the readings
+/// the correction vanishes. `None` for gauges without steps.
 fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>, InputError> {
     let axes = traces[0].record.circle().map(|c| c.plane.clone());
     let Some(axes) = axes.filter(|_| traces.iter().any(|t| t.step_um > 0.0)) else { return Ok(None) };
@@ -267,7 +263,7 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
     Ok(Some(finer))
 }
 
-/// As `diagnose`, from rows at least this far from both axes' turns, mm.
+/// As `diagnose`, from rows at least this far from both axes' reversals, mm.
 fn diagnose_beyond(
     traces: &[Trace],
     settled_mm: f64,
@@ -287,9 +283,9 @@ fn diagnose_beyond(
     let mut told = Vec::new();
     let mut fit = Fit::of_laws(traces, axes, settled_mm, warnings)?;
     fit.search(axes, &mut told);
-    // One way round, what depends on the place looks much as reversals and squareness do: it is taken to be there.
+    // With one direction of rotation structure looks like reversal and squareness: assume it is there.
     if !fit.structure.both_ways || fit.harmonics_show() {
-        // What the laws took for theirs may be the structure's.
+        // Effects found before may have been structure.
         told.clear();
         fit = Fit::of_laws(traces, axes, settled_mm, &mut Vec::new())?;
         fit.take_beside(&fit.structure.columns.clone());
@@ -320,7 +316,7 @@ fn diagnose_beyond(
     Ok(found)
 }
 
-/// Where neither radius nor plane are known.
+/// Diagnosis without radius or plane.
 fn plain(trace: &Trace) -> Diagnosis {
     let [radius, a, b] = circle_of(trace);
     Diagnosis {
@@ -331,8 +327,7 @@ fn plain(trace: &Trace) -> Diagnosis {
     }
 }
 
-/// Radius and centre of a record.
-/// The mean of its contours' least-squares circles, µm.
+/// Mean radius and centre of a record's least-squares circles, µm.
 fn circle_of(trace: &Trace) -> [f64; 3] {
     let contours = trace.evaluate();
     let n = contours.len().max(1) as f64;
@@ -341,7 +336,7 @@ fn circle_of(trace: &Trace) -> [f64; 3] {
 }
 
 impl<'t> Fit<'t> {
-    /// With the laws that are linear.
+    /// A fit with the linear laws.
     fn of_laws(
         traces: &'t [Trace],
         [a, b]: [&Axis; 2],
@@ -371,7 +366,7 @@ impl<'t> Fit<'t> {
             ));
         }
         if !fit.drop_alike("servo_mismatch_ms", timed) {
-            // Without the other sense an ellipse at 45° may be either; it is there all the same.
+            // One direction cannot separate an ellipse at 45°: both causes become one term.
             fit.terms.retain(|t| t.name != "servo_mismatch_ms");
             for t in fit.terms.iter_mut().filter(|t| t.name == "squareness_urad") {
                 TOGETHER.clone_into(&mut t.name);
@@ -384,7 +379,7 @@ impl<'t> Fit<'t> {
         Ok(fit)
     }
 
-    /// Takes columns into the fit, beside the terms.
+    /// Adds columns to those fitted beside the terms.
     pub(super) fn take_beside(&mut self, more: &DMatrix<f64>) {
         let all: Vec<DVector<f64>> =
             self.beside.column_iter().chain(more.column_iter()).map(nalgebra::Matrix::into_owned).collect();
@@ -399,10 +394,10 @@ impl<'t> Fit<'t> {
         for (t, [radius, a, b]) in traces.iter().zip(&circle) {
             start.push(n);
             n += t.radial.len();
-            // Set-up and radius may lie beyond what a machine's error may be.
+            // Set-up and radius may exceed the bounds of the laws.
             y.extend(t.angle.iter().zip(&t.radial).map(|(p, e)| e - radius - a * p.cos() - b * p.sin()));
-            // An axis may have turned unseen where the record begins, and where the other sense begins after a pause. In one sense a circle
-            // continues where the one before it ended.
+            // At the start of a record, and after a change of direction, an earlier reversal is unknown.
+            // Circles in one direction continue each other.
             let of = |(k, (rows, sense)): (usize, &(Range<usize>, f64))| {
                 let goes_on = k > 0 && t.contours[k - 1].1 * sense > 0.0;
                 if goes_on { rows.clone() } else { begun(&t.angle, rows)..rows.end }
@@ -458,7 +453,7 @@ impl<'t> Fit<'t> {
         self.terms.push(Term { name: name.to_owned(), parts, free, only: None });
     }
 
-    /// Stacks what `fill` says of each record, `width` columns.
+    /// Columns over all rows; `fill` writes the `width` columns of one record.
     pub(super) fn stack(
         &self,
         effect: &Effect,
@@ -486,7 +481,6 @@ impl<'t> Fit<'t> {
     }
 
     /// Derivatives of a term by its free values.
-    /// Those of a linear term are its columns.
     pub(super) fn slopes(&self, term: &Term) -> Vec<DVector<f64>> {
         let mut sum: Vec<DVector<f64>> = Vec::new();
         for (effect, weight) in &term.parts {
@@ -503,12 +497,12 @@ impl<'t> Fit<'t> {
     }
 
     /// Shift of a record's circle by a straight law, µm.
-    /// Its value at the centre is not zero away from the machine's zero. It is the set-up's as well: no shape of the circle.
+    /// Away from the machine's zero the law also shifts the centre, which is set-up and not shape.
     fn shift(&self, term: &Term, trace: usize) -> [f64; 2] {
         if !["scale_mismatch_ppm", "squareness_urad"].contains(&term.name.as_str()) {
             return [0.0; 2];
         }
-        // On a circle a straight law is a constant, one lobe and two.
+        // On a circle a straight law has harmonics of orders 0, 1 and 2.
         let angle = &self.traces[trace].angle;
         let of = |f: fn(f64) -> f64| angle.iter().map(|a| f(*a)).collect::<Vec<f64>>();
         let lobes =
@@ -518,7 +512,7 @@ impl<'t> Fit<'t> {
         found.map_or([0.0; 2], |f| [f.values[1], f.values[2]])
     }
 
-    /// What a cause makes of the circles' shape.
+    /// Effect of a cause on the shape of the circles.
     fn shape(&self, term: &Term) -> DVector<f64> {
         let mut out = self.value(term);
         for (k, (trace, start)) in self.traces.iter().zip(&self.start).enumerate() {
@@ -542,7 +536,6 @@ impl<'t> Fit<'t> {
     }
 
     /// Whitens a column and projects out the columns beside the terms.
-    /// Each row has the prediction from the row before subtracted.
     pub(super) fn white(&self, column: &DVector<f64>) -> DVector<f64> {
         let own = self.whitened(column);
         let beside = &self.beside_white * self.beside_white.tr_mul(&own);
@@ -566,12 +559,12 @@ impl<'t> Fit<'t> {
         all
     }
 
-    /// After the columns beside or the noise's memory have changed.
+    /// Must follow a change of the columns beside or of the autocorrelation.
     fn prepare_beside(&mut self) {
         self.beside_white = orthonormal(self.all_whitened(&self.beside));
     }
 
-    /// What neither the terms nor the columns beside them take.
+    /// Residual of the terms and of the columns beside them.
     fn noise(&self) -> DVector<f64> {
         let left = self.left();
         if self.beside.ncols() == 0 {
@@ -585,12 +578,12 @@ impl<'t> Fit<'t> {
         self.rows().saturating_sub(terms + self.beside.ncols()).max(1) as f64
     }
 
-    /// How many rows count.
+    /// Number of fitted rows.
     fn rows(&self) -> usize {
         self.counts.iter().filter(|c| **c).count()
     }
 
-    /// RMS over the rows that count.
+    /// RMS over the fitted rows.
     fn rms(&self, v: &DVector<f64>) -> f64 {
         let own = v.iter().zip(&self.counts).filter(|(_, c)| **c).map(|(v, _)| v * v);
         (own.sum::<f64>() / self.rows().max(1) as f64).sqrt()
@@ -602,10 +595,10 @@ impl<'t> Fit<'t> {
         DMatrix::from_columns(&columns)
     }
 
-    /// Whether a term can be told from the others, where it is there at all.
+    /// Whether a term is distinguishable from the others, if it is `there`.
     fn drop_alike(&self, name: &str, there: bool) -> bool {
         let Some(i) = self.terms.iter().position(|t| t.name == name).filter(|_| there) else {
-            // Without a feed the other sense alone tells squareness from a lag.
+            // Without a feed only both directions separate squareness from lag.
             let senses: Vec<f64> = self.traces.iter().flat_map(|t| &t.contours).map(|c| c.1).collect();
             return senses.iter().any(|s| *s > 0.0) && senses.iter().any(|s| *s < 0.0);
         };
@@ -616,7 +609,7 @@ impl<'t> Fit<'t> {
         left.norm_squared() > DISTINCT * own.norm_squared()
     }
 
-    /// What is left of the measured errors beside all terms.
+    /// Residual of the terms alone.
     pub(super) fn left(&self) -> DVector<f64> {
         let mut left = self.y.clone();
         for t in &self.terms {
@@ -625,8 +618,7 @@ impl<'t> Fit<'t> {
         left
     }
 
-    /// Linear values by least squares, then the noise's coefficient.
-    /// Twice, as each asks for the other.
+    /// Fits linear values and autocorrelation twice: each depends on the other.
     pub(super) fn memory(&mut self) {
         for _ in 0..2 {
             self.step();
@@ -647,12 +639,12 @@ impl<'t> Fit<'t> {
         self.step();
     }
 
-    /// One step of Gauss and Newton; the sum of squares after it.
+    /// One Gauss–Newton step; returns the sum of squares after it.
     pub(super) fn step(&mut self) -> f64 {
         let before = self.white(&self.left()).norm_squared();
         let j = self.jacobian();
         let by = Directions::by(&j).solve(&self.white(&self.left()));
-        // Half the way, and half again, where the whole is too far.
+        // Halve the step until it does not increase the sum.
         for k in 0..8 {
             let kept: Vec<Vec<(Effect, f64)>> = self.terms.iter().map(|t| t.parts.clone()).collect();
             let share = 0.5_f64.powi(k);
@@ -664,7 +656,7 @@ impl<'t> Fit<'t> {
         self.white(&self.left()).norm_squared()
     }
 
-    /// Moves the free values; whether all stayed within their bounds.
+    /// Moves the free values; returns whether all stayed within their bounds.
     fn moved(&mut self, by: &DVector<f64>, share: f64) -> bool {
         let mut at = 0;
         let mut inside = true;
@@ -682,7 +674,7 @@ impl<'t> Fit<'t> {
         inside
     }
 
-    /// What the runs show of each free value, and harmonics' share without a law.
+    /// Half widths and resolution of each free value, and the structure.
     pub(super) fn shown(&self) -> Shown {
         let j = self.jacobian();
         let left = self.left();
@@ -693,7 +685,7 @@ impl<'t> Fit<'t> {
         let variance = self.traces.iter().map(Trace::rounding_um2).fold(variance, f64::max);
         let directions = Directions::by(&j);
         let told_beside = self.told(&left, variance);
-        // What a µm of each order that the laws take moves a value by.
+        // Change of each value per µm in each of the laws' orders.
         let moves = told_beside.map(|_| {
             let mut taken = self.structure.taken.clone();
             for (i, c) in self.structure.taken.column_iter().enumerate() {
@@ -711,14 +703,14 @@ impl<'t> Fit<'t> {
                     spread += own * own / told.freedom[k];
                 }
             }
-            // Welch and Satterthwaite: few values tell the structure's size.
+            // Effective degrees of freedom (Welch and Satterthwaite): few values give the structure's size.
             let effective = if spread > 0.0 { (all * all / spread).max(1.0) } else { freedom };
             let quantile = StudentsT::new(0.0, 1.0, effective).map_or(1.96, |t| t.inverse_cdf(0.975));
             let rise = if noise > 0.0 { quantile * quantile * variance * all / noise } else { 0.0 };
             (quantile * all.sqrt(), rise)
         };
         let (halves, rises): (Vec<f64>, Vec<f64>) = (0..j.ncols()).map(half).unzip();
-        // What may be anything that a machine can have is not told either.
+        // A value is unresolved if its interval is wider than its physical range.
         let told = |(half, widest): (&f64, f64)| *half < widest;
         let within: Vec<bool> = halves.iter().zip(self.widest()).map(told).collect();
         let resolved =
@@ -726,8 +718,8 @@ impl<'t> Fit<'t> {
         Shown { halves, rises, resolved, beside: told_beside }
     }
 
-    /// Averages each value over spikes and drift that are fitted and not told.
-    /// They may be there or not. The weights are the odds of both by their evidence; the interval holds the spread between both.
+    /// Averages each value over fits with and without unreported spikes and drift.
+    /// The weights are their Bayes factors. The interval includes the spread between both fits.
     fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut Shown) {
         let untold = |name: &str| name.starts_with("spike.") && !told.iter().any(|t| t == name);
         let spikes: Vec<&&Axis> = axes
@@ -757,7 +749,7 @@ impl<'t> Fit<'t> {
         let mut at = 0;
         for t in &mut self.terms {
             for i in &t.free {
-                // The spike that is left out has no height.
+                // An omitted spike has height 0.
                 let now = t.parts[0].0.values()[*i];
                 let other = if untold(&t.name) { Some((0.0, 0.0)) } else { others.next() };
                 if let Some((value, half)) = other {
@@ -786,8 +778,7 @@ impl<'t> Fit<'t> {
         self.terms.iter().flat_map(of)
     }
 
-    /// The least that the causes found can leave, RMS in µm.
-    /// What stands beside them takes nothing.
+    /// Least RMS that the causes alone can leave, µm.
     fn least_left(&self) -> f64 {
         let own = |v: &DVector<f64>| DVector::from_fn(self.n, |i, _| if self.counts[i] { v[i] } else { 0.0 });
         let columns: Vec<DVector<f64>> =
@@ -801,7 +792,7 @@ impl<'t> Fit<'t> {
         self.traces.iter().zip(&self.start).map(of).fold(0.0, f64::max)
     }
 
-    /// Causes and set-up terms that these runs cannot determine, in people's words.
+    /// Causes and set-up terms that these runs cannot determine, in words.
     fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
         let (mut at, mut names) = (0, Vec::new());
         for t in &self.terms {
@@ -819,8 +810,8 @@ impl<'t> Fit<'t> {
         names
     }
 
-    /// Each free value with half its interval, and the causes' share of the radius.
-    /// Values that are not resolved are left out.
+    /// Free values with their half widths, and the causes' contributions.
+    /// Unresolved values are left out.
     fn values(&self, shown: &Shown, told: &[String]) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
         let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
         let (mut contributions, mut not_separable) = (Vec::new(), None);
@@ -875,10 +866,9 @@ impl<'t> Fit<'t> {
         (values, contributions, not_separable)
     }
 
-    /// RMS of what no cause explains and both ways show, µm.
-    /// `None` if it does not stand out from the noise.
+    /// RMS of structure that both directions share, µm; `None` if below the noise.
     fn unexplained_um(&self, shown: &Shown) -> Option<f64> {
-        // One way round reversals are among it.
+        // With one direction of rotation reversals are part of it.
         let beside = shown.beside.filter(|_| self.structure.both_ways);
         beside.map(|t| t.rms_um).filter(|um| *um > SHOWS * self.rms(&self.noise()))
     }
@@ -906,7 +896,7 @@ impl<'t> Fit<'t> {
         let unexplained_um = self.unexplained_um(shown);
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
-            // A wave of less power than the map or bend beside it may be a part of that, whatever its period.
+            // A wave weaker than the structure may be part of that, whatever its period.
             c.is_of_a_screw(half_mm) && unexplained_um.is_none_or(|rms| c.um > SQRT_2 * rms)
         });
         let form: ByAxis<Cyclic> = form.into_iter().collect();
@@ -915,12 +905,12 @@ impl<'t> Fit<'t> {
                 c.cause = format!("form that repeats {axis}");
             }
         }
-        // With what straight laws shift the circle, as the contours have it.
+        // Centre as the contours have it, including the shift by straight laws.
         let circle_of = |k: usize| {
             let moved = self.terms.iter().map(|t| if k > 0 { self.shift(t, 0)[k - 1] } else { 0.0 });
             self.circle[0][k] + moved.sum::<f64>()
         };
-        // One way round reversals pass for set-up: that is the circle's.
+        // With one direction reversals shift the set-up: use the least-squares circle.
         let set_up = |name: &str, k: usize| {
             let circle = if self.structure.both_ways { circle_of(k) } else { self.circle[0][k] };
             if self.structure.both_ways { get(name).map(|v| v + circle) } else { Some(circle) }
@@ -980,7 +970,7 @@ impl<'t> Fit<'t> {
         }
     }
 
-    /// Intervals of the spikes that are told, by the names of their values.
+    /// Intervals of reported spikes, by the names of their values.
     fn spike_intervals(&self, told: &[String], shown: &Shown) -> Vec<(String, [f64; 2])> {
         let (mut at, mut intervals) = (0, Vec::new());
         for t in &self.terms {
@@ -996,13 +986,13 @@ impl<'t> Fit<'t> {
         intervals
     }
 
-    /// Whether these runs tell this term from a map or a bend.
-    /// One way round what turns with the sense does not show.
+    /// Whether these runs separate a term from a map or a bend.
+    /// With one direction of rotation, reversals and spikes cannot be separated.
     fn separates(&self, name: &str) -> bool {
         self.structure.both_ways || !(name.starts_with("reversal.") || name.starts_with("spike."))
     }
 
-    /// What the harmonics say of those orders that the terms take.
+    /// Estimates the structure in the laws' orders from the harmonics.
     fn told(&self, left: &DVector<f64>, variance: f64) -> Option<StructureVariance> {
         let harmonics = &self.structure.columns;
         if harmonics.ncols() == 0 {
@@ -1015,18 +1005,15 @@ impl<'t> Fit<'t> {
     }
 }
 
-/// Rows at their contour's feed, where a coarse clock times them.
-/// Such a clock does not tell the speed of a start or a stop, and what lags with the speed would be taken for reversals and spikes. All
-/// rows of a fine clock, and of a contour that keeps no feed.
+/// Rows at their contour's feed; all rows for a fine clock or an uneven feed.
+/// A coarse clock does not resolve the speed of a start or stop, so lag would look like reversals and spikes.
 fn at_feed(trace: &Trace) -> Vec<bool> {
     let n = trace.angle.len();
     let Some(t) = trace.record.data(&Role::Time).filter(|t| tick(t).is_some()) else { return vec![true; n] };
     let speed: Vec<f64> = rates(&trace.angle, t).iter().map(|r| r.abs()).collect();
     let mut all = vec![true; n];
     for (rows, _) in &trace.contours {
-        let mut by_size = speed[rows.clone()].to_vec();
-        by_size.sort_by(f64::total_cmp);
-        let usual = by_size[by_size.len() / 2];
+        let usual = median(speed[rows.clone()].iter().copied());
         let keeps = |row: &usize| (speed[*row] - usual).abs() <= AT_FEED * usual;
         if 2 * rows.clone().filter(keeps).count() > rows.len() {
             rows.clone().for_each(|row| all[row] = keeps(&row));
@@ -1035,29 +1022,28 @@ fn at_feed(trace: &Trace) -> Vec<bool> {
     all
 }
 
-/// Whether an axis is so near its turn that a row is ambiguous.
-/// Play may not be taken up there, or the row may be on either side of the turn.
+/// Whether an axis is so near its reversal that the row's direction is uncertain.
 fn turns(trace: &Trace, angle: f64, settled_mm: f64) -> bool {
     let radius_mm = trace.record.circle().map_or(f64::INFINITY, |c| c.radius_mm);
     [angle.cos(), angle.sin()].iter().any(|share| radius_mm * (1.0 - share.abs()) < settled_mm)
 }
 
-/// The first row of a contour at which both axes have a known history.
-/// Both have turned within it, or moved far enough from its beginning.
+/// The first row of a contour from which both axes have a known history.
+/// Each has reversed in the contour or moved far enough from its start.
 fn begun(angle: &[f64], rows: &Range<usize>) -> usize {
     let own = &angle[rows.clone()];
     let by_axis = [f64::cos as fn(f64) -> f64, f64::sin].map(|share| {
         let mut farthest = 0.0_f64;
         own.iter().map(|a| (share(*a) - share(own[0])).abs()).position(|d| {
             farthest = farthest.max(d);
-            // Nearer again by more than an angle's resolution.
+            // A decrease by more than the angle's resolution is a reversal.
             d >= DIED_OUT || d < farthest - 1e-3
         })
     });
     rows.start + by_axis.into_iter().flatten().max().unwrap_or(0)
 }
 
-/// A term as people call it.
+/// Name of a term for users.
 fn cause(name: &str) -> String {
     let known = [
         ("scale_mismatch_ppm", "scale mismatch"),

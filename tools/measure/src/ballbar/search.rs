@@ -1,36 +1,35 @@
-//! Which causes show.
-//! Drift, spikes over a grid of lengths, cyclic errors over a grid of periods; and whether anything is left that none of them explains.
+//! Search for drift, spikes (grid of lengths) and cyclic errors (grid of periods).
 
 use super::diagnosis::Fit;
 use super::{law, structure};
 use nalgebra::{DMatrix, DVector};
 use rtec_least_squares::{Factor, orthonormal};
 use rtec_model::effect::{Dictionary, Effect, laws};
-use rtec_model::record::{Axis, Role};
+use rtec_model::record::{Axis, Role, median, span};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Squared standard deviations from which a spike is fitted.
-/// It is fitted early so that it does not bend other terms. It is reported from a higher value on: one in a thousand circles of noise over
-/// all lengths.
+/// Gain, in squared standard deviations, from which a spike is fitted.
+/// A spike is fitted early so that it does not bend other terms.
 const SPIKE_FITTED: f64 = 6.0;
+/// Gain from which a spike is reported: reached by one in 1000 circles of noise.
 const SPIKE_TOLD: f64 = 18.0;
-/// The shortest spike that is looked for, mm.
+/// Shortest spike in the search, mm.
 const SHORTEST_MM: f64 = 0.05;
-/// A cyclic error by chance: one in a thousand circles over all periods.
+/// Risk per circle, over all periods, of a cyclic error by chance.
 const CYCLIC_RISK: f64 = 1e-3;
-/// Screw pitches and pitch circles, mm.
+/// Range of periods, mm: screw pitches and pitch circles.
 const PERIODS_MM: [f64; 2] = [0.5, 60.0];
-/// Squared standard deviations from which drift within a record is fitted.
+/// Gain, in squared standard deviations, from which drift is fitted.
 /// One in twenty circles of noise reaches it, over its three columns.
 const DRIFT_FITTED: f64 = 7.8;
 
-/// The lengths at which a spike is looked for, mm.
+/// Lengths of the search for spikes, mm.
 fn lengths_up_to(longest_mm: f64) -> impl Iterator<Item = f64> {
     (0..).map(|k| SHORTEST_MM * 1.5_f64.powi(k)).take_while(move |l| *l < longest_mm)
 }
 
 impl Fit<'_> {
-    /// Drift, spikes and cyclic errors, those that show; then all of it together.
+    /// Adds drift, spikes and cyclic errors that show, then refines them together.
     pub(super) fn search(&mut self, axes: [&Axis; 2], told: &mut Vec<String>) {
         let d = Dictionary::default();
         self.memory();
@@ -47,11 +46,11 @@ impl Fit<'_> {
         }
         self.memory();
         if self.terms.len() > spikes {
-            // A large wave hides a spike, or how clear it is, until its period is right.
+            // A large wave with a wrong period hides a spike.
             self.free_all(told);
             self.terms.retain(|t| !t.name.starts_with("spike."));
             told.retain(|name| !name.starts_with("spike."));
-            // The clearest first: what is left of it looks like a spike of the other axis.
+            // Start with the clearest spike, because its residual looks like a spike of the other axis.
             let gain = |axis| self.best_spike(&d, axis).map_or(0.0, |(_, gain)| gain);
             let [a, b] = axes;
             let order = if gain(b) > gain(a) { [b, a] } else { axes };
@@ -63,7 +62,7 @@ impl Fit<'_> {
     }
 
     /// Adds a spike for each axis that shows one, in this order.
-    /// One way round a spike hides in the reversal and what stands beside it: it is taken to be there.
+    /// With one direction of rotation, reversal and structure hide a spike: it is always fitted.
     fn add_spikes(&mut self, d: &Dictionary, axes: [&Axis; 2], told: &mut Vec<String>) {
         let fitted = if self.structure.both_ways { SPIKE_FITTED } else { 0.0 };
         for axis in axes {
@@ -75,7 +74,7 @@ impl Fit<'_> {
         }
     }
 
-    /// Removes spikes with an endless length, and those whose interval holds zero.
+    /// Removes endless spikes, and reported ones whose interval contains zero.
     /// They followed no spike, or a single row.
     fn drop_endless(&mut self, told: &mut Vec<String>) {
         let longest_mm = self.traces[0].record.circle().map_or(f64::INFINITY, |c| c.radius_mm) / 2.0;
@@ -98,7 +97,7 @@ impl Fit<'_> {
         }
     }
 
-    /// Whether harmonics explain more than noise does in one circle out of ten.
+    /// Whether harmonics explain more than noise does in nine of ten circles.
     pub(super) fn harmonics_show(&self) -> bool {
         let m = self.structure.columns.ncols();
         if m == 0 {
@@ -111,7 +110,7 @@ impl Fit<'_> {
         ChiSquared::new(m as f64).is_ok_and(|c| gain > c.inverse_cdf(0.9))
     }
 
-    /// Takes drift into the columns beside, where it shows.
+    /// Adds drift to the columns beside the terms, where it shows.
     fn add_drift(&mut self) {
         if !self.structure.both_ways {
             return;
@@ -126,7 +125,7 @@ impl Fit<'_> {
         }
     }
 
-    /// Squared standard deviations that columns explain of what is left.
+    /// Gain in squared standard deviations by these columns, and their values.
     fn gain(
         &self,
         q: &DMatrix<f64>,
@@ -155,13 +154,13 @@ impl Fit<'_> {
         (orthonormal(j), left, variance.max(1e-18))
     }
 
-    /// The spike that explains most of the residual.
-    /// Lengths are from a twentieth of a millimetre to a third of the radius.
+    /// The spike that explains most of the residual, and its gain.
+    /// Lengths go from 0.05 mm to a third of the radius.
     fn best_spike(&self, d: &Dictionary, axis: &Axis) -> Option<(Effect, f64)> {
         let radius_mm = self.traces[0].record.circle()?.radius_mm;
         let spike = law(d, laws::reversal_spike::NAME, &[axis])?;
         let (q, left, variance) = self.prepared();
-        // One way round a long one is a map like any other.
+        // With one direction of rotation a long spike looks like a map.
         let longest = radius_mm / if self.structure.both_ways { 3.0 } else { 30.0 };
         let lengths = lengths_up_to(longest);
         let of = |length: f64| {
@@ -172,8 +171,8 @@ impl Fit<'_> {
         lengths.filter_map(of).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Log odds of columns against none of them, by the evidence.
-    /// Kass and Raftery 1995. `typical_um` is the standard deviation of their amplitudes' prior.
+    /// Log Bayes factor for columns against none of them (Kass and Raftery 1995).
+    /// `typical_um` is the standard deviation of their amplitudes' prior.
     pub(super) fn odds(&self, columns: &[DVector<f64>], typical_um: f64) -> f64 {
         let (q, left, variance) = self.prepared();
         let left = left / variance.sqrt();
@@ -185,7 +184,7 @@ impl Fit<'_> {
         0.5 * (left.norm_squared() - factor.left()) - factor.half_log_det()
     }
 
-    /// Log odds of a spike of an axis against none, over all lengths.
+    /// Log Bayes factor for a spike of an axis against none, averaged over lengths.
     pub(super) fn spike_odds(&self, axis: &Axis) -> Option<f64> {
         let spike = law(&Dictionary::default(), laws::reversal_spike::NAME, &[axis])?;
         let typical_um = spike.description().parameters[0].typical;
@@ -197,16 +196,14 @@ impl Fit<'_> {
     }
 
     /// The cyclic error that explains most of the residual, beyond chance.
-    /// Chance is taken over all periods.
     fn best_wave(&self, d: &Dictionary, axis: &Axis) -> Option<Effect> {
         let wave = law(d, laws::screw_periodic::NAME, &[axis])?;
         let places = self.traces.iter().filter_map(|t| t.record.data(&Role::Position(axis.clone())));
-        let mut steps: Vec<f64> =
-            places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).collect();
-        steps.sort_by(f64::total_cmp);
-        let all = || places.clone().flatten().copied();
-        let span = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
-        let shortest = PERIODS_MM[0].max(2.5 * steps.get(steps.len() / 2)?);
+        let mut steps = places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).peekable();
+        steps.peek()?;
+        let [low, high] = span(places.clone().flatten());
+        let span = high - low;
+        let shortest = PERIODS_MM[0].max(2.5 * median(steps));
         let (from, to) = (1.0 / PERIODS_MM[1].min(span / 3.0), 1.0 / shortest);
         if to <= from {
             return None;
@@ -234,7 +231,7 @@ impl Fit<'_> {
         (gain > 2.0 * (count as f64 / CYCLIC_RISK).ln() && best.scalar(1) > 0.0).then_some(best)
     }
 
-    /// Frees lengths (of spikes that show), periods and phases too, and descends.
+    /// Frees lengths of reported spikes, periods and phases too, and minimises.
     pub(super) fn free_all(&mut self, told: &[String]) {
         for t in &mut self.terms {
             if t.name.starts_with("spike.") && told.contains(&t.name) {

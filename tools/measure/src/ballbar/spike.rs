@@ -1,8 +1,8 @@
-//! What the runs show of a spike's height and length together.
+//! Joint interval of a spike's height and length.
 //!
-//! Height and length trade against each other, and the length is not linear in the law. An interval at the best fit alone would be too
-//! short on one side. So the profile of the likelihood is used: all heights and lengths whose sum of squares exceeds the least by no more
-//! than the level allows, with the noise's memory and the structure included.
+//! Height and length are correlated, and the law is not linear in the length, so a symmetric interval is too
+//! short on one side. The profile of the likelihood is used instead: all heights and lengths whose sum of
+//! squares is within the level. The level includes autocorrelation and structure.
 
 use super::Trace;
 use super::diagnosis::{Fit, Term};
@@ -12,16 +12,14 @@ use rtec_model::record::Axis;
 
 /// Number of lengths tried between the shortest and longest that the level allows.
 const LENGTHS: i32 = 24;
-/// Halvings that find an end of the lengths.
-/// They halve the way to the law's bound, and then the last step.
+/// Halvings towards an end of the lengths: of the way, then of the last step.
 const HALVINGS: i32 = 14;
 
-/// A spike's shape of one length among the other terms.
-/// What it explains, at which height, and how sharply.
+/// Best height of a spike of one length, beside the other terms.
 struct Fitted {
     gain: f64,
     um: f64,
-    /// Squares that a µm more or less costs.
+    /// Rise of the sum of squares per µm², from the best height.
     curvature: f64,
 }
 
@@ -29,8 +27,8 @@ impl Fit<'_> {
     /// Intervals of a spike's height (µm) and length (mm).
     /// `rises` are the allowed rises of the sum of squares.
     ///
-    /// The law counts the travel from the last row of the old direction, but the axis turned after it. The height at the turn is smaller by
-    /// the decay over that travel. The interval holds both heights.
+    /// The law counts the travel from the last row of the old direction, but the axis turned after it. The
+    /// height at the turn is smaller by the decay over that travel. The interval holds both heights.
     pub(super) fn spike_profile(&self, spike: &Term, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
         let (effect, _) = spike.parts.first()?;
         let others: Vec<DVector<f64>> = self
@@ -58,7 +56,7 @@ impl Fit<'_> {
         let best_mm = effect.scalar(1);
         let best = at(best_mm)?.gain;
         let allowed = |mm: f64, rise: f64| at(mm).is_some_and(|f| best - f.gain <= rise);
-        // The farthest length that is allowed towards a bound: in steps that grow, then by halving the last one.
+        // The farthest allowed length towards a bound: growing steps, then bisection.
         let end = |bound: f64, rise: f64| {
             let whole = (bound / best_mm).ln();
             let far = |k: i32| whole * (0.5_f64.powi(HALVINGS - k));
@@ -98,7 +96,7 @@ fn mean_unseen_mm(traces: &[Trace], axis: &Axis) -> f64 {
             |row: usize| if circle.plane[0] == *axis { t.angle[row].cos() } else { t.angle[row].sin() };
         let slope =
             |row: usize| if circle.plane[0] == *axis { t.angle[row].sin() } else { t.angle[row].cos() };
-        // Where the slope's sign changes within a contour; a row at the turn itself has none.
+        // Rows at which the slope changes sign within a contour; rows at the turn itself have none.
         let turns = t.contours.iter().flat_map(|(rows, _)| {
             let moving: Vec<usize> = rows.clone().filter(|row| slope(*row).abs() > 1e-9).collect();
             let turned = moving.windows(2).filter(|w| slope(w[0]) * slope(w[1]) < 0.0).map(|w| w[0]);

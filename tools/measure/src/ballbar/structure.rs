@@ -1,9 +1,9 @@
-//! Structure that the diagnosis has no law for: maps, bends and slow drift.
-//! It is fitted beside the laws, so that no law absorbs it, and it widens the intervals that it could have moved.
+//! Structure that no law describes: maps, bends and slow drift.
+//! It is fitted beside the laws so that no law absorbs it, and it widens their intervals.
 //!
-//! Structure that depends on the place alone is the same both ways: harmonics of the angle, common to both senses. Those of the third order
-//! and above are fitted. The lower ones are centre, radius, scale and squareness themselves. How much of those is not the law's own is
-//! estimated from the orders just above.
+//! Structure that depends on the place alone is the same in both directions of rotation: common harmonics of
+//! the angle. Orders from three up are fitted. Orders 0 to 2 are radius, centre, scale and squareness. How
+//! much structure adds to those orders is estimated from the orders just above.
 
 use super::Trace;
 use nalgebra::{DMatrix, DVector};
@@ -11,19 +11,18 @@ use rtec_least_squares::principal;
 use rtec_model::record::Role;
 use std::f64::consts::TAU;
 
-/// Orders that the laws themselves take.
-/// Radius (0), centre (1), scale and squareness (2).
+/// Highest order of the laws: radius (0), centre (1), scale and squareness (2).
 const TAKEN: usize = 2;
 /// Highest order that is fitted beside the laws.
 const HIGHEST: usize = 20;
-/// Orders just above those taken, from which the taken ones' share is told.
+/// Orders from which the structure in orders 0 to 2 is estimated.
 const TELLING: [usize; 4] = [3, 4, 5, 6];
 
-/// Harmonics of the angle common to both ways, cosine and sine of each order.
-/// One way round nothing but their smoothness tells them from reversals.
+/// Harmonics common to both directions of rotation, cosine and sine of each order.
+/// With one direction only smoothness separates them from reversals.
 #[derive(Clone)]
 pub(super) struct Structure {
-    /// Whether both ways were run.
+    /// Whether both directions of rotation were measured.
     pub(super) both_ways: bool,
     /// Columns over all rows.
     pub(super) columns: DMatrix<f64>,
@@ -31,32 +30,32 @@ pub(super) struct Structure {
     highest: usize,
     /// Rows of the shortest contour.
     rows: usize,
-    /// A record leaves out a part of the circle.
-    /// There the harmonics are no longer apart from each other, nor from what the laws take.
+    /// Whether a record leaves out a part of the circle.
+    /// Then the harmonics are correlated with one another and with the laws' orders.
     arc: bool,
     /// Columns of the orders that the laws take: 1, cos, sin, cos 2, sin 2.
     pub(super) taken: DMatrix<f64>,
 }
 
-/// How far structure may move the laws' orders, µm², from how many values.
+/// Variance that structure adds to the laws' orders, and degrees of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct StructureVariance {
-    /// Variance of the amplitude of a scale's order, µm², from even cosines above.
+    /// Variance of the amplitude of each order: 1, cos, sin, cos 2, sin 2, µm².
     pub(super) variance: [f64; 5],
-    /// Number of values behind each.
+    /// Degrees of freedom of each variance.
     pub(super) freedom: [f64; 5],
     /// RMS of all that was fitted, µm.
     pub(super) rms_um: f64,
 }
 
 impl Structure {
-    /// For these records, of `n` rows altogether.
+    /// Harmonics of these records, of `n` rows altogether.
     pub(super) fn of(traces: &[Trace], n: usize) -> Self {
         let angles = || traces.iter().flat_map(|t| t.angle.iter().copied());
         let senses = || traces.iter().flat_map(|t| &t.contours).map(|c| c.1);
         let both = senses().any(|s| s > 0.0) && senses().any(|s| s < 0.0);
         let rows = traces.iter().flat_map(|t| &t.contours).map(|c| c.0.len()).min().unwrap_or(0);
-        // A dozen rows to a wave of the highest order.
+        // The highest order has at least a dozen rows per wave.
         let highest = HIGHEST.min(rows / 12);
         let orders = |from: usize, to: usize| -> Vec<DVector<f64>> {
             let both = |k: usize| {
@@ -69,14 +68,14 @@ impl Structure {
         let mut taken = vec![DVector::from_element(n, 1.0)];
         taken.extend(orders(1, TAKEN));
         let taken = columns_of(n, &taken);
-        // Each record has a centre of its own: what one leaves out the others do not show.
+        // Each record has its own centre, so the records do not fill each other's gaps.
         let arc = traces.iter().any(|t| widest_gap(t.angle.clone()) > MISSING_RAD);
         let columns = if arc { apart(columns, &taken) } else { columns };
         Self { both_ways: both, columns, highest, rows, arc, taken }
     }
 
-    /// Variance of summed whitened residuals, relative to white noise.
-    /// Above one the residual is correlated otherwise than the noise's memory says.
+    /// Variance of sums of the whitened residual, relative to white noise, at least 1.
+    /// Above 1 the residual is correlated more than the noise model says.
     pub(super) fn hangs_together(white: &DVector<f64>) -> f64 {
         let n = white.len();
         let own = white.norm_squared() / n.max(1) as f64;
@@ -88,8 +87,8 @@ impl Structure {
         [5, 10, 20].map(of).into_iter().fold(1.0, f64::max)
     }
 
-    /// The noise's coefficient from row to row, where what is left shows `seen`.
-    /// The harmonics have taken the slow part of it, more of what remembers.
+    /// Autocorrelation of the noise, if the residual's is `seen`.
+    /// Fitted harmonics remove low-frequency noise and so bias the autocorrelation; this corrects it.
     pub(super) fn memory(&self, seen: f64, n: usize, most: f64) -> f64 {
         if self.arc {
             return seen.clamp(0.0, most);
@@ -107,8 +106,7 @@ impl Structure {
         (0..=100).map(|i| most * f64::from(i) / 100.0).find(|phi| expected(*phi) >= seen).unwrap_or(most)
     }
 
-    /// Estimates the variance of orders that could not be fitted.
-    /// From the fitted amplitudes and their variances.
+    /// Estimates the structure in the laws' orders from the fitted amplitudes.
     pub(super) fn told(
         &self,
         amplitude: &DVector<f64>,
@@ -118,7 +116,7 @@ impl Structure {
             return None;
         }
         if self.arc {
-            // No order is seen by itself: each of those that the laws take may be as large as all that was fitted.
+            // On an arc no order is independent: each may be as large as all fitted orders together.
             let power: f64 = amplitude.iter().zip(variance).map(|(a, v)| a * a - v).sum::<f64>().max(0.0);
             let freedom = amplitude.len().clamp(1, TELLING.len()) as f64;
             return Some(StructureVariance {
@@ -135,7 +133,7 @@ impl Structure {
             };
             ((which.iter().map(own).sum::<f64>() / which.len() as f64).max(0.0), which.len() as f64)
         };
-        // An axis' map makes cosines of even orders, a bend of one axis along the other sines; both make odd ones.
+        // A map of an axis has even cosines, a bend along the other axis even sines; both have odd orders.
         let odd: Vec<_> = TELLING.iter().filter(|k| *k % 2 == 1).flat_map(|k| [(*k, 0), (*k, 1)]).collect();
         let even = |s: usize| TELLING.iter().filter(|k| *k % 2 == 0).map(|k| (*k, s)).collect::<Vec<_>>();
         let all = |s: usize| [even(s), odd.clone()].concat();
@@ -150,11 +148,11 @@ impl Structure {
     }
 }
 
-/// Columns of [`drift`].
+/// Number of columns of [`drift`].
 pub(super) const DRIFTS: usize = 3;
 
-/// Drift of centre and radius over a record's time; nothing without time.
-/// Straight only: out and back on one path, a bent one is the same at a place both ways, and so among the harmonics.
+/// Linear drift of radius and centre over a record's time; empty without time.
+/// Out and back on one path, curved drift is the same in both directions: harmonics include it.
 pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> {
     let Some(t) = trace.record.data(&Role::Time) else { return Vec::new() };
     let (from, to) = (t.first().copied().unwrap_or(0.0), t.last().copied().unwrap_or(0.0));
@@ -171,7 +169,7 @@ pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> 
     vec![of(|_| 1.0), of(f64::cos), of(f64::sin)]
 }
 
-/// A record that leaves out more of the circle than this is an arc.
+/// Gap of the angles above which a record is an arc, rad.
 const MISSING_RAD: f64 = 0.2;
 /// Least size of an independent shape on an arc, relative to the largest.
 const OF_ITS_OWN: f64 = 0.1;
@@ -186,8 +184,8 @@ fn widest_gap(mut angles: Vec<f64>) -> f64 {
     angles.windows(2).map(|w| w[1] - w[0]).fold(round, f64::max)
 }
 
-/// Independent shapes of harmonics on an arc, beside the laws' columns.
-/// Each is as large as a harmonic of amplitude one.
+/// Independent shapes of harmonics on an arc, orthogonal to the laws' columns.
+/// Each is scaled like a harmonic of amplitude one.
 fn apart(columns: DMatrix<f64>, taken: &DMatrix<f64>) -> DMatrix<f64> {
     if columns.ncols() == 0 {
         return columns;

@@ -1,15 +1,15 @@
-//! Leadscrew error compensation of Beckhoff's TF5200 and the ISG kernel.
-//! A compensation value list `kw.ssfk.*`.
+//! Leadscrew compensation of Beckhoff TF5200 and ISG: `kw.ssfk.*` value lists.
 //!
-//! Value = position reached minus commanded one, in 0.1 µm, said so in the maker's example (TF5200, 308695435). Positions in
-//! 0.1 µm, each by itself (`interval 0`), as in that example; values beyond the ends as at the ends.
+//! Values are position reached less commanded position, in 0.1 µm, as in the maker's example (TF5200,
+//! 308695435). Positions are in 0.1 µm, each stated (`interval 0`), as in that example. Values beyond the
+//! ends are those at the ends.
 
 use super::{Format, Rules, Table, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
 /// Most points in builds before V3.1.3079.06.
-/// Also in later builds unless P-COMP-00059 says otherwise.
+/// Also in later builds unless P-COMP-00059 states another number.
 pub const MOST: usize = 1500;
 
 /// A compensation value list.
@@ -17,7 +17,7 @@ pub const MOST: usize = 1500;
 pub struct Ssfk {
     /// Logical number of the axis (P-COMP-00001), 1 to 65535.
     pub axis_number: u16,
-    /// Most points: 1500, or what P-COMP-00059 says.
+    /// Most points: 1500, or the value of P-COMP-00059.
     pub most: usize,
 }
 

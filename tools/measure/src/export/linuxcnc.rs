@@ -1,18 +1,18 @@
-//! LinuxCNC's `COMP_FILE`: `nominal forward reverse` a line, in machine units.
+//! LinuxCNC's `COMP_FILE`: lines of `nominal forward reverse` in machine units.
 //!
-//! Its loader (`usrmotLoadComp` in `src/emc/motion/usrmotintf.cc`) stops without a word at the first line that is not three
-//! numbers: nothing else may stand in the file. Type 0 has the positions reached, type 1 what is added to the motor's
-//! command; the loader turns the first into the second as nominal minus reached.
+//! Its loader (`usrmotLoadComp` in `src/emc/motion/usrmotintf.cc`) stops silently at the first line that is
+//! not three numbers, so the file has nothing else. Type 0 has positions reached, type 1 values added to the
+//! motor's command. The loader converts type 0 to type 1 as nominal less reached.
 
 use super::{Format, Rules, Table, number, usage};
 use rtec_files::InputError;
 
-/// LinuxCNC takes no more points than this (`EMCMOT_COMP_SIZE`).
+/// Most points of LinuxCNC (`EMCMOT_COMP_SIZE`).
 pub const MOST: usize = 256;
-/// It reads lines into a buffer of so many bytes, the end included.
+/// Size of its line buffer, bytes, with the terminator.
 const LINE: usize = 255;
 
-/// What the machine's `[TRAJ] LINEAR_UNITS` are.
+/// The machine's `[TRAJ] LINEAR_UNITS`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
     /// Millimetres.
@@ -22,10 +22,10 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// All of them: name, unit, and no more to say.
+    /// All units with their names; the third field is unused.
     pub const ALL: [(&'static str, Self, &'static str); 2] = [("mm", Self::Mm, ""), ("inch", Self::Inch, "")];
 
-    /// What one of it is, mm.
+    /// Length of the unit, mm.
     pub fn mm(self) -> f64 {
         match self {
             Self::Mm => 1.0,
@@ -37,7 +37,7 @@ impl Unit {
 /// A `COMP_FILE`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LinuxCnc {
-    /// Type 1, trims; otherwise type 0, positions reached.
+    /// Type 1 (trims); otherwise type 0 (positions reached).
     pub trims: bool,
     /// The machine's unit.
     pub unit: Unit,
@@ -45,7 +45,7 @@ pub struct LinuxCnc {
 
 impl Format for LinuxCnc {
     fn rules(&self) -> Rules {
-        // Finer than a nanometre is nothing.
+        // A resolution of 1 nm is enough.
         Rules::both_directions(MOST, 1e-6, 1e-6)
     }
 

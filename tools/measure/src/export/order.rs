@@ -1,4 +1,4 @@
-//! An ordered table: format, axis, and messages about what was written.
+//! An export: format, axis, and messages about the written table.
 
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::OwnForm;
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 rtec_files::choice! {
-    /// The formats, as they are called.
+    /// The formats and their names.
     pub enum ExportFormat {
         Linuxcnc = "linuxcnc", "`COMP_FILE` of type 0: nominal, forward and reverse position";
         LinuxcncType1 = "linuxcnc-type1", "`COMP_FILE` of type 1: nominal, forward and reverse trim";
@@ -24,51 +24,51 @@ rtec_files::choice! {
     }
 }
 
-/// What is ordered.
+/// Options of an export.
 #[derive(Debug, Clone)]
 pub struct TableOrder {
     /// The axis.
     pub axis: String,
-    /// From where to where, and how close.
+    /// Range and accuracy.
     pub wanted: TableRange,
-    /// Temperatures that the table holds for; others stand at 20 °C.
+    /// Temperatures that the table is for, °C; other sensors are at 20 °C.
     pub temperatures_degc: Vec<(String, f64)>,
-    /// Where the other axes stand, mm; others at 0.
+    /// Positions of the other axes, mm; axes not listed are at 0.
     pub at_mm: Vec<(String, f64)>,
-    /// What to write.
+    /// The format.
     pub format: ExportFormat,
     /// LinuxCNC: the machine's unit.
     pub unit: Unit,
-    /// The axis that the table goes along, where it is not its own: a cross table.
+    /// The axis that a cross table goes along.
     pub along: Option<String>,
-    /// siemens-cec: that axis as the controller names it.
+    /// siemens-cec: name of that axis in the controller.
     pub along_name: Option<String>,
     /// siemens-cec: number of the table.
     pub table: u16,
     /// siemens-cec: true if a positive value moves the axis up, tried on the machine.
     pub positive_moves_up: Option<bool>,
-    /// Siemens: the machine axis as the controller names it.
+    /// Siemens: name of the machine axis in the controller.
     pub axis_name: Option<String>,
     /// Siemens: number of the encoder.
     pub encoder: u8,
-    /// Siemens, and forms that want a zero there: the reference point, mm.
+    /// Siemens, and own formats with a zero there: the reference point, mm.
     pub reference_mm: Option<f64>,
-    /// ssfk: the controller's number of the axis.
+    /// ssfk: number of the axis in the controller.
     pub axis_number: Option<u16>,
-    /// Own: the file that describes the form.
+    /// Own: the file that describes the format.
     pub form: Option<PathBuf>,
 }
 
-/// What was made.
+/// An exported table.
 #[derive(Debug, Clone)]
 pub struct Exported {
     /// The file's text.
     pub text: String,
     /// `{"axis", "points", …}`, as `rtecctl model export --json` prints it.
     pub document: Value,
-    /// What to know before it is used.
+    /// Warnings about its use.
     pub warnings: Vec<String>,
-    /// What was written and what it leaves, a line each; the first is of the file.
+    /// What was written and its residual, one line each; the first names the file.
     pub notes: Vec<String>,
 }
 
@@ -137,7 +137,7 @@ impl TableOrder {
         })
     }
 
-    /// Makes the table of a model.
+    /// Exports the table of a model.
     ///
     /// # Errors
     /// The model has no such axis or lacks what the table needs; the format cannot hold it.
@@ -201,7 +201,7 @@ impl TableOrder {
         Ok(Exported { text, document, warnings, notes })
     }
 
-    /// The model's errors along the axis, or along the one that was asked for.
+    /// The model's errors along the axis, or along `along`.
     fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>, InputError> {
         let Some(along) = &self.along else {
             return Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
@@ -214,7 +214,7 @@ impl TableOrder {
             .across(along, own.first().map_or(0.0, |(_, mm)| *mm))
     }
 
-    /// Where the table is coarser than was asked for.
+    /// Warnings about a table that is coarser than asked for.
     fn coarse(&self, table: &Table, both: bool) -> Vec<String> {
         let (limit_um, to_mm, mut found) = (self.wanted.limit_um, self.wanted.to_mm, Vec::new());
         if table.between_um > limit_um {
@@ -251,7 +251,7 @@ impl TableOrder {
     }
 }
 
-/// Where a table goes beyond what the model was stated or seen on.
+/// Warnings about a table beyond the range that the model was stated or fitted on.
 fn beyond(machine: &Machine, axis: &str, along: &str, [from, to]: [f64; 2]) -> Vec<String> {
     let mut found = machine.beyond_stated(|a| {
         (a.as_str() == along).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())

@@ -1,4 +1,4 @@
-//! A table in a form of the user's own, described by a TOML file:
+//! A table in a format described by the user's TOML file:
 //!
 //! ```toml
 //! header = "axis {axis}, {points} points\n"   # once, in front; optional, as footer
@@ -40,15 +40,16 @@ enum Piece {
     Place(&'static str),
 }
 
-/// A form read from a file.
+/// A format read from a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OwnForm {
     header: Vec<Piece>,
     line: Vec<Piece>,
     footer: Vec<Piece>,
     value: Value,
-    /// One unit of positions and of values, mm; their decimals.
+    /// Unit of positions, mm, and decimals.
     position: (f64, usize),
+    /// Unit of values, mm, and decimals.
     values: (f64, usize),
     most: usize,
     first_index: i64,
@@ -91,7 +92,7 @@ fn has(pieces: &[Piece], name: &str) -> bool {
 }
 
 impl OwnForm {
-    /// Reads a form; `reference_mm` is the reference point, where it asks for one.
+    /// Parses a format; `reference_mm` is the reference point, if the format needs one.
     ///
     /// # Errors
     /// The first finding, with its place.

@@ -1,26 +1,27 @@
 //! Encoder and leadscrew error compensation of SINUMERIK (840D, 828D, 808D): `$AA_ENC_COMP`.
 //!
-//! The value is added to the actual position, so a positive value moves the axis in the negative direction (Siemens 808D function manual,
-//! p. 106; 6FC5397-1BP40-3BA1, p. 238). The value is therefore the error itself. One table serves both directions, its points are evenly
-//! spaced, and it must be zero at the reference point.
+//! The value is added to the actual position, so a positive value moves the axis in the negative direction
+//! (Siemens 808D function manual, p. 106; 6FC5397-1BP40-3BA1, p. 238). The value is therefore the error
+//! itself. One table serves both directions. Its points are evenly spaced, and it is zero at the reference
+//! point.
 
 use super::{Format, Rules, Table, number, usage};
 use rtec_files::InputError;
 use std::fmt::Write as _;
 
-/// Points of an 808D; an 840D or 828D has as many as MD38000 says.
+/// Points of an 808D; an 840D or 828D has the number in MD38000.
 pub const MOST: usize = 200;
 
 /// A table of encoder compensation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EncComp {
-    /// The machine axis as the controller names it, as X1.
+    /// Name of the machine axis in the controller, such as X1.
     pub axis: String,
     /// The reference point, mm.
     pub reference_mm: f64,
     /// Number of the encoder, 0 or 1.
     pub encoder: u8,
-    /// Most points: 200, or what MD38000 says.
+    /// Most points: 200, or the value of MD38000.
     pub most: usize,
 }
 

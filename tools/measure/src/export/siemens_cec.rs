@@ -1,8 +1,9 @@
-//! Sag and angularity compensation of SINUMERIK (840D, 828D): `$AN_CEC`, what one axis' position does to another.
+//! Sag and angularity compensation of SINUMERIK (840D, 828D): `$AN_CEC`.
+//! The position of one axis compensates another.
 //!
-//! The structure is that of the function manual (6FC5397-1BP40-3BA1, K3, 4.4.3, p. 248 and 249; 802D sl, 6FC5397-1CP10-5BA0, p. 222).
-//! Values beyond the ends are those of the ends. No public page says which way a positive value moves the compensation axis. The user must
-//! try it on the machine and state it.
+//! The structure is that of the function manual (6FC5397-1BP40-3BA1, K3, 4.4.3, p. 248 and 249; 802D sl,
+//! 6FC5397-1CP10-5BA0, p. 222). Values beyond the ends are those at the ends. No public page states in which
+//! direction a positive value moves the compensation axis. The user must try it on the machine and state it.
 
 use super::siemens::check_axis_name;
 use super::{Format, Point, Rules, Table, number, usage};
@@ -10,28 +11,28 @@ use rtec_files::InputError;
 use std::fmt::Write as _;
 
 /// Points of a table of an 828D (the manual, p. 264).
-/// An 840D has as many as MD18342 says.
+/// An 840D has the number in MD18342.
 pub const MOST: usize = 200;
 
 /// A table of sag compensation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cec {
-    /// The compensation axis as the controller names it, as Y1.
+    /// Name of the compensation axis in the controller, such as Y1.
     pub axis: String,
-    /// The basic axis, whose position is looked up, as X1.
+    /// Name of the basic axis, whose position is looked up, such as X1.
     pub along: String,
     /// Number of the table, from 0.
     pub table: u16,
     /// Reference point of the basic axis, mm: the value is zero there.
     pub reference_mm: f64,
-    /// Most points: 200, or what MD18342 says.
+    /// Most points: 200, or the value of MD18342.
     pub most: usize,
-    /// A positive value moves the compensation axis up.
+    /// Whether a positive value moves the compensation axis up.
     pub positive_moves_up: bool,
 }
 
 impl Cec {
-    /// The value that takes the error of a point out, mm.
+    /// The value that compensates the error of a point, mm.
     fn value_mm(&self, p: &Point) -> f64 {
         let against = if self.positive_moves_up { -1.0 } else { 1.0 };
         against * p.mean_um() / 1000.0

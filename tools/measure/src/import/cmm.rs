@@ -1,6 +1,5 @@
 //! Hole tables of coordinate measuring machines.
 
-use super::column;
 use crate::plate::NOMINAL_DIAMETER;
 use rtec_files::{InputError, Numbers};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -10,17 +9,17 @@ use std::path::Path;
 /// Columns are `Meas X`, `Meas Y`, `Nom X`, `Nom Y`, `Nom D`, …, mm.
 ///
 /// # Errors
-/// No line with the headings, a row that is too short or holds no numbers.
+/// No line with the headings; a row that is too short or has no numbers.
 pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputError> {
     const HEADINGS: [&str; 5] = ["Meas X", "Meas Y", "Nom X", "Nom Y", "Nom D"];
     let mut places: Option<[usize; 5]> = None;
     let mut rows: Vec<[f64; 5]> = Vec::new();
-    // The decimal mark that the rows so far show.
+    // The decimal mark, as far as the rows show it.
     let mut marks = None;
     for (i, line) in text.lines().enumerate() {
         let at = |found: String, expected: &str| InputError::at(from, i + 1, 1, found, expected);
         let Some(places) = places else {
-            // Headings hold single spaces and stand two or more apart.
+            // Headings contain single spaces and are two or more apart.
             let heads: Vec<&str> = line.split("  ").map(str::trim).filter(|h| !h.is_empty()).collect();
             if HEADINGS.iter().all(|h| heads.contains(h)) {
                 places = Some(HEADINGS.map(|h| heads.iter().position(|x| *x == h).unwrap_or_default()));
@@ -49,15 +48,15 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputErro
         ));
     }
     let axis = |name: &str| Axis::new(name).unwrap_or_else(|| unreachable!("a letter is an axis name"));
-    // To a millionth of a nanometre: what is left of decimal numbers in a float is no error.
+    // Rounded to 1e-9 µm, which removes floating-point noise of decimal numbers.
     let um = |mm: f64| (1e12 * mm).round() / 1e9;
     let get = |of: &dyn Fn(&[f64; 5]) -> f64| rows.iter().map(of).collect::<Vec<_>>();
     let columns = vec![
-        column("x", Role::Position(axis("x")), get(&|r| r[2])),
-        column("y", Role::Position(axis("y")), get(&|r| r[3])),
-        column("ex", Role::Error(axis("x")), get(&|r| um(r[0] - r[2]))),
-        column("ey", Role::Error(axis("y")), get(&|r| um(r[1] - r[3]))),
-        Column { unit: "mm".to_owned(), ..column(NOMINAL_DIAMETER, Role::Channel, get(&|r| r[4])) },
+        Column::new("x", Role::Position(axis("x")), get(&|r| r[2])),
+        Column::new("y", Role::Position(axis("y")), get(&|r| r[3])),
+        Column::new("ex", Role::Error(axis("x")), get(&|r| um(r[0] - r[2]))),
+        Column::new("ey", Role::Error(axis("y")), get(&|r| um(r[1] - r[3]))),
+        Column { unit: "mm".to_owned(), ..Column::new(NOMINAL_DIAMETER, Role::Channel, get(&|r| r[4])) },
     ];
     Record::new(to, Kind::Plate, columns)
 }

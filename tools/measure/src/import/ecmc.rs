@@ -1,19 +1,19 @@
 //! The data file of ecmc's ISO 230-2 test.
 
-use super::column;
+use super::of_targets;
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Reads the data file of ecmc's ISO 230-2 test.
 /// It holds `TGT_DATA[i]`, `REF_DATA_FWD[i,j]`, `REF_DATA_BWD[i,j]`, mm.
 ///
-/// Rows follow the test: cycle by cycle, forward up the targets, backward down them. *Forward* and *backward* are
-/// taken as the file names them.
+/// Rows follow the test: cycle by cycle, forward up the targets, backward down them. *Forward* and *backward*
+/// are as the file names them.
 ///
 /// # Errors
-/// An assignment that is not understood, an index outside its range, a reading or target that is missing.
+/// An invalid assignment, an index outside its range, a missing reading or target.
 pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
     let mut targets: BTreeMap<usize, f64> = BTreeMap::new();
     let mut readings: BTreeMap<(usize, bool, usize), f64> = BTreeMap::new();
@@ -44,7 +44,7 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
             Some((name, _)) if name.starts_with("TGT_") || name.starts_with("REF_") => {
                 return Err(at(name, "TGT_DATA, REF_DATA_FWD or REF_DATA_BWD"));
             }
-            // Names of the sources and counts, keys of another test or a later version: the data speak for themselves.
+            // Names, counts and keys of other tests or versions are ignored.
             _ => {}
         }
     }
@@ -80,15 +80,7 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
     if rows.len() != readings.len() {
         return Err(whole(format!("{} readings for {} places", readings.len(), rows.len()), "one per place"));
     }
-    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
-    let name = axis.as_str();
-    let columns = vec![
-        column("cycle", Role::Cycle, get(0)),
-        column(name, Role::Position(axis.clone()), get(1)),
-        column("direction", Role::Direction(axis.clone()), get(2)),
-        column("error", Role::Error(axis.clone()), get(3)),
-    ];
-    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    let mut record = of_targets(to, axis, &rows)?;
     record.note = Some("forward and backward as the imported file names them".to_owned());
     Ok(record)
 }

@@ -1,11 +1,12 @@
 //! Etalon's exchange format, variant "Vendor".
-//! Like an INI file, `//` begins a comment, a block per error component, in mm and rad (ISG kernel documentation, 296430091).
+//! An INI-like file with `//` comments and one block per error component, in mm and rad (ISG kernel
+//! documentation, 296430091).
 //!
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 
-use super::{add_note, column};
+use super::add_note;
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
 struct Block {
@@ -59,7 +60,7 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
                         .trim();
                     open = Some(i + 1);
                 }
-                // A key of another program; numbers behind a misspelt `Gridpoints` are found by themselves.
+                // A key of another program; a misspelt `Gridpoints` is found by its numbers.
                 _ if line.contains('=') => continue,
                 _ => return Err(at(format!("`{line}`"), "VALUE = …, or Gridpoints = {")),
             }
@@ -81,12 +82,12 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
     }
 }
 
-/// Reads the errors of an axis' motion.
-/// `EXA`, `EYA`, `EZA` of axis A become `error.x`, `error.y`, `error.z` over its position. The sign is as in the file. Angles and other
-/// blocks are named in the note and left out.
+/// Reads the errors of an axis's motion.
+/// `EXA`, `EYA`, `EZA` of axis A become `error.x`, `error.y`, `error.z` over its position, with the file's
+/// sign. Angles and other blocks are left out and named in the note.
 ///
 /// # Errors
-/// A line that is not understood, no such block, blocks of unequal positions, positions that do not rise.
+/// An invalid line, no such block, blocks with different positions, positions that do not rise.
 pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
     let blocks = blocks(from, text)?;
     let moving = axis.as_str().to_ascii_uppercase();
@@ -115,7 +116,7 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
         }
         let Some(response) = Axis::new(&component.to_lowercase()) else { continue };
         let um = block.points.iter().map(|p| 1000.0 * p.1).collect();
-        columns.push(column(&block.name, Role::Error(response), um));
+        columns.push(Column::new(&block.name, Role::Error(response), um));
     }
     if columns.is_empty() {
         let names: Vec<&str> = blocks.iter().map(|b| b.name.as_str()).collect();
@@ -123,7 +124,7 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
             format!("gridpoints of EX{moving}, EY{moving} or EZ{moving}: the errors while {moving} moves");
         return Err(InputError::whole(from, format!("blocks {}", names.join(", ")), expected));
     }
-    columns.insert(0, column(axis.as_str(), Role::Position(axis.clone()), positions));
+    columns.insert(0, Column::new(axis.as_str(), Role::Position(axis.clone()), positions));
     let mut record = Record::new(to, Kind::Positioning, columns)?;
     add_note(
         &mut record,

@@ -1,28 +1,28 @@
-//! What LinuxCNC's `halsampler` prints.
-//! Values parted by blanks, a blank at the end; with `-t` the sample's number in front; a line `overrun` where samples were lost. Times are
-//! not in it: the period is given beside it.
+//! Output of LinuxCNC's `halsampler`.
+//! Values are separated by blanks, with a blank at the end. With `-t` the sample's number comes first. A line
+//! `overrun` marks lost samples. The file has no times, so the period is an option.
 
+use super::add_note;
 use super::table::{Form, ImportColumn, table};
-use super::{add_note, column};
 use rtec_files::InputError;
 use rtec_files::words::is_comment;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
-/// How it was sampled.
+/// How the log was sampled.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sampling {
-    /// Seconds a sample.
+    /// Sampling period, s.
     pub period_s: f64,
-    /// The sample's number stands in front (`-t`).
+    /// Whether the sample's number comes first (`-t`).
     pub numbered: bool,
 }
 
-/// Reads a halsampler log of so many seconds a sample.
-/// Columns are called by their numbers, from 1, the sample's number not counted.
+/// Reads a halsampler log.
+/// Columns are named by their numbers, from 1, without the sample's number.
 ///
 /// # Errors
-/// A period that is none, an overrun in a log without numbers, numbers that do not rise, and what [`table`] finds.
+/// An invalid period, an overrun in a log without numbers, numbers that do not rise, and errors of [`table`].
 pub fn halsampler(
     from: &Path,
     text: &str,
@@ -32,7 +32,7 @@ pub fn halsampler(
     kind: Kind,
     to: &Path,
 ) -> Result<Record, InputError> {
-    /// So many lines that count by one are no chance.
+    /// Fewest lines that count by one and are not chance.
     const COUNTED: usize = 3;
     let Sampling { period_s, numbered } = *sampling;
     if !(period_s > 0.0 && period_s.is_finite()) {
@@ -66,7 +66,7 @@ pub fn halsampler(
     }
     let firsts = text.lines().filter(|l| !is_comment(l)).filter_map(|l| l.split_whitespace().next());
     let numbers: Vec<u64> = firsts.map_while(|word| word.parse().ok()).collect();
-    // Where samples were lost the numbers go on behind a gap.
+    // Numbers skip where samples were lost.
     let by_one = numbers.windows(2).filter(|w| w[1] == w[0] + 1).count();
     let counts = numbers.len() == times.len() && 10 * (by_one + 1) >= 9 * numbers.len();
     if !numbered && counts && times.len() >= COUNTED && wanted.iter().any(|w| w.column == "1") {
@@ -74,7 +74,7 @@ pub fn halsampler(
                         a quantity that counts like this is read by --format own";
         return Err(InputError::at(from, 1, 1, "column 1 counts 0, 1, 2 … line by line", expected));
     }
-    // The number in front is a column of the file; whoever names the columns does not count it.
+    // The sample's number is a column of the file, but not of the user's count.
     let shift = |w: &ImportColumn| match w.column.parse::<usize>() {
         Ok(n) if numbered => ImportColumn { column: (n + 1).to_string(), ..w.clone() },
         _ => w.clone(),
@@ -94,7 +94,7 @@ pub fn halsampler(
         let (a, b) = (times[k] / period_s, times[k + 1] / period_s);
         return Err(InputError::whole(from, format!("sample {b} after {a}"), "numbers that rise"));
     }
-    let mut columns = vec![column("t", Role::Time, times.iter().map(|t| t - start).collect())];
+    let mut columns = vec![Column::new("t", Role::Time, times.iter().map(|t| t - start).collect())];
     columns.append(&mut record.columns);
     let mut record = super::record_of(to, kind, columns, form.log)?;
     add_note(&mut record, &format!("halsampler, {period_s} s a sample"));

@@ -1,18 +1,17 @@
 //! LinuxCNC's compensation file, read as LinuxCNC reads it.
 
-use super::column;
 use crate::export::linuxcnc::{MOST, Unit};
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
-/// Reads a LinuxCNC compensation file (`COMP_FILE`): `nominal forward backward` per line, in machine units.
-/// Type 0 gives the positions reached, type 1 (`trims`) the trims added to the command; an error is position reached minus
-/// nominal either way.
+/// Reads a LinuxCNC compensation file (`COMP_FILE`).
+/// Lines are `nominal forward backward` in machine units. Type 0 gives the positions reached, type 1
+/// (`trims`) the values added to the command. Errors are position reached less nominal.
 ///
 /// # Errors
-/// A line that does not begin with three numbers while points stand behind it: LinuxCNC stops there without a word, and
-/// compensates by what stands before. Positions that do not rise, fewer than two points or more than LinuxCNC takes.
+/// A line that does not begin with three numbers before further points: LinuxCNC stops there silently and
+/// uses the points before it. Positions that do not rise, fewer than two points or more than LinuxCNC takes.
 pub fn linuxcnc_comp(
     from: &Path,
     text: &str,
@@ -62,7 +61,7 @@ pub fn linuxcnc_comp(
         ));
     }
     let error = |nominal: f64, v: f64| 1000.0 * if trims { -v } else { v - nominal };
-    // An error along with the position at one to one: positions read as trims, or trims as positions.
+    // A slope near 1: positions read as trims, or trims as positions.
     let ends = [rows[0], rows[rows.len() - 1]];
     let [first, last] = ends.map(|r| error(r[0], r[1]) / 1000.0);
     let slope = (last - first) / (ends[1][0] - ends[0][0]);
@@ -83,9 +82,9 @@ pub fn linuxcnc_comp(
     let down = rows.iter().rev().map(|r| (r[0], -1.0, error(r[0], r[2])));
     let all: Vec<(f64, f64, f64)> = up.chain(down).collect();
     let columns = vec![
-        column(axis.as_str(), Role::Position(axis.clone()), all.iter().map(|r| r.0).collect()),
-        column("direction", Role::Direction(axis.clone()), all.iter().map(|r| r.1).collect()),
-        column("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
+        Column::new(axis.as_str(), Role::Position(axis.clone()), all.iter().map(|r| r.0).collect()),
+        Column::new("direction", Role::Direction(axis.clone()), all.iter().map(|r| r.1).collect()),
+        Column::new("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
     ];
     Record::new(to, Kind::Positioning, columns)
 }

@@ -1,4 +1,4 @@
-//! A table described by a file of the user's own:
+//! A table described by the user's TOML file:
 //!
 //! ```toml
 //! kind = "drift"
@@ -110,7 +110,7 @@ impl OwnTable {
             let made = ImportColumn::of(&column, entry.key(), parsed, unit, factor, number("add", 0.0)?);
             let place = t.get("unit").unwrap_or(role);
             let made = made.map_err(|(found, expected)| place.error(found, expected))?;
-            // Behind a factor it is no unit of the file's.
+            // After a factor the unit is not the file's.
             let unit_said =
                 made.unit_said.clone().filter(|_| t.get("factor").is_none() && t.get("add").is_none());
             columns.push(ImportColumn { unit_said, ..made });
@@ -121,7 +121,7 @@ impl OwnTable {
         Ok(Self { form, columns, kind })
     }
 
-    /// Reads a table as it is described.
+    /// Reads a table of this description.
     ///
     /// # Errors
     /// As [`table`].

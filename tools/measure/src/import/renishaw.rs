@@ -1,17 +1,19 @@
-//! `.rtl`, the linear targets of a laser interferometer: sections that end in `::`, deviations as `run target value`.
+//! `.rtl` files of a laser interferometer: linear targets.
+//! Sections end in `::`; deviations are `run target value`.
 //!
-//! The structure is that of programs by others that read such files. No file of the maker's was seen, and the maker publishes no
-//! description. Targets are in mm, deviations in µm, measured minus target. The target's number counts, not the order of the rows.
+//! The structure is that of other programs that read such files; no original file or description was
+//! available. Targets are in mm, deviations in µm, measured less target. Targets are identified by number,
+//! not by the order of rows.
 
-use super::{add_note, column};
+use super::{add_note, of_targets};
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record};
 use std::path::Path;
 
 /// Decodes a text in any encoding: UTF-16 or UTF-8 if it is, otherwise Latin-1.
 ///
 /// # Errors
-/// UTF-16 with half a character in it.
+/// UTF-16 with half a character.
 pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return rtec_files::text::decode(file, bytes);
@@ -20,7 +22,7 @@ pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
         .unwrap_or_else(|_| bytes.iter().map(|b| char::from(*b)).collect()))
 }
 
-/// What a section `NAME::` holds.
+/// A section `NAME::` and its lines.
 struct Section<'t> {
     name: &'t str,
     /// Line number and text.
@@ -44,7 +46,7 @@ fn sections(text: &str) -> Vec<Section<'_>> {
 /// Directions are those in which a run goes through its targets.
 ///
 /// # Errors
-/// A section that is missing, a count that does not hold, a run without one of its targets, a file of angles.
+/// A missing section, a wrong count, a run without one of its targets, a file of angles.
 pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
     let sections = sections(text);
     let section = |name: &str| {
@@ -94,17 +96,10 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     let runs = count(section("RUNS")?, "Run-count")?;
     let listed = deviations(from, section("DEVIATIONS")?, targets.len(), runs)?;
     let (rows, notes) = rows(from, &listed, &targets)?;
-    let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
-    let columns = vec![
-        column("cycle", Role::Cycle, get(0)),
-        column(axis.as_str(), Role::Position(axis.clone()), get(1)),
-        column("direction", Role::Direction(axis.clone()), get(2)),
-        column("error", Role::Error(axis.clone()), get(3)),
-    ];
-    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    let mut record = of_targets(to, axis, &rows)?;
     if let Ok(user) = section("USER-TEXT") {
         for key in ["Machine", "Serial No", "Date", "By", "Axis", "Location", "TITLE"] {
-            // Free text: whatever it says, it is a note.
+            // Free text becomes a note.
             let Ok((line, text)) = value(user, key) else { continue };
             let own = text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
             if key == "Axis" && own.len() == 1 && !own.eq_ignore_ascii_case(axis.as_str()) {
@@ -130,7 +125,7 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
     Ok(record)
 }
 
-/// The numbers behind `Targets :`, over as many lines as they take.
+/// The numbers after `Targets :`, over several lines if needed.
 fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>, InputError> {
     let mut targets = Vec::new();
     let mut inside = false;
@@ -157,10 +152,10 @@ fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>,
     Ok(targets)
 }
 
-/// A deviation: its line, its target's place, µm.
+/// A deviation: line number, index of the target, µm.
 type Deviation = (usize, usize, f64);
 
-/// The deviations run by run, as many in each as there are targets.
+/// The deviations by run, one per target.
 fn deviations(
     from: &Path,
     section: &Section<'_>,
@@ -207,7 +202,7 @@ fn deviations(
     Ok(listed)
 }
 
-/// Rows of cycle, position, direction and error; and what was left out.
+/// Rows of cycle, position, direction and error; and a message about rows left out.
 fn rows(
     from: &Path,
     listed: &[Vec<Deviation>],
@@ -245,7 +240,7 @@ fn rows(
     Ok((rows, notes))
 }
 
-/// What a file of another type than linear targets holds.
+/// Content of files with another type than linear targets.
 fn other_type(kind: &str) -> Option<&'static str> {
     match kind {
         "rta" => Some("angular targets, in degrees"),

@@ -1,4 +1,4 @@
-//! A file to import, as somebody names it: what it is, and what stands in it.
+//! Options of an import: the file, its format and contents.
 
 use super::{Form, ImportColumn, OwnTable, Sampling, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
@@ -11,7 +11,7 @@ use rtec_model::record::{Axis, Kind, Record};
 use std::path::{Path, PathBuf};
 
 rtec_files::choice! {
-    /// The formats, as they are called.
+    /// The formats and their names.
     pub enum ImportFormat {
         EcmcDat = "ecmc-dat", "ecmc's ISO 230-2 data: `TGT_DATA`, `REF_DATA_FWD`, `REF_DATA_BWD`";
         LinuxcncComp0 = "linuxcnc-comp0",
@@ -31,7 +31,7 @@ rtec_files::choice! {
 }
 
 impl ImportFormat {
-    /// What such a file says that it is.
+    /// The kind of file that content recognition reports for this format.
     fn kind(self) -> Option<FileKind> {
         match self {
             Self::EcmcDat => Some(FileKind::Ecmc),
@@ -46,44 +46,44 @@ impl ImportFormat {
     }
 }
 
-/// What is to be imported.
+/// Options of an import.
 #[derive(Debug, Clone)]
 pub struct ImportRequest {
     /// The file.
     pub file: PathBuf,
-    /// What it is.
+    /// Its format.
     pub format: ImportFormat,
-    /// The axis that was measured, where the file does not say.
+    /// The measured axis, if the file does not state it.
     pub axis: Option<String>,
     /// Columns with their roles, as `t=time:min`.
     pub columns: Vec<String>,
-    /// What kind of run it is, where the file does not say.
+    /// Kind of the run, if the file does not state it.
     pub kind: String,
-    /// Numbers with a decimal comma; either where it is left out.
+    /// Whether numbers have a decimal comma; `None`: either.
     pub decimal_comma: Option<bool>,
-    /// A log, which need not have a response.
+    /// Whether it is a log, which needs no response.
     pub log: bool,
-    /// halsampler: seconds a sample.
+    /// halsampler: sampling period, s.
     pub period_s: Option<f64>,
-    /// halsampler: the sample's number in front.
+    /// halsampler: whether the sample's number comes first.
     pub numbered: bool,
     /// LinuxCNC: the machine's unit.
     pub unit: Unit,
     /// Own: the file that describes the table.
     pub form: Option<PathBuf>,
-    /// Velocity and acceleration from the positions are wanted.
+    /// Whether to derive velocity and acceleration from positions.
     pub derive: bool,
-    /// Ballbar: its circle.
+    /// Circle of a ballbar record.
     pub circle: Option<Circle>,
-    /// Where the record will stand.
+    /// Path of the future record.
     pub out: PathBuf,
 }
 
 impl ImportRequest {
-    /// Reads the file as a record, which is not written yet.
+    /// Reads the file as a record; the record is not written yet.
     ///
     /// # Errors
-    /// The first finding in the file, or in what was said of it.
+    /// The first finding in the file or in the options.
     pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record, InputError> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let bytes = rtec_files::text::bytes(file)?;
@@ -96,14 +96,14 @@ impl ImportRequest {
             }
             text
         };
-        // What is wrong with its columns is wrong in the file that was given: the record is not written yet.
+        // The record is not written yet, so its findings name the imported file.
         let mut record = self
             .of_text(&text)
             .map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })
             .map_err(
                 |e| if e.file == file { FileKind::instead_of(self.format.kind(), &text, e) } else { e },
             )?;
-        // What is written beside the sidecar is a plain CSV.
+        // The file that will be written is a plain CSV.
         if let Some(written) = record.written.take() {
             say(Said::Note(written));
         }
@@ -180,8 +180,8 @@ impl ImportRequest {
     }
 }
 
-/// Columns whose names hold commas, put together again.
-/// What has no `=` belongs to the next.
+/// Joins the parts of column names that contain commas.
+/// A part without `=` belongs to the next one.
 fn with_commas(parts: &[String]) -> Vec<String> {
     let mut whole: Vec<String> = Vec::new();
     let mut is_open = false;
@@ -195,7 +195,7 @@ fn with_commas(parts: &[String]) -> Vec<String> {
     whole
 }
 
-/// Whether two paths lead to one file that is there.
+/// Whether two paths lead to one existing file.
 fn same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }

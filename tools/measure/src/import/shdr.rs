@@ -1,8 +1,8 @@
-//! A log of `MTConnect`'s SHDR lines: `TIME|KEY|VALUE`, several pairs a line.
-//! What is not a sample of a wanted key is passed over.
+//! A log of `MTConnect` SHDR lines: `TIME|KEY|VALUE`, several pairs a line.
+//! Lines that are not samples of a wanted key are ignored.
 
 use super::table::ImportColumn;
-use super::{add_note, column, record_of};
+use super::{add_note, record_of};
 use rtec_files::InputError;
 use rtec_files::clock::{self, Counted, day, iso8601_ns};
 use rtec_files::words::is_comment;
@@ -10,11 +10,11 @@ use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
 /// Reads the wanted keys.
-/// A row whenever one of them is told, the others as they were told last. Rows begin when all are known, and pause while one is
-/// `UNAVAILABLE`. Times are ISO 8601, or seconds; time 0 is the first row's.
+/// Every change of a key gives a row; the other keys keep their last values. Rows begin when all are known,
+/// and pause while one is `UNAVAILABLE`. Times are ISO 8601, or seconds; time 0 is the first row's.
 ///
 /// # Errors
-/// A time that is none or runs backwards, a wanted value that is no number, a wanted key that is never told.
+/// An invalid or decreasing time, a wanted value that is not a number, a wanted key without a value.
 pub fn shdr(
     from: &Path,
     text: &str,
@@ -36,13 +36,13 @@ pub fn shdr(
     let (mut times, mut start): (Vec<i128>, Option<(i128, String)>) = (Vec::new(), None);
     let mut lines = text.lines().enumerate();
     while let Some((i, line)) = lines.next() {
-        // Lines of the protocol itself (`* PING`) and empty ones.
+        // Protocol lines (`* PING`), comments and empty lines.
         if line.trim().is_empty() || line.starts_with('*') || is_comment(line) {
             continue;
         }
         let mut fields = line.split('|');
         let stamp = fields.next().unwrap_or_default();
-        // A duration may follow the time behind an @.
+        // A duration may follow the time after an @.
         let time = stamp.split('@').next().unwrap_or(stamp);
         let ns = nanoseconds(time).ok_or_else(|| {
             let expected = "a time as 2022-08-08T13:51:37.25Z, or seconds, then |";
@@ -83,7 +83,7 @@ pub fn shdr(
             return Err(InputError::at(from, i + 1, 1, found, "times that never decrease"));
         }
         if times.last() == Some(&ns) {
-            // Told at one time: one row.
+            // Changes at one time give one row.
             times.pop();
             for data in &mut data {
                 data.pop();
@@ -101,12 +101,13 @@ pub fn shdr(
     let Some((first, text)) = start else {
         return Err(InputError::whole(from, "no time at which all wanted keys are known", "at least one"));
     };
-    let mut columns = vec![column("t", Role::Time, times.iter().map(|t| (t - first) as f64 / 1e9).collect())];
+    let mut columns =
+        vec![Column::new("t", Role::Time, times.iter().map(|t| (t - first) as f64 / 1e9).collect())];
     columns.extend(
         wanted
             .iter()
             .zip(data)
-            .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) }),
+            .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) }),
     );
     let mut record = record_of(to, kind, columns, log)?;
     let counted = text.parse().ok().and_then(clock::counted);
@@ -125,7 +126,7 @@ fn nanoseconds(time: &str) -> Option<i128> {
     iso8601_ns(time).or_else(|| seconds().map(|s| (s * 1e9).round() as i128))
 }
 
-/// A sample's value, none where it is not available; `None` where it is no sample.
+/// Value of a sample, `Some(None)` if unavailable; `None` if it is not a sample.
 #[allow(clippy::option_option)]
 fn sample(value: &str) -> Option<Option<f64>> {
     if value.is_empty() || value.eq_ignore_ascii_case("UNAVAILABLE") {

@@ -1,7 +1,7 @@
-//! Any table whose columns somebody names.
-//! What parts them, how its numbers are written, which roles and units they have.
+//! Imports any table with named columns.
+//! Options: separator, number format, roles and units.
 
-use super::{add_note, column, record_of};
+use super::{add_note, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
@@ -13,24 +13,25 @@ use std::path::Path;
 /// A column of a table that is to be imported.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImportColumn {
-    /// The column's name in the header; its number from 1 where the table has none.
+    /// Name in the header, or number from 1 if the table has no header.
     pub column: String,
-    /// The name it gets in the record.
+    /// Name in the record.
     pub name: String,
-    /// The role it takes in the record.
+    /// Role in the record.
     pub role: Role,
-    /// The unit it has in the record: the role's own, or any for a channel.
+    /// Unit in the record: the role's own, or any for a channel.
     pub unit: String,
-    /// What the file has it in: factor to that unit, and what to add then.
+    /// Factor and offset from the file's unit to that unit.
     pub scale: [f64; 2],
-    /// Somebody said the unit; else the column's name may state it.
+    /// Whether the user stated the unit; otherwise the column's name may state it.
     pub unit_given: bool,
-    /// The unit that the file has it in, where somebody said that without a factor.
+    /// The file's unit, if the user stated it without a factor.
     pub unit_said: Option<String>,
 }
 
 impl ImportColumn {
-    /// `NAME=ROLE`, `NAME=ROLE:UNIT` or `NAME=ROLE:ANY*FACTOR=UNIT`, as `gauge=error.z:mm` or `volt=force.x:V*35.15=N`.
+    /// Parses `NAME=ROLE`, `NAME=ROLE:UNIT` or `NAME=ROLE:ANY*FACTOR=UNIT`.
+    /// Examples: `gauge=error.z:mm`, `volt=force.x:V*35.15=N`.
     ///
     /// # Errors
     /// What was found and what was expected.
@@ -38,7 +39,7 @@ impl ImportColumn {
         let form =
             "NAME=ROLE, NAME=ROLE:UNIT or NAME=ROLE:V*FACTOR=UNIT, as t=time:min or volt=force.x:V*35.15=N";
         let bad = |found: &str, expected: &str| (format!("`{found}`"), expected.to_owned());
-        // A name may hold equals signs: the one that a role stands behind is meant.
+        // A name may contain equal signs: split at the one before a role.
         let parts = text.match_indices('=').map(|(at, _)| (&text[..at], &text[at + 1..]));
         let role_of = |rest: &str| Role::parse(rest.split(':').next().unwrap_or(rest));
         let (name, rest) = parts
@@ -66,7 +67,7 @@ impl ImportColumn {
         Ok(Self { unit_said: None, ..Self::of(name, name, role, Some(unit), number, 0.0)? })
     }
 
-    /// A column that holds a quantity in a unit, after a factor and an offset.
+    /// A column with a quantity in a unit, after a factor and an offset.
     ///
     /// # Errors
     /// What was found and what was expected.
@@ -108,7 +109,7 @@ impl ImportColumn {
         })
     }
 
-    /// The column in the unit that its name in the header states, and that unit.
+    /// The column in the unit that its header name states, and that unit.
     fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>), InputError> {
         let name = header.names().nth(place).unwrap_or_default();
         if let Some((said, stated)) =
@@ -125,7 +126,7 @@ impl ImportColumn {
         };
         let [factor, add] = self.scale;
         match Self::of(&self.column, &self.name, self.role.clone(), Some(stated.unit), factor, add) {
-            // Behind a `_` stands many a word, and any is a channel's unit.
+            // Any word may follow a `_`, and any word is a valid unit of a channel.
             Ok(_) if self.role.unit().is_none() && !stated.in_brackets => Ok((self.clone(), None)),
             Ok(found) => {
                 let is_other = self.role.unit().is_some_and(|own| own != stated.unit);
@@ -141,26 +142,26 @@ impl ImportColumn {
     }
 }
 
-/// How a table is written.
+/// Format of a table.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Form {
     /// Separator of columns: `,`, `;`, a tab, or a blank for any number of blanks.
-    /// `None`: as the header line shows.
+    /// `None`: from the header line.
     pub by: Option<char>,
-    /// Numbers have a decimal comma.
-    /// `None`: they may, if semicolons separate the columns.
+    /// Whether numbers have a decimal comma.
+    /// `None`: allowed if semicolons separate the columns.
     pub decimal_comma: Option<bool>,
-    /// Lines in front that are not looked at.
+    /// Leading lines to skip.
     pub skip: usize,
-    /// It has no line of names: columns are called by their numbers, from 1.
+    /// Whether it has no header line; columns are named by number, from 1.
     pub nameless: bool,
-    /// What a comment begins with, beside `#`.
+    /// Start of a comment, in addition to `#`.
     pub comment: Option<String>,
-    /// A log: it need not have a response.
+    /// Whether it is a log, which needs no response.
     pub log: bool,
 }
 
-/// The text as the CSV reader takes it, line by line in its place.
+/// The text in the form that the CSV reader accepts, with the same line numbers.
 fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
     if form.skip == 0 && form.comment.is_none() && form.by != Some(' ') {
         return Cow::Borrowed(text);
@@ -172,7 +173,7 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
             line = &line[..at];
         }
         if form.by == Some(' ') {
-            // A tab in place of the first blank behind every word: the cells keep their columns.
+            // The first blank after a word becomes a tab, so columns of cells stay.
             let mut inside = false;
             for c in line.trim_end().chars() {
                 let blank = c.is_whitespace();
@@ -193,15 +194,15 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
     Cow::Owned(out)
 }
 
-/// What a table begins with.
+/// Expected first line of a table.
 const HEADER: &str = "a header line";
 
 /// Reads the wanted columns of a table.
-/// Times may be ISO 8601: time 0 is then the first row's, and the record's note states its date.
+/// Times may be ISO 8601: then time 0 is the first row's, and the record's note states its date.
 ///
 /// # Errors
-/// A wanted column that is not there or there twice, a row that is too short or too long, a field that is no number; and
-/// what [`Record::new`] finds.
+/// A wanted column that is missing or occurs twice, a row that is too short or too long, a field that is not
+/// a number, and errors of [`Record::new`].
 pub fn table(
     from: &Path,
     text: &str,
@@ -296,7 +297,7 @@ pub fn table(
     let columns = wanted
         .iter()
         .zip(data)
-        .map(|(w, data)| Column { unit: w.unit.clone(), ..column(&w.name, w.role.clone(), data) });
+        .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) });
     let mut record = record_of(to, kind, columns.collect(), form.log)?;
     let by_name = (!by_name.is_empty())
         .then(|| format!("{}: read by its name: {}", from.display(), by_name.join(", ")));
@@ -309,8 +310,8 @@ pub fn table(
     Ok(record)
 }
 
-/// The columns with one of the time, and the place of the second column of the
-/// time: date and time of the day may have a column each.
+/// Merges date and time of day in two columns into one time column.
+/// Returns the columns, their places, and the place of the second column.
 fn with_one_time(
     mut wanted: Vec<ImportColumn>,
     mut places: Vec<usize>,
@@ -322,12 +323,12 @@ fn with_one_time(
     (wanted, places, Some(place))
 }
 
-/// A date and its time of the day, of which either may come first.
+/// Joins a date and a time of day given in either order.
 fn joined(one: &str, other: &str) -> Cow<'static, str> {
     Cow::Owned(if clock::is_day(one) { format!("{one} {other}") } else { format!("{other} {one}") })
 }
 
-/// A reader of the table behind its header, and the header unless it has none.
+/// A reader of the table after its header, and the header if there is one.
 fn opened<'t>(
     from: &Path,
     text: &'t str,
@@ -352,7 +353,7 @@ fn opened<'t>(
     Ok((reader, header))
 }
 
-/// What was expected of a cell that is no number.
+/// The expected content of a cell that is not a number.
 fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: Numbers) -> &'static str {
     if let Some(expected) = clock::expected_instead(cell).filter(|_| is_time) {
         expected
@@ -370,17 +371,17 @@ fn cut_note(line: usize) -> String {
     )
 }
 
-/// Nothing, or a word that may be a unit: short, and no number.
+/// Whether the text is empty or may be a unit: short and not a number.
 fn is_unit(text: &str) -> bool {
     let bare = text.trim_matches(['(', ')', '[', ']', '\'', ' ']);
     bare.chars().count() <= 8 && !bare.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
 }
 
-/// Number of rows with equally many decimals that show how a program writes them.
+/// Fewest rows with equal decimals that show a program's number format.
 const ALIKE_ROWS: usize = 5;
 
-/// The last line, from 1, where a log was cut off within its last number.
-/// It has no line end, and fewer decimals than all others.
+/// The last line, from 1, if the log was cut off within its last number.
+/// Such a line has no line end, and fewer decimals than all others.
 fn cut_line(text: &str, by: char) -> Option<usize> {
     if text.ends_with(['\n', '\r']) {
         return None;
@@ -393,7 +394,7 @@ fn cut_line(text: &str, by: char) -> Option<usize> {
     };
     let lines: Vec<&str> = text.lines().collect();
     let (last, before) = lines.split_last()?;
-    // The header, and what stands in front of it, has no number there.
+    // Stops at the header and the lines before it, which have no number there.
     let counts: Vec<usize> = before.iter().rev().map_while(|line| decimals(line)).collect();
     let usual = *counts.first()?;
     let cut = counts.len() >= ALIKE_ROWS && counts.iter().all(|n| *n == usual) && decimals(last)? < usual;
@@ -405,7 +406,7 @@ const SUMMER_S: f64 = 3600.0;
 /// Values of a counter of 32 bits.
 const COUNTER: f64 = 4_294_967_296.0;
 
-/// What the dates of a column show of their order; none where no cell has a slash.
+/// Order of day and month in a column; `None` if no cell looks like a date.
 fn slash_order(text: &str, place: usize, by: char) -> Option<clock::SlashOrder> {
     let is_date = |cell: &str| cell.contains(['/', '-']);
     is_date(text).then_some(())?;
@@ -415,28 +416,27 @@ fn slash_order(text: &str, place: usize, by: char) -> Option<clock::SlashOrder> 
     clock::slash_order(cells.iter().map(String::as_str))
 }
 
-/// A time column that need not begin with the run.
+/// State of a time column that may not begin with the run.
 #[derive(Default)]
 struct Clock {
     moments: Moments,
-    /// The last time, as it is written.
+    /// The last time as written.
     written: String,
-    /// The first row's time, in the column's unit, if its epoch is long before the run.
+    /// The first row's time in the column's unit, if its epoch is long before the run.
     counted: Option<(f64, Counted)>,
-    /// The last time that is a number, as the file has it.
+    /// The last numeric time, in the file's unit.
     last: Option<f64>,
 }
 
 impl Clock {
-    /// Of a table's time column, whose dates may show their order.
+    /// For a table's time column, whose dates may show their order.
     fn of(text: &str, wanted: &[ImportColumn], places: &[usize], by: char) -> Self {
         let time = wanted.iter().zip(places).find(|(w, _)| w.role == Role::Time);
         let order = time.and_then(|(_, place)| slash_order(text, *place, by));
         Self { moments: Moments::of_order(order), ..Self::default() }
     }
 
-    /// Seconds since the first row of a date or a time of day.
-    /// `first`: this is the first row.
+    /// Seconds since the first row, of a date or a time of day.
     fn moment(&mut self, text: &str, first: bool) -> Option<f64> {
         if !first && self.moments.start().is_none() {
             return None;
@@ -444,8 +444,8 @@ impl Clock {
         Some(self.moments.since_start(text)? as f64 / 1e9)
     }
 
-    /// The message for a time that is set back an hour, as at the end of summer time.
-    /// `before`: the times so far.
+    /// Message about a time set back by an hour, as at the end of summer time.
+    /// `before` are the times so far.
     fn set_back(&mut self, text: &str, s: f64, before: &[f64]) -> Option<String> {
         let last = std::mem::replace(&mut self.written, text.to_owned());
         let [.., a, b] = before else { return None };
@@ -481,7 +481,7 @@ impl Clock {
             && w.scale[0] > 1.0
             && let Some(found) = clock::counted(number)
         {
-            // Minutes or hours of that number are no clock; as it stands it is one.
+            // The number is a clock in its own unit, but not in minutes or hours.
             let (column, unit, what) = (&w.column, found.unit, found.what);
             return Err(format!(
                 "a time in the unit of its clock: this is {what} in {unit}, as {column}=time:{unit}"
@@ -495,7 +495,7 @@ impl Clock {
         Ok(number - self.counted.as_ref().map_or(0.0, |(first, _)| *first))
     }
 
-    /// Says when time 0 was, and what looks odd.
+    /// Adds the date of time 0 and oddities of the clock to the note.
     fn note(self, record: &mut Record) {
         if let Some(text) = self.moments.start() {
             if let Some(day) = self.moments.first_day() {
@@ -522,7 +522,7 @@ impl Clock {
 }
 
 /// The one row that comes an hour late, from 1.
-/// With its time since the row before and the usual one, s.
+/// Also its time step and the usual one, s.
 fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
     let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
     let at = steps.iter().position(|s| *s >= SUMMER_S)?;
@@ -534,8 +534,8 @@ fn put_forward(times: &[f64]) -> Option<(usize, f64, f64)> {
     is_hour.then(|| (at + 2, tidy(gap), tidy(usual)))
 }
 
-/// How the numbers of each wanted column are written.
-/// As the form says, or as all its cells show; and what was found of it.
+/// Number format of each wanted column, and a message about it.
+/// From the form, or from all cells of the column.
 fn numbers(
     from: &Path,
     text: &str,
@@ -581,7 +581,7 @@ mod tests {
         for whole in ["", "5,21.56", "5,21.56\n", "5,2\n"] {
             assert_eq!(cut_line(&format!("{rows}{whole}"), ','), None, "{whole}");
         }
-        // Trailing zeros are left out by some programs.
+        // Some programs omit trailing zeros.
         assert_eq!(cut_line("e\n1.5\n1.25\n1.5\n1.5\n1.5\n2", ','), None);
     }
 

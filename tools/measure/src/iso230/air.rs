@@ -1,9 +1,10 @@
 //! The air in a laser interferometer's path.
 //! Its refractive index, and the length error if the instrument assumed another one.
 //!
-//! The index is Edlén's equation as revised by Birch and Downs (Metrologia 30, 1993, 155; 31, 1994, 315), from −40 to 100 °C. The water
-//! vapour's term is by Stone and Zimmerman (NIST Engineering Metrology Toolbox, "Index of Refraction of Air", appendix A-IV). The pressure
-//! of saturated vapour is that of IAPWS R7-97 over water, and of Wagner and others (1994) over ice (A-I there).
+//! The index is Edlén's equation as revised by Birch and Downs (Metrologia 30, 1993, 155; 31, 1994, 315),
+//! from −40 to 100 °C. The water vapour's term is by Stone and Zimmerman (NIST Engineering Metrology Toolbox,
+//! "Index of Refraction of Air", appendix A-IV). The pressure of saturated vapour is that of IAPWS R7-97 over
+//! water, and of Wagner and others (1994) over ice (A-I there).
 
 use super::lacks;
 use rtec_files::InputError;
@@ -15,7 +16,7 @@ use serde::Serialize;
 const HELIUM_NEON_NM: f64 = 632.991;
 const KELVIN: f64 = 273.15;
 
-/// Air, as far as its refractive index depends on it.
+/// The state of the air that determines its refractive index.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AirState {
     /// Temperature, °C.
@@ -62,13 +63,13 @@ fn saturated_pa(degc: f64) -> f64 {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum AirTemperature {
-    /// °C throughout.
+    /// °C, constant.
     Degc(f64),
-    /// As this sensor read it, row by row.
+    /// The readings of this sensor, row by row.
     Sensor(String),
 }
 
-/// The air along the laser's path, and what the instrument took it to be.
+/// The air along the laser's path, and the air that the instrument assumed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Air {
     /// Its temperature.
@@ -78,11 +79,11 @@ pub struct Air {
     pub kpa: f64,
     /// Its relative humidity, %.
     pub rh_percent: f64,
-    /// What the instrument compensated for.
+    /// The air that the instrument compensated for.
     pub assumed: AirState,
-    /// Path between interferometer and reflector where the reading was set to zero, mm.
+    /// Path between interferometer and reflector at the zero of the reading, mm.
     pub dead_path_mm: f64,
-    /// Where that was on the axis, mm; the record's first place where it is not said.
+    /// Axis position of that zero, mm; `None`: the first row.
     /// From there the reflector moves away.
     pub zero_mm: Option<f64>,
     /// Vacuum wavelength, nm.
@@ -102,13 +103,13 @@ const KEYS: [&str; 10] = [
     "wavelength_nm",
 ];
 
-/// Where the equation holds.
+/// Range of the equation: °C, kPa, %.
 const DEGC: [f64; 2] = [-40.0, 100.0];
 const KPA: [f64; 2] = [10.0, 140.0];
 const PERCENT: [f64; 2] = [0.0, 100.0];
 
 impl Air {
-    /// Of the table `[air]`.
+    /// Reads the table `[air]`.
     pub(super) fn read(table: &Table<'_>) -> Result<Self, InputError> {
         table.only(&KEYS)?;
         let number = |key: &str, [low, high]: [f64; 2], what: &str| {
@@ -151,8 +152,7 @@ impl Air {
         })
     }
 
-    /// Each error (µm) as if the instrument had known its air, and a message.
-    /// The errors are at the given places.
+    /// Errors (µm) at these positions corrected for the real air, and a message.
     pub(super) fn corrected(
         &self,
         record: &Record,
@@ -184,7 +184,7 @@ impl Air {
         let rows = position_mm.iter().zip(error_um).zip(&degc);
         let corrected = rows.map(|((p, e), degc)| {
             let shown_mm = away * (p + e / 1000.0 - zero_mm);
-            // Waves counted since the zero: n·(dead path + way) − n₀·dead path.
+            // Wavelengths counted since the zero: n·(dead path + travel) − n₀·dead path.
             let way_mm = (assumed * shown_mm + at_zero * self.dead_path_mm) / n(*degc) - self.dead_path_mm;
             e + away * (way_mm - shown_mm) * 1000.0
         });
@@ -210,7 +210,8 @@ mod tests {
     use rtec_model::record::{Column, Kind};
     use std::path::Path;
 
-    /// NIST Engineering Metrology Toolbox, "Index of Refraction of Air", table of the modified Edlén equation: °C, %, kPa, nm, n.
+    /// NIST Engineering Metrology Toolbox, "Index of Refraction of Air", table of the modified Edlén
+    /// equation: °C, %, kPa, nm, n.
     const PUBLISHED: [(f64, f64, f64, f64, f64); 14] = [
         (20.0, 0.0, 101.325, 633.0, 1.000_271_799),
         (20.0, 0.0, 60.0, 633.0, 1.000_160_920),
@@ -242,7 +243,7 @@ mod tests {
         assert!((saturated_pa(-1e-9) - 611.0).abs() < 1.0);
     }
 
-    /// The same table's column of Ciddor's equation, row by row.
+    /// The same table's column of Ciddor's equation.
     const CIDDOR: [f64; 14] = [
         1.000_271_800,
         1.000_160_924,
@@ -260,7 +261,7 @@ mod tests {
         1.000_427_233,
     ];
 
-    /// In a shop's air both equations differ by 0.012 µm per metre at most.
+    /// In the air of a shop both equations differ by at most 0.012 µm per metre.
     #[test]
     fn the_other_equation_says_the_same_in_a_shop() {
         let mut seen = 0;
@@ -284,8 +285,7 @@ mod tests {
     const SAID: &str = "sensor = \"T1\"\nkPa = 95.0\nrh_percent = 30\nassumed_degC = 20\nassumed_kPa = 101.325\n\
                         assumed_rh_percent = 50\ndead_path_mm = 800\n";
 
-    /// A laser that counts waves, in air that warms.
-    /// What it shows, corrected, is where the axis was, both ways from the zero.
+    /// A laser in warming air: the corrected reading is the position.
     #[test]
     fn what_a_laser_shows_in_any_air_is_corrected() {
         let rows = 60;

@@ -1,4 +1,4 @@
-//! What a test was done under, as a file beside the records, and the uncertainty that follows from it.
+//! Conditions of a test, from a file beside the records, and its uncertainty.
 //!
 //! ```toml
 //! machine = "machining centre 12"       # free words: machine, axis, place, operator, date
@@ -45,7 +45,7 @@ pub struct Expansion {
     pub ppm_per_k: f64,
 }
 
-/// What a test was done under.
+/// Conditions of a test.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Conditions {
     /// Words about machine, place and people, and about the test, in the file's order.
@@ -54,7 +54,7 @@ pub struct Conditions {
     pub instrument: Vec<(String, String)>,
     /// The machine's scale, for the reduction to 20 °C.
     pub scale: Option<Expansion>,
-    /// What it was measured against: work piece, artefact.
+    /// The body it was measured against: work piece or artefact.
     pub workpiece: Option<Expansion>,
     /// The air along a laser's path.
     pub air: Option<Air>,
@@ -79,8 +79,7 @@ const KEYS: [(&str, &str); 13] = [
     ("set_up_um", "the set-up, k = 2"),
 ];
 
-/// Keys that say something only together.
-/// A coefficient and what it is multiplied by.
+/// Keys that are needed together: a coefficient and its factor.
 const PAIRS: [(&str, &str); 4] = [
     ("machine_temperature_K", "machine_ppm_per_K"),
     ("machine_off_20_K", "machine_expansion_ppm_per_K"),
@@ -125,7 +124,7 @@ impl Conditions {
                         if v < 0.0 {
                             return Err(e.mismatch(format!("{meaning}: not below zero")));
                         }
-                        // No device and no solid is so good: a number of another unit.
+                        // No device and no solid has such a value: it is in another unit.
                         if key.contains("_per_") && v != 0.0 && !(1e-3..=100.0).contains(&v) {
                             return Err(
                                 e.mismatch(format!("{meaning}: 0.001 to 100, in the key's unit, or 0"))
@@ -157,25 +156,25 @@ impl Conditions {
     }
 
     /// Expanded uncertainties (k = 2) of a positioning test.
-    /// Over this length, with this number of approaches from each side.
+    /// `approaches` is the number from each side.
     pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
         (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
     }
 
-    /// Uncertainty of the figures of a circle, if any is stated.
+    /// Uncertainty of the figures of a circle, if any contributor is stated.
     /// `scatter_um` is the standard deviation of one reading. Without a radius no length has an uncertainty.
     pub fn circle_budget(&self, radius_mm: Option<f64>, scatter_um: f64) -> Option<Budget> {
         self.budget(|key| key != NOT_OF_CIRCLES, radius_mm, 0.0, scatter_um)
     }
 
-    /// What contributes to the figures of a drift test, where anything is stated.
+    /// Uncertainty of the figures of a drift test, if any contributor is stated.
     /// `scatter_um` is the standard deviation of one reading.
     pub fn drift_budget(&self, scatter_um: f64) -> Option<Budget> {
         self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), scatter_um)
     }
 
     /// A budget of the stated values with these keys.
-    /// `set_up_um` is what the set-up adds to a difference.
+    /// `set_up_um` is the contribution of the set-up to a difference.
     fn budget(
         &self,
         used: impl Fn(&str) -> bool,
@@ -205,7 +204,7 @@ impl Conditions {
         })
     }
 
-    /// Keys of `[uncertainty]` that the figures of a circle, or else of a drift test, do not ask for.
+    /// Keys of `[uncertainty]` that a circle, or else a drift test, does not use.
     pub(crate) fn not_in_budget(&self, circle: bool) -> Vec<&str> {
         let used = |key: &str| if circle { key != NOT_OF_CIRCLES } else { OF_DIFFERENCES.contains(&key) };
         self.stated.keys().map(String::as_str).filter(|key| !used(key)).collect()
@@ -216,7 +215,7 @@ fn words(table: &Table<'_>) -> Result<Vec<(String, String)>, InputError> {
     table.entries().map(|e| Ok((plain(e.key()), word(&e)?))).collect()
 }
 
-/// A key as words: `feed_mm_per_min` reads "feed (mm/min)".
+/// A key as text: `feed_mm_per_min` becomes "feed (mm/min)".
 fn plain(key: &str) -> String {
     const UNITS: [(&str, &str); 9] = [
         ("_mm_per_min", "mm/min"),
@@ -240,15 +239,16 @@ fn word(entry: &Entry<'_>) -> Result<String, InputError> {
     let number = entry.as_number().map(|n| n.to_string());
     let text =
         entry.as_str().map(str::to_owned).or(number).or_else(|| entry.as_bool().map(|b| b.to_string()));
-    // A date stands without quotes.
+    // A date is written without quotes.
     let text = text.or_else(|| rtec_files::date::parse(&entry.text()).map(|_| entry.text()));
     text.ok_or_else(|| entry.mismatch("text or a number"))
 }
 
-/// Fibres and glass ceramics shrink by no more, ppm/K.
+/// Lowest coefficient of expansion of fibres and glass ceramics, ppm/K.
 const SHRINKS_PPM_PER_K: f64 = -2.0;
-/// A contributor of µm or mm that is larger is a number of another unit.
+/// Largest contributor in µm; a larger number is in another unit.
 const LARGEST_UM: f64 = 500.0;
+/// Largest contributor in mm.
 const LARGEST_MM: f64 = 100.0;
 
 fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
@@ -257,7 +257,7 @@ fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
     t.only(&["sensor", "ppm_per_K"])?;
     let value = t.required("ppm_per_K", FORM)?;
     let ppm_per_k = value.number("the coefficient of expansion, ppm/K")?;
-    // No solid expands by more; and one of less than the best glass ceramics' is a number of another unit.
+    // No solid expands by more; a smaller number than that of glass ceramics is in another unit.
     let size = ppm_per_k.abs();
     if ppm_per_k != 0.0 && !(1e-3..=100.0).contains(&size) || ppm_per_k < SHRINKS_PPM_PER_K {
         return Err(value.mismatch(
@@ -270,7 +270,7 @@ fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
 /// One contributor to an uncertainty.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Contributor {
-    /// What it is.
+    /// Its name.
     pub name: String,
     /// Its expanded uncertainty (k = 2) over the travel, µm.
     #[serde(rename = "U_um")]
@@ -279,8 +279,8 @@ pub struct Contributor {
 
 /// Expanded uncertainties (k = 2) of the figures of ISO 230-2.
 ///
-/// By the GUM: rectangular contributors (half the range over √3 is a standard uncertainty), squares that add, k = 2. The choice of
-/// contributors and how they enter each figure are meant as in ISO/TR 230-9, but were not compared with its text.
+/// By the GUM: rectangular contributors (half the range over √3 is a standard uncertainty), added in squares,
+/// k = 2. Contributors and their use follow ISO/TR 230-9, whose text was not available.
 ///
 /// | contributor | U (k = 2) |
 /// |---|---|
@@ -289,7 +289,7 @@ pub struct Contributor {
 /// | temperature of machine, of device | 2·α·L·Δθ/√3 |
 /// | expansion of machine, of device | 2·∣θ − 20 °C∣·L·Δα/√3 |
 /// | set-up | `set_up_um` |
-/// | drift, `U_EVE` | E_VE/√3: a range, and it is in every reading anew |
+/// | drift, `U_EVE` | E_VE/√3: a range, independent in every reading |
 ///
 /// | figure | U (k = 2), with the first five as `U_L` |
 /// |---|---|
@@ -305,7 +305,7 @@ pub struct Contributor {
 pub struct Uncertainty {
     /// Coverage factor.
     pub k: f64,
-    /// Length it is for, mm.
+    /// Length that it is for, mm.
     pub length_mm: f64,
     pub contributors: Vec<Contributor>,
     pub A: f64,
@@ -316,12 +316,12 @@ pub struct Uncertainty {
     pub M: f64,
 }
 
-/// What is stated, by its key; nothing is zero.
+/// The stated value of a key; 0 if it is missing.
 fn get(stated: &BTreeMap<String, f64>, key: &str) -> f64 {
     stated.get(key).copied().unwrap_or(0.0)
 }
 
-/// What contributes along a length, those that are not zero.
+/// Contributors along a length that are not zero.
 fn along(stated: &BTreeMap<String, f64>, length_mm: f64) -> Vec<Contributor> {
     let get = |key: &str| get(stated, key);
     let (metres, root3) = (length_mm / 1000.0, 3.0_f64.sqrt());
@@ -342,15 +342,15 @@ fn along(stated: &BTreeMap<String, f64>, length_mm: f64) -> Vec<Contributor> {
     there.map(|(name, u_um)| Contributor { name, u_um }).collect()
 }
 
-/// The drift in one reading: a range, and in every reading anew.
+/// Drift of one reading: a range, independent in every reading.
 fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
     Contributor { name: "drift (E_VE)".to_owned(), u_um: get(stated, "drift_um") / 3.0_f64.sqrt() }
 }
 
 /// Expanded uncertainties (k = 2) of the figures of a circle or of a drift test.
 ///
-/// By the GUM alone: no standard at hand defines a budget of these figures. `U_s` is twice the standard deviation of one reading.
-/// D and H of a circle are means of several readings, whose scatter is smaller.
+/// By the GUM alone, because no available standard defines a budget of these figures. `U_s` is twice the
+/// standard deviation of one reading. D and H of a circle are means of several readings and scatter less.
 ///
 /// | figure | U (k = 2) |
 /// |---|---|
@@ -361,19 +361,19 @@ fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
 pub struct Budget {
     /// Coverage factor.
     pub k: f64,
-    /// What contributes, in one reading.
+    /// Contributors in one reading.
     pub contributors: Vec<Contributor>,
     /// Expanded uncertainty of a difference of two readings, µm.
     #[serde(rename = "U_difference_um")]
     pub difference_um: f64,
-    /// That of a length, µm; a drift test and a circle of unknown radius have none.
+    /// The same for a length, µm; `None` for a drift test or an unknown radius.
     #[serde(rename = "U_length_um", skip_serializing_if = "Option::is_none")]
     pub length_um: Option<f64>,
 }
 
-/// Keys of `[uncertainty]` that a budget of differences has a use for.
-/// A circle has one for the others too, but for the misalignment.
+/// Keys of `[uncertainty]` that a budget of differences uses.
 const OF_DIFFERENCES: [&str; 3] = ["device_um", "set_up_um", "drift_um"];
+/// The only key that a circle does not use.
 const NOT_OF_CIRCLES: &str = "misalignment_mm";
 
 impl Uncertainty {
@@ -400,7 +400,7 @@ impl Uncertainty {
         }
     }
 
-    /// The uncertainty of a figure by its symbol.
+    /// The uncertainty of a figure, by its symbol.
     pub fn of(&self, symbol: &str) -> Option<f64> {
         Some(match symbol {
             "A" | "A_up" | "A_down" => self.A,
@@ -448,7 +448,7 @@ mod tests {
         }
     }
 
-    /// By hand for 1750 mm and five approaches.
+    /// Calculated by hand for 1750 mm and five approaches.
     #[test]
     fn uncertainty_by_hand() {
         let c = Conditions::parse(Path::new("c.toml"), FILE).unwrap();
@@ -468,7 +468,7 @@ mod tests {
         near(u.B, 0.4_f64.sqrt() * eve);
         near(u.A, (e * e + 4.0 * eve * eve).sqrt());
         near(u.M, (square + 0.2 * eve * eve).sqrt());
-        // A circle of 150 mm: the same contributors over its radius; a bar has no misalignment.
+        // A circle of 150 mm: the same contributors over its radius, without misalignment.
         let b = c.circle_budget(Some(150.0), 0.0).unwrap();
         let (device, temperature) = (0.8 * 0.15, 2.0 * 11.0 * 0.15 * 0.5 / root3);
         near(b.difference_um, 2.0_f64.sqrt() * eve);
@@ -476,7 +476,7 @@ mod tests {
         let names: Vec<&str> = b.contributors.iter().map(|c| c.name.as_str()).collect();
         assert_eq!(names, ["device", "temperature of the machine", "drift (E_VE)"]);
         assert_eq!(c.not_in_budget(true), ["misalignment_mm"]);
-        // Readings that scatter by 0.3 µm, once in a length, twice in a difference; the radius is in no difference.
+        // A scatter of 0.3 µm counts once in a length and twice in a difference, which has no radius.
         let s = c.circle_budget(Some(150.0), 0.3).unwrap();
         assert_eq!(s.contributors.last().unwrap().name, "scatter of a reading");
         near(s.difference_um, b.difference_um.hypot(0.6 * 2.0_f64.sqrt()));
@@ -484,7 +484,7 @@ mod tests {
         let unknown = c.circle_budget(None, 0.3).unwrap();
         near(unknown.difference_um, s.difference_um);
         assert_eq!(unknown.length_um, None);
-        // A drift test is a difference, whatever the length.
+        // A drift test is a difference, independent of the length.
         let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget(0.3);
         let d =
             of("[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\ndevice_um_per_m = 0.8\n")

@@ -1,6 +1,6 @@
 //! Body and face diagonals, ISO 230-6.
-//! Several axes moving together along the diagonals of a box, with the figures of ISO 230-2 along each; and what their differences say of
-//! squareness.
+//! Axes move together along the diagonals of a box. Each diagonal has the figures of ISO 230-2; their
+//! differences give squareness.
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
 use rtec_files::InputError;
@@ -11,20 +11,20 @@ use std::collections::BTreeMap;
 /// One diagonal.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Diagonal {
-    /// The record it is in.
+    /// File name of its record.
     pub record: String,
     /// Axes that move.
     pub axes: Vec<String>,
-    /// Sense of each axis along it, P or N, the last one positive: `PPP`, `NPP`.
+    /// Direction of each axis along it, P or N, the last one positive: `PPP`, `NPP`.
     pub sense: String,
     /// Travel of each axis, mm.
     pub box_mm: Vec<f64>,
     /// Change of the mean error from end to end by the straight line through it, µm.
     pub slope_um: f64,
     /// Standard error of that change, µm; `None` for two targets.
-    /// It assumes that the targets' residual from the line is chance.
+    /// It assumes random residuals from the line.
     pub slope_standard_error_um: Option<f64>,
-    /// What is assumed of the error's sign.
+    /// An assumption about the sign of the error.
     #[serde(skip)]
     pub assumed: Option<String>,
     /// The figures along it.
@@ -32,7 +32,8 @@ pub struct Diagonal {
     pub along: Positioning,
 }
 
-/// The diagonals of a box, or of its faces. Values in µm unless named otherwise.
+/// The diagonals of a box, or of its faces.
+/// Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Diagonals {
     /// `body` or `face`.
@@ -47,7 +48,7 @@ pub struct Diagonals {
     #[serde(rename = "B_d")]
     pub b_d: Option<f64>,
     /// Squareness per pair of axes, µrad, as `squareness.A.B`.
-    /// Where all diagonals of the box or face are there.
+    /// Present if all diagonals of the box or face are.
     pub squareness_urad: BTreeMap<String, f64>,
     /// Their standard errors, µrad.
     pub squareness_standard_error_urad: BTreeMap<String, Option<f64>>,
@@ -57,17 +58,17 @@ pub struct Diagonals {
     pub scale_standard_error_ppm: Option<f64>,
     /// Each diagonal.
     pub diagonals: Vec<Diagonal>,
-    /// What to know before using it.
+    /// Warnings about its use.
     pub warnings: Vec<String>,
 }
 
-/// Evaluates the diagonals of a box or of one or several faces, a record each.
-/// A record needs positions of the axes that move. It also needs the error along the diagonal (`error.d`, or any name but x, y and z
-/// without a position), or the errors of all its axes.
+/// Evaluates diagonals of a box or of faces, one record each.
+/// A record needs positions of the axes that move. It also needs the error along the diagonal (`error.d`, or
+/// any name but x, y and z without a position), or the errors of all its axes.
 ///
 /// # Errors
-/// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals mixed; what
-/// [`positioning_with`] finds.
+/// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals
+/// mixed; what [`positioning_with`] finds.
 pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, InputError> {
     let all = records.iter().map(|r| diagonal(r, options)).collect::<Result<Vec<_>, _>>()?;
     let first = all.first().map_or(0, |d| d.axes.len());
@@ -87,7 +88,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
     for d in &all {
         warnings.extend(d.assumed.iter().map(|a| format!("{}: {a}", d.sense)));
         for w in &d.along.warnings {
-            // What holds for all is said once.
+            // A warning that holds for all diagonals appears once.
             let common = all.iter().all(|o| o.along.warnings.contains(w));
             let words = if common { w.clone() } else { format!("{}: {w}", d.sense) };
             if !warnings.contains(&words) {
@@ -126,7 +127,7 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
         return Err(lacks(record, &found, "a diagonal: positions of two or three axes that move together"));
     }
     let length_mm = moving.iter().map(|m| m.2 * m.2).sum::<f64>().sqrt();
-    // Each axis against the last one: rising with it or falling.
+    // Whether each axis rises or falls with the last one.
     let last = moving[moving.len() - 1].1;
     let [lo, hi] = span(last);
     let share = |row: usize| (last[row] - lo) / (hi - lo);
@@ -146,12 +147,12 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     }
     let along: Vec<f64> = (0..record.rows()).map(|r| share(r) * length_mm).collect();
     let errors = error_axes(record);
-    // A machine's axis that stands still is across the diagonal, not along it.
+    // A machine axis at rest is across the diagonal, not along it.
     let across = |a: &Axis| {
         ["x", "y", "z"].contains(&a.as_str()) || record.column(&Role::Position(a.clone())).is_some()
     };
     let own = errors.iter().find(|(a, _)| !across(a));
-    // A device on the diagonal has its own positive sense: as its position or direction says, or else unsaid.
+    // A device on the diagonal has its own positive direction, from its position or direction, or unknown.
     let sense = own.and_then(|(a, _)| sense(record, a, &along));
     let from_far = along.iter().find(|s| (**s - length_mm / 2.0).abs() > length_mm / 4.0);
     let assumed = own.filter(|_| sense.is_none() && from_far.is_some_and(|s| *s > length_mm / 2.0)).map(|(a, _)| {
@@ -207,8 +208,9 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     })
 }
 
-/// The device's sense along the diagonal: +1 if it rises with the last axis, or −1.
-/// `None` if it has no direction, or if the rows are not in the order of the movement; then both directions occur under each sense.
+/// The device's direction along the diagonal: +1 with the last axis, or −1.
+/// `None` without a direction column, or if the rows are not in order of movement: then both directions occur
+/// under each sense.
 fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
     let roles = [Role::Direction(own.clone()), Role::Velocity(own.clone())];
     let way = roles.iter().find_map(|r| record.data(r))?;
@@ -223,11 +225,11 @@ fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
     (up.abs().min(down.abs()) > ORDERLY && up * down < 0.0).then(|| up.signum())
 }
 
-/// Least excess of rows with one direction over the other, among rows one way.
+/// Least excess of rows with one direction, among rows moving one way.
 const ORDERLY: f64 = 0.8;
 
 /// Direction along the diagonal, from its own column or a moving axis's.
-/// Its own column has the device's sense.
+/// Its own column uses the device's direction.
 fn direction(
     record: &Record,
     own: Option<(&Axis, f64)>,
@@ -253,7 +255,7 @@ fn direction(
     })
 }
 
-/// Standard error of a mean of values of these standard errors.
+/// Standard error of the mean of values with these standard errors.
 fn together(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
     let n = errors.len() as f64;
     let squares: Option<f64> = errors.map(|error| Some(error?.powi(2))).sum();
@@ -285,7 +287,8 @@ fn slope(p: &Positioning) -> (f64, Option<f64>) {
 }
 
 /// Squareness from the diagonals of one box.
-/// An error of A by the position of B lengthens the diagonals along which both rise or fall together by α·A·B/D and shortens the others.
+/// An error of A by the position of B changes a diagonal by α·A·B/D: longer if both axes rise or fall
+/// together, else shorter.
 fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Option<f64>>) {
     let (mut found, mut errors) = (BTreeMap::new(), BTreeMap::new());
     let mut boxes: Vec<Vec<&Diagonal>> = Vec::new();

@@ -1,5 +1,4 @@
-//! Thermal effects, ISO 230-3.
-//! Environment, rotation of the spindle and movement of axes, each a phase of its own.
+//! Thermal effects, ISO 230-3: environment, spindle rotation and axis movement.
 
 mod figures;
 mod long;
@@ -21,12 +20,12 @@ use std::collections::BTreeMap;
 /// Thermal drift of one response over the whole test, and phase by phase.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drift {
-    /// The response, as `error.z`, or a tilt, as `angle_error.s.a`: of the spindle about A.
+    /// The response: `error.z`, or a tilt such as `angle_error.s.a` (spindle about A).
     pub response: String,
     /// Unit of its figures: `um`, or `urad` or `arcsec` of a tilt.
     pub unit: String,
     /// Standard deviation of one reading, in its unit.
-    /// By neighbouring rows at one place, no less than the gauge's step gives.
+    /// From neighbouring rows at one place, and at least that of the gauge's rounding.
     pub scatter: f64,
     /// The whole test.
     #[serde(flatten)]
@@ -39,7 +38,7 @@ pub struct Drift {
     pub uncertainty: Option<Budget>,
 }
 
-/// What a displacement did over some time.
+/// Figures of a displacement over a time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figures {
     /// Range of displacement within the first 60 minutes, d₆₀.
@@ -51,7 +50,7 @@ pub struct Figures {
     pub d_last_60: f64,
     /// Mean of the last hundredth of the rows minus that of the first.
     pub end: f64,
-    /// Mean rate: slope of the straight line through it, µm/h.
+    /// Slope of the straight line through the rows, µm/h.
     pub rate_per_h: f64,
     /// Largest rate over any 60 minutes, µm/h.
     /// `None` if the rows cover less time.
@@ -71,7 +70,7 @@ pub struct Phase {
     pub what: String,
     /// When it began, min from the test's start.
     pub from_min: f64,
-    /// Where the axis was read, mm, in a phase of movement with several places.
+    /// Position of the axis, mm, in a movement phase with several positions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_mm: Option<f64>,
     /// What the displacement did.
@@ -88,15 +87,14 @@ pub struct SensorDrift {
     /// Temperature at the end minus that at the start, K.
     #[serde(rename = "end_K")]
     pub end_k: f64,
-    /// Slope of the straight line through it, K/h.
+    /// Slope of the straight line through the readings, K/h.
     #[serde(rename = "rate_K_per_h")]
     pub rate_k_per_h: f64,
     /// Correlation with the displacement.
     pub gamma: f64,
 }
 
-/// Places at which an axis is read while it moves to and fro.
-/// More are a log of the movement itself.
+/// Most positions at which a moving axis is read; more are a log of the movement.
 const MOST_PLACES: usize = 10;
 
 /// Evaluates a drift run, response by response.
@@ -121,7 +119,7 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
     Ok(found)
 }
 
-/// States what contributes to the figures of displacements.
+/// Adds the uncertainty budget to the displacements.
 pub(crate) fn state_budget(all: &mut [Drift], conditions: &Conditions) {
     for d in all.iter_mut().filter(|d| d.unit == "um") {
         d.uncertainty = conditions.drift_budget(d.scatter);
@@ -129,7 +127,7 @@ pub(crate) fn state_budget(all: &mut [Drift], conditions: &Conditions) {
 }
 
 impl Drift {
-    /// Of a column, with the figures of the whole test.
+    /// A drift without phases, from the figures of the whole test.
     fn of(column: &Column, whole: Figures, scatter: &Scatter) -> Self {
         Self {
             response: column.role.to_string(),
@@ -142,12 +140,12 @@ impl Drift {
     }
 }
 
-/// What drifts: displacements and tilts.
+/// Columns that drift: displacements and tilts.
 fn displaced(columns: &[Column]) -> impl Iterator<Item = &Column> {
     columns.iter().filter(|c| matches!(c.role, Role::Error(_) | Role::AngleError(..)))
 }
 
-/// An axis moves between two rows, not its reading alone.
+/// Whether a change of position is a move and not noise of the reading.
 fn is_move(from_mm: f64, to_mm: f64) -> bool {
     (from_mm - to_mm).abs() > 0.01
 }
@@ -183,7 +181,7 @@ fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
     spans.phases()
 }
 
-/// The phase for one response; one for each place at which a moving axis was read.
+/// The phase for one response, split by the positions of a moving axis.
 fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scatter) -> Vec<Phase> {
     let rows: Vec<usize> = span.rows.clone().collect();
     let mut at = |at_mm: Option<f64>, rows: &[usize]| {
@@ -231,7 +229,7 @@ fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usi
     look.figures(temperatures(&record.columns).map(|c| c.name.as_str()))
 }
 
-/// Displacements and temperatures over time, the phases marked where they begin.
+/// Charts of displacements and temperatures over time, with the phases marked.
 pub fn drift_charts(record: &Record) -> Vec<Chart> {
     let t = record.time_s();
     let start = t[0];
@@ -246,7 +244,7 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
     charts_of(errors, degc, &spans_of(record, t), &record.columns)
 }
 
-/// The charts of these lines over minutes, each with its unit, with these phases.
+/// The charts of these lines over minutes, each line with its unit.
 fn charts_of(
     errors: Vec<(String, Series)>,
     degc: Vec<Series>,

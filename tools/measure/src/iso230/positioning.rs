@@ -23,17 +23,17 @@ pub use change::{Step, Trend};
 pub(crate) const LONG_AXIS_MM: f64 = 2000.0;
 /// Largest mean distance of targets on a long axis, mm.
 pub(crate) const LONG_INTERVAL_MM: f64 = 250.0;
-/// Fewest targets, on an axis and on a metre of it; and fewest approaches from each side.
+/// Fewest targets on an axis and per metre, and fewest approaches from each side.
 pub(crate) const FEWEST: usize = 5;
 /// µrad in an arcsecond.
 const URAD_PER_ARCSEC: f64 = std::f64::consts::PI / 648_000.0 * 1e6;
 
-/// How to evaluate.
+/// Options of an evaluation.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// Runs approached from one side only give the one-sided figures instead of an error.
+    /// Evaluate runs approached from one side only, with the one-sided figures.
     pub one_way: bool,
-    /// What the test was done under.
+    /// Conditions of the test.
     pub conditions: Conditions,
 }
 
@@ -62,7 +62,8 @@ pub struct Target {
 }
 
 /// Accuracy and repeatability of positioning, ISO 230-2:2014.
-/// Values in µm, of tilts in µrad; `None` where the run has only one direction, or (without s) is a long axis.
+/// Values in µm, of tilts in µrad; `None` if the run has one direction only, or (figures with s) for a long
+/// axis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[allow(non_snake_case)]
 #[allow(missing_docs)] // the standard's own symbols
@@ -87,34 +88,33 @@ pub struct Positioning {
     /// The figures of a tilt in arcseconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arcsec: Option<BTreeMap<String, Option<f64>>>,
-    /// Expanded uncertainties, where the conditions state what they come from.
+    /// Expanded uncertainties, if the conditions state contributors.
     pub uncertainty: Option<Uncertainty>,
-    /// Error of the means from rounding in a coarse gauge.
-    /// Set if most repeats read the same.
+    /// Rounding error of the means in a coarse gauge; set if most repeats are equal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<Resolution>,
-    /// The drift that the approaches show beyond chance.
+    /// The drift of the approaches, if it is beyond chance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<Trend>,
-    /// The step that explains them better than a drift does.
+    /// The step of the approaches, if it explains them better than a drift.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<Step>,
-    /// From the first target to the last, mm.
+    /// Distance from the first to the last target, mm.
     pub travel_mm: f64,
-    /// Which of the standard's tests it is.
+    /// Which test of the standard it is.
     pub test: &'static str,
     pub targets: Vec<Target>,
     pub warnings: Vec<String>,
 }
 
-/// The steps of a gauge, in the unit of the figures.
+/// Resolution of a gauge, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Resolution {
     /// The step that all readings are multiples of.
     pub step: f64,
-    /// A mean may be off by up to this.
+    /// Largest rounding error of a mean.
     pub mean_within: f64,
-    /// A reversal, the difference of two means, may be off by up to this.
+    /// Largest rounding error of a reversal, the difference of two means.
     pub reversal_within: f64,
 }
 
@@ -137,9 +137,10 @@ pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
 /// Evaluates a positioning run, axis by axis: errors in µm, tilts in µrad.
 ///
 /// # Errors
-/// No axis with error (or tilt), position and direction of approach; a direction that is none; position and error
-/// swapped; one side only, where that is not asked for; no target with two approaches from one side on an axis of up to
-/// 2 m; a sensor of the conditions that the record does not have.
+/// No axis with error (or tilt), position and direction of approach; an invalid direction; position and error
+/// swapped.
+/// One side only without `one_way`; no target with two approaches from one side on an axis of up to 2 m; a
+/// sensor of the conditions that the record lacks.
 pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>, InputError> {
     let mut found = Vec::new();
     for column in &record.columns {
@@ -174,7 +175,7 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
     let zeros = direction.iter().filter(|d| **d == 0.0).count();
     let (ups, downs) =
         (direction.iter().filter(|d| **d > 0.0).count(), direction.iter().filter(|d| **d < 0.0).count());
-    // A direction of 0 is a row that belongs to neither side: half of them are no accident.
+    // A row of direction 0 belongs to neither side; a quarter of such rows is a mistake.
     if zeros > 0 && (ups == 0) != (downs == 0) && 4 * zeros > direction.len() {
         let (seen, lost) = if ups > 0 { (1, "downwards") } else { (-1, "upwards") };
         let found = format!(
@@ -189,8 +190,8 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
     Ok(direction)
 }
 
-/// Targets are a few places approached again and again, errors are not.
-/// Where it is the other way round, the columns are.
+/// Refuses a record in which the error and the position look exchanged.
+/// Targets are a few repeated places, errors are not.
 fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
     let n = position.len();
     let (places, values) = (targets(position).len(), alike(&error.data, ALIKE).len());
@@ -222,8 +223,8 @@ struct Run<'r> {
 }
 
 impl Run<'_> {
-    /// Takes off what the scale has grown, against what it was measured with.
-    /// The error as it were at 20 °C.
+    /// Corrects the error for the laser's air and reduces it to 20 °C.
+    /// Scale and work piece have the expansions and sensors of the conditions.
     fn reduce(&mut self, conditions: &Conditions) -> Result<(), InputError> {
         if let Some(air) = &conditions.air {
             let (corrected, words) = air.corrected(self.record, self.position, &self.error)?;
@@ -309,7 +310,7 @@ impl Run<'_> {
             return Err(lacks(self.record, &found, "at least two cycles, better the standard's five"));
         }
         self.warn(&list, span, long);
-        // All figures are of the same approaches: a mean of one counts on a long axis only, where all are such.
+        // All figures use the same approaches; single approaches count on a long axis only.
         let listed = list;
         let list: Vec<Target> = listed.iter().map(|t| t.counted(long)).collect();
         let pick = |m: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
@@ -374,7 +375,7 @@ impl Run<'_> {
         Ok(found)
     }
 
-    /// What the gauge's steps leave in the means; says it.
+    /// Rounding error of the means in a coarse gauge; adds a warning.
     fn resolution(&mut self, unit: &str) -> Option<Resolution> {
         let column = Column { data: self.error.clone(), ..self.column.clone() };
         let steps = Steps::of_response(self.record, &column).filter(Steps::is_coarse)?;
@@ -393,13 +394,13 @@ impl Run<'_> {
         Some(found)
     }
 
-    /// How far apart the positions of one target lie at most, mm.
+    /// Largest scatter of the positions of one target, mm.
     fn scatter_mm(&self) -> f64 {
         let of = |rows: &Vec<usize>| range(rows.iter().map(|r| (self.position[*r], self.position[*r])));
         largest(targets(self.position).iter().filter_map(of)).unwrap_or(0.0)
     }
 
-    /// What the standard asks of a test and this one does not have.
+    /// Warns of requirements of the standard that this test does not meet.
     fn warn(&mut self, list: &[Target], span: f64, long: bool) {
         let n = list.len();
         let interval = span / (n.max(2) - 1) as f64;
@@ -454,8 +455,8 @@ impl Run<'_> {
 }
 
 impl Target {
-    /// With those sides alone that the figures are made of.
-    /// Approached at least twice, or every one on a long axis.
+    /// The target with those sides only that the figures use.
+    /// A side needs two approaches, except on a long axis.
     fn counted(&self, long: bool) -> Self {
         let mut own = self.clone();
         if !long {
@@ -471,24 +472,24 @@ fn mean_of(v: &[f64]) -> Option<f64> {
     (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64)
 }
 
-/// The fewest targets on so much travel of up to 2 m.
+/// Fewest targets on this travel of up to 2 m.
 pub(crate) fn fewest_targets(span_mm: f64) -> usize {
     FEWEST.max((span_mm / 1000.0 * FEWEST as f64).ceil() as usize)
 }
 
 impl Positioning {
-    /// What the approaches show beyond repeatability, `drift` or `step`, where they do.
+    /// `drift` or `step`, if the approaches show one beyond repeatability.
     pub fn changes_by(&self) -> Option<&'static str> {
         self.drift.map(|_| "drift").or(self.step.map(|_| "step"))
     }
 
-    /// A figure of the standard's as it is without the drift or step; `None` for those that are not looked at.
+    /// A figure without the drift or step; `None` for figures not in `UNCHANGED`.
     pub fn without_change(&self, symbol: &str) -> Option<f64> {
         let place = UNCHANGED.iter().position(|s| *s == symbol)?;
         self.drift.map(|d| d.without).or(self.step.map(|s| s.without))?[place]
     }
 
-    /// The figures in the standard's order.
+    /// The figures in the order of the standard.
     pub fn figures(&self) -> [(&'static str, Option<f64>); 12] {
         [
             ("A", self.A),
@@ -506,8 +507,7 @@ impl Positioning {
         ]
     }
 
-    /// The standard's diagram.
-    /// Mean deviations with ±2s, upwards and downwards each in its colour.
+    /// The standard's diagram: mean deviations with ±2s, one colour per direction.
     pub fn chart(&self) -> Chart {
         type Of = fn(&Target) -> Option<f64>;
         let (unit, what) = if self.unit == "urad" { ("µrad", "tilt") } else { ("µm", "deviation") };

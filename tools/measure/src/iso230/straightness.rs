@@ -1,5 +1,6 @@
 //! Straightness of an axis's motion.
-//! The error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not at hand).
+//! The error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not
+//! available).
 
 use super::{Place, lacks, line, range};
 use crate::plot::{Chart, Colour, Series, Style};
@@ -10,9 +11,9 @@ use serde::Serialize;
 /// One place of a straightness run, µm about the reference line.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StraightPlace {
-    /// Where, mm along the axis that moves.
+    /// Position along the axis that moves, mm.
     pub position_mm: f64,
-    /// Mean deviation moving upwards; every row where the run knows no direction.
+    /// Mean deviation moving upwards; of all rows if no direction is logged.
     pub up_um: Option<f64>,
     /// Mean deviation moving downwards.
     pub down_um: Option<f64>,
@@ -33,31 +34,31 @@ pub struct Straightness {
     pub symbol: String,
     /// Straightness: largest minus smallest mean deviation from the line, µm.
     pub straightness_um: f64,
-    /// The same of the rows moving upwards, each about its own line.
+    /// The same for rows moving upwards, about their own line.
     pub straightness_up_um: Option<f64>,
     /// The same downwards.
     pub straightness_down_um: Option<f64>,
     /// Slope of the line, µrad: of straightedge and axis together.
-    /// It is squareness only where the straightedge was squared.
+    /// It is squareness only if the straightedge was squared.
     pub slope_urad: f64,
-    /// Standard error of that slope, as far as what is left of the line is chance, µrad.
+    /// Standard error of that slope, if residuals are random, µrad.
     pub slope_standard_error_urad: f64,
     /// Mean of up minus down, µm.
     pub reversal_um: Option<f64>,
     /// Largest range of readings at one place from one side, µm.
     pub repeatability_um: Option<f64>,
-    /// From the first place to the last, mm.
+    /// Distance from the first to the last place, mm.
     pub travel_mm: f64,
     /// The places, in order.
     pub places: Vec<StraightPlace>,
-    /// What to know before using it.
+    /// Warnings about its use.
     pub warnings: Vec<String>,
 }
 
-/// Fewer places make a line, not a straightness.
+/// Fewest places of a straightness.
 const FEWEST_PLACES: usize = 5;
 
-/// Pairs of an axis that moves and the errors across it which a record holds.
+/// Pairs of the axis that moves and an error across it.
 fn pairs(record: &Record) -> Vec<(Axis, Axis)> {
     let moves = |a: &Axis| {
         let p = record.data(&Role::Position(a.clone()));
@@ -71,7 +72,7 @@ fn pairs(record: &Record) -> Vec<(Axis, Axis)> {
             _ => None,
         })
         .collect();
-    // Where several axes move together an error across one of them is not that one's.
+    // If several axes move, an error across one of them has no single cause.
     let [axis] = positions.as_slice() else { return Vec::new() };
     let across = record.columns.iter().filter_map(|c| match &c.role {
         Role::Error(b) if b != axis => Some((axis.clone(), b.clone())),
@@ -98,14 +99,14 @@ pub fn straightness(record: &Record) -> Result<Vec<Straightness>, InputError> {
     pairs.iter().map(|(axis, across)| of(record, axis, across)).collect()
 }
 
-/// Points off their own least-squares line, with its slope per mm; none of too few.
+/// Residuals from the points' line and its slope per mm; `None` for too few.
 fn off_line(points: &[(f64, f64)]) -> Option<(Vec<f64>, f64)> {
     let (p, e): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
     let (offset, slope, _) = (points.len() >= FEWEST_PLACES).then(|| line(&p, &e))??;
     Some((points.iter().map(|(p, e)| e - offset - slope * p).collect(), slope))
 }
 
-/// Standard error of the slope of places that are off their line by their mean, µm/mm.
+/// Standard error of the slope of places with these residuals, µm/mm.
 fn slope_error(off: &[StraightPlace]) -> f64 {
     let n = off.len() as f64;
     let middle = off.iter().map(|p| p.position_mm).sum::<f64>() / n;
@@ -156,7 +157,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
         "the straightedge's own form is in it: a run with the straightedge turned over takes it out, the mean of both".to_owned(),
     ];
     if one_sided > 0 && one_sided < places.len() {
-        // A mean of one side beside means of both carries half of the reversal as form.
+        // Places from one side only contain half of the reversal as form.
         warnings.push(format!(
             "{one_sided} places from one side only: half of the reversal is in the form there"
         ));
@@ -185,7 +186,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
 }
 
 impl Straightness {
-    /// Deviation from the line along the travel.
+    /// Deviations from the line along the travel.
     pub fn chart(&self) -> Chart {
         type Of = fn(&StraightPlace) -> Option<f64>;
         let title = format!("Straightness {}: {} while {} moves", self.symbol, self.across, self.axis);

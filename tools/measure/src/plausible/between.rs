@@ -1,13 +1,13 @@
-//! Several records beside one another.
+//! Checks the records of a session against one another.
 
+use super::sensor_regression::{sensor_regression, with_lags};
 use super::stats::{median, middle_range, range};
-use super::told::{told, with_lags};
 use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
-/// Records that hold the very rows of an earlier one.
-/// The earlier one's number, and its own.
+/// Records with exactly the rows of an earlier one.
+/// Pairs of the earlier record's index and its own.
 pub fn repeated(records: &[&Record]) -> Vec<(usize, usize)> {
     let same = |a: &Record, b: &Record| {
         let twin =
@@ -48,8 +48,8 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Of records that contradict one another, those at fault.
-/// The one that contradicts most first; of two alone, the later.
+/// The records at fault among pairs that contradict each other.
+/// The record with most contradictions comes first; of two alone, the later one.
 fn odd_ones(mut pairs: Vec<(usize, usize, Vec<String>)>) -> Vec<(usize, Vec<String>)> {
     let mut found = Vec::new();
     while let Some((_, _, columns)) = pairs.first().cloned() {
@@ -63,14 +63,14 @@ fn odd_ones(mut pairs: Vec<(usize, usize, Vec<String>)>) -> Vec<(usize, Vec<Stri
     found
 }
 
-/// Targets in metres are whole millimetres.
+/// Whether the targets are whole millimetres if read in metres.
 /// Those of short strokes in millimetres are not.
 fn is_round_in_metres(c: &Column) -> bool {
     let round = |p: &&f64| (*p * 1000.0 - (*p * 1000.0).round()).abs() < 0.06;
     c.data.iter().filter(round).count() * 10 >= c.data.len() * 9
 }
 
-/// Two records of one kind whose positions or errors differ by a thousand.
+/// Finds records of one kind whose positions or errors differ by a factor of 1000.
 fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
     if a.kind != b.kind {
         return;
@@ -103,7 +103,7 @@ fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// An error that depends on the position, or on a temperature, with the opposite sign in the other record.
+/// Errors whose dependence on position or temperature has the opposite sign.
 fn signs(a: &Record, b: &Record) -> Vec<String> {
     let (a, b) = (&as_aligned(a), &as_aligned(b));
     let opposite = |ea: &Column| {
@@ -113,8 +113,7 @@ fn signs(a: &Record, b: &Record) -> Vec<String> {
     a.responses().filter_map(opposite).collect()
 }
 
-/// A plate's record as if the plate lay along the axes.
-/// How it lies turned is no error of either column.
+/// A plate's record with the rotation of the plate removed from its errors.
 fn as_aligned(record: &Record) -> Record {
     let mut out = record.clone();
     let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
@@ -148,12 +147,12 @@ fn as_aligned(record: &Record) -> Record {
 }
 
 /// A temperature must vary by more than this in both records, K.
-/// It is reversed in one of them if they correlate by less than this.
 const TURNS_K: f64 = 0.5;
+/// Correlation below which such a temperature runs in opposite directions.
 const TURNS: f64 = -0.5;
 
-/// The same temperatures within 2 K on average, or none logged.
-/// Heat does not turn the sign then.
+/// Whether common temperatures agree within 2 K (medians); true if there are none.
+/// Otherwise heat may change the sign of an error.
 fn as_warm(a: &Record, b: &Record) -> bool {
     let near = |name: &str| match (a.temperature(name), b.temperature(name)) {
         (Some(x), Some(y)) => (median(x.to_vec()) - median(y.to_vec())).abs() < 2.0,
@@ -162,7 +161,7 @@ fn as_warm(a: &Record, b: &Record) -> bool {
     a.names(&Role::Temperature).all(near)
 }
 
-/// The positions of an axis in two records, in bins over both.
+/// Bins of an axis's positions over two records.
 struct Bins<'r> {
     count: usize,
     lo: f64,
@@ -171,7 +170,7 @@ struct Bins<'r> {
 }
 
 impl<'r> Bins<'r> {
-    /// None where it does not move, or was not logged in both.
+    /// `None` if the axis does not move or is not logged in both records.
     fn of(axis: &Axis, count: usize, a: &'r Record, b: &'r Record) -> Option<Self> {
         let role = Role::Position(axis.clone());
         let data = [a.data(&role)?, b.data(&role)?];
@@ -179,7 +178,7 @@ impl<'r> Bins<'r> {
         (hi > lo).then_some(Self { count, lo, size: hi - lo, data })
     }
 
-    /// That of a row of the first or the second record.
+    /// Bin of a row of the first (0) or second (1) record.
     fn bin(&self, side: usize, row: usize) -> usize {
         (((self.data[side][row] - self.lo) / self.size * self.count as f64) as usize).min(self.count - 1)
     }
@@ -188,7 +187,7 @@ impl<'r> Bins<'r> {
 fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     let Some(axis) = ea.role.axis() else { return false };
     let Some(own) = Bins::of(axis, 12, a, b).filter(|_| as_warm(a, b)) else { return false };
-    // On a plate or a circle one axis alone makes no place: the others that move have theirs, coarser.
+    // On a plate or a circle the other moving axes are part of the place; their bins are coarser.
     let mut bins = vec![own];
     for other in a.axes(Role::Position).filter(|o| *o != axis) {
         bins.extend(Bins::of(other, 4, a, b).filter(|o| o.size > repeats::MOVES * bins[0].size));
@@ -212,7 +211,7 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     }
     let mean = |m: &[(f64, f64, f64)]| both.iter().map(|k| m[*k].1 / m[*k].0).collect::<Vec<f64>>();
     let (xa, xb) = (mean(&ma), mean(&mb));
-    // The place must make most of the error in both records.
+    // The place must explain most of the error in both records.
     let clear = |m: &[(f64, f64, f64)], x: &[f64]| {
         let within: f64 = both.iter().map(|k| m[*k].2 - m[*k].1 * m[*k].1 / m[*k].0).sum();
         let rows: f64 = both.iter().map(|k| m[*k].0).sum();
@@ -220,7 +219,8 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
         let between: f64 = both.iter().zip(x).map(|(k, x)| m[*k].0 * (x - all).powi(2)).sum();
         between > 2.0 * within && rows >= 16.0
     };
-    // What warms from place to place in one record and cools in the other turns the sign by itself.
+    // A temperature that rises over the places in one record and falls in the other changes the sign by
+    // itself.
     let turns = |name: &str| {
         let at = |r: &Record, side: usize| r.temperature(name).map(|t| mean(&means(r, t, side)));
         at(a, 0)
@@ -234,7 +234,7 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     correlation(&xa, &xb) < -0.85 && (0.5..2.0).contains(&ratio) && clear(&ma, &xa) && clear(&mb, &xb)
 }
 
-/// What the temperatures make of the error in one record, asked of the other.
+/// Whether each record's temperatures predict the other's error with opposite sign.
 fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     let names: Vec<&str> = a.names(&Role::Temperature).filter(|n| b.temperature(n).is_some()).collect();
     let warm = |r: &Record| names.iter().any(|n| r.temperature(n).is_some_and(|t| range(t) > 2.0));
@@ -242,7 +242,7 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
         return false;
     }
     let opposite = |a: &Record, ea: &[f64], b: &Record, eb: &[f64]| {
-        let told = told(a, ea, &names);
+        let told = sensor_regression(a, ea, &names);
         let says = told.says(b, &names);
         let ratio = middle_range(&says) / middle_range(eb).max(1e-12);
         told.left < 0.25 * middle_range(ea) / 3.3
@@ -252,34 +252,35 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     opposite(a, &ea.data, b, &eb.data) && opposite(b, &eb.data, a, &ea.data)
 }
 
-/// A sensor that moves by less over a record, K, tells nothing of the others.
+/// Smallest range of a sensor over a record to compare it with others, K.
 const MOVES_K: f64 = 1.0;
 
-/// So many times as far off as they stand than exchanged.
-/// Two sensors are in each other's place, as one record says of the other and as that one has to say of it.
+/// Error ratio (as labelled / exchanged) at which one record proves an exchange.
 const CERTAINLY: f64 = 2.5;
+/// Error ratio that the prediction in the reverse direction must reach.
 const LIKELY: f64 = 1.5;
 
-/// Two sensors in each other's place.
-/// What the other sensors say of one is what the other reads, and the other way round. The first such pair.
+/// The first pair of sensors that are exchanged between two records.
+/// The other sensors predict for each what the other one reads.
 fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
     let names: Vec<&str> = a.names(&Role::Temperature).filter(|n| b.temperature(n).is_some()).collect();
     if names.len() < 3 || a.rows() < 30 || b.rows() < 30 {
         return None;
     }
     let pairs = (0..names.len()).flat_map(|k| (0..k).map(move |i| (i, k)));
-    // Sensors that stand still but for their noise say nothing of one another.
+    // Sensors that show only noise cannot be predicted.
     let moves = |r: &Record, name: &str| r.temperature(name).is_some_and(|t| range(t) > MOVES_K);
     let both = |name: &str| moves(a, name) && moves(b, name);
     pairs.map(|(i, k)| (names[i], names[k])).filter(|(p, q)| both(p) && both(q)).find_map(|(p, q)| {
         let rest: Vec<&str> = names.iter().filter(|n| **n != p && **n != q).copied().collect();
-        // Either record says it of the other: a law that was learned from one load alone holds for no other, and looks the same.
+        // Both directions must agree: a regression from one load only may fail for another load and look the
+        // same.
         let crosses = |a: &Record, b: &Record, rest: &[&str]| {
             crosses(a, b, (p, q), rest).is_some_and(|by| by > CERTAINLY)
                 && crosses(b, a, (p, q), rest).is_some_and(|by| by > LIKELY)
         };
         let found = crosses(a, b, &rest) || {
-            // What one body passes to another comes late.
+            // Heat that one body passes to another arrives late.
             let ((wide_a, all), (wide_b, _)) = (with_lags(a, &rest), with_lags(b, &rest));
             let all: Vec<&str> = all.iter().map(String::as_str).collect();
             3 * all.len() < a.rows().min(b.rows()) && crosses(&wide_a, &wide_b, &all)
@@ -289,12 +290,12 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
 }
 
 /// How much better a pair of sensors fits another record when exchanged.
-/// The other sensors predict the pair from the first record. Returns the ratio of the errors as they stand to those exchanged; `None` if
-/// the pair cannot be predicted.
+/// A regression on the other sensors, fitted on `a`, predicts the pair in `b`. Returns the ratio of the
+/// errors as labelled to those exchanged; `None` if a column is missing.
 fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
     let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
     let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return None };
-    let (of_p, of_q) = (told(a, ap, rest), told(a, aq, rest));
+    let (of_p, of_q) = (sensor_regression(a, ap, rest), sensor_regression(a, aq, rest));
     let (says_p, says_q) = (of_p.says(b, rest), of_q.says(b, rest));
     let away = |t: &[f64], says: &[f64]| {
         let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();
@@ -303,9 +304,9 @@ fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Optio
     let straight = [away(bp, &says_p), away(bq, &says_q)];
     let crossed = [away(bq, &says_p), away(bp, &says_q)];
     let fits = crossed[0] < (3.0 * of_p.left).max(1.0) && crossed[1] < (3.0 * of_q.left).max(1.0);
-    // Both would have to be wrong by the very difference of the two, and to opposite sides.
+    // Otherwise both predictions would be wrong by the difference of the two, in opposite directions.
     let both = fits && (0..2).all(|s| straight[s] > (2.0 * crossed[s]).max(1.0));
     let by = straight[0].hypot(straight[1]) / crossed[0].hypot(crossed[1]).max(f64::MIN_POSITIVE);
-    // By the two together it may be many times as far off: where one of them does not say so it is not certain.
+    // If one of the two does not fit better exchanged, the ratio is limited to what is not yet a proof.
     Some(if both { by } else { by.min(CERTAINLY) })
 }

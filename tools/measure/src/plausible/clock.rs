@@ -3,7 +3,7 @@
 use rtec_files::clock::{Counted, counted, spreadsheet_in_s};
 use rtec_model::record::{Record, Role};
 
-/// What to know of a record whose clock stands still.
+/// Warning if the time is the same in every row.
 pub(super) fn stands_still(record: &Record) -> Option<String> {
     let times = record.data(&Role::Time).filter(|times| times.len() > 2)?;
     times.windows(2).all(|w| w[0].to_bits() == w[1].to_bits()).then(|| {
@@ -15,7 +15,7 @@ pub(super) fn stands_still(record: &Record) -> Option<String> {
     })
 }
 
-/// What to know of a record whose clock counts from elsewhere than its run's start.
+/// Warning if the time does not count from the run's start.
 pub(super) fn absolute(record: &Record) -> Option<String> {
     let times = record.data(&Role::Time)?;
     let first = *times.first()?;

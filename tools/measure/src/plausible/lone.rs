@@ -1,48 +1,49 @@
-//! Wild readings in records of few rows, where no robust spread is known well.
+//! Outliers in records with few rows, where a robust spread is uncertain.
 //!
-//! A reading deviates by the smaller of its differences from the reading before and after, if both have one sign. So a step, a slope and a
-//! bend do not deviate. The other readings' differences from the middle of their neighbours give the noise. The quotient follows Student's
-//! law, with as many degrees of freedom as the differences are worth. The row was selected, so the probability is multiplied by the number
-//! of rows. Several wild readings are taken one after the other, up to the last that chance does not explain (Rosner's generalised test,
-//! Technometrics 25, 1983).
+//! A reading deviates by the smaller of its differences from the readings before and after, if both have one
+//! sign. A step, a slope and a bend therefore do not deviate. The noise is taken from the other readings:
+//! their differences from the middle of their neighbours. The ratio follows Student's law with the effective
+//! number of differences as degrees of freedom. The probability is multiplied by the number of rows, because
+//! the largest was selected. Several outliers are removed in turn, up to the last that chance does not
+//! explain (Rosner's generalised test, Technometrics 25, 1983).
 
 use super::peaks::{LARGEST_PEAK_UM, causes, stays, ways};
 use super::stats::{median, quantum};
 use rtec_model::record::{Column, Kind, Record, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Records of so many rows or more have a robust spread.
+/// Rows from which a robust spread is used instead of this test.
 pub(super) const FEW: usize = 30;
-/// Fewer rows tell nothing of the noise.
+/// Minimum number of rows for an estimate of the noise.
 const FEWEST: usize = 5;
-/// Chance gives a wild reading in one column of so many.
+/// Probability of a false outlier per column.
 const CHANCE: f64 = 1e-3;
-/// So many rows are wild at the most, as a share of all.
+/// Largest share of outliers.
 const MOST: f64 = 0.12;
-/// Second differences are correlated by −2/3 and 1/6 from row to row.
-/// So many of them are worth one free one (1 + 2 Σ ρ²).
+/// Variance inflation of correlated second differences: 1 + 2 Σ ρ².
+/// ρ is −2/3 and 1/6 from row to row.
 const WORTH_ONE: f64 = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
 
-/// Wild readings of a column, and how much the others differ from the middle of their neighbours by.
+/// Outliers of a column, and the noise of its other readings.
 #[derive(Debug, Default)]
 pub(super) struct Lone {
     pub(super) rows: Vec<usize>,
     pub(super) spread: f64,
 }
 
-/// A reading held against its neighbours in one order of the rows.
+/// The deviation of a reading from its neighbours in one order of the rows.
 struct NeighbourDeviation {
     row: usize,
     off: f64,
-    /// By what the others differ, and how many differences say so.
+    /// Noise of the other rows, from this many differences.
     noise: f64,
     differences: usize,
 }
 
-/// Wild readings of a response.
+/// Outliers of a response.
 pub(super) fn of_response(record: &Record, c: &Column) -> Lone {
     let is_error = matches!(c.role, Role::Error(_));
-    // A bump of one angle is form.
+    // A peak over the angle is a form error.
     let form = record.column(&Role::Angle).is_some();
     let may_peak = causes(record);
     let last = c.data.len().saturating_sub(1);
@@ -67,17 +68,16 @@ pub(super) fn of_response(record: &Record, c: &Column) -> Lone {
     found
 }
 
-/// Nothing but time and number changes from row to row:
-/// each is the same measurement again.
+/// Whether only time, cycle and responses change: rows repeat one measurement.
 fn returns_to_one_place(record: &Record) -> bool {
     let counts = |role: &Role| matches!(role, Role::Time | Role::Cycle) || role.is_response();
     let changes = |c: &Column| c.data.windows(2).any(|w| w[0].to_bits() != w[1].to_bits());
     record.kind != Kind::Drift && !record.columns.iter().any(|c| !counts(&c.role) && changes(c))
 }
 
-/// The reading that lies apart from all others of one place, by their own
-/// scatter, and that scatter. Its difference from their mean follows Student's law with two degrees less than there are readings (Grubbs,
-/// "Sample criteria for testing outlying observations", 1950).
+/// The outlier of repeated readings of one place, and the scatter of the others.
+/// Its difference from their mean follows Student's law with n − 2 degrees of freedom (Grubbs, "Sample
+/// criteria for testing outlying observations", 1950).
 fn apart_from_all(v: &[f64]) -> Option<(usize, f64)> {
     let n = v.len() as f64;
     let law = StudentsT::new(0.0, 1.0, n - 2.0).ok()?;
@@ -85,7 +85,7 @@ fn apart_from_all(v: &[f64]) -> Option<(usize, f64)> {
         let rest: Vec<f64> = v.iter().enumerate().filter(|(i, _)| *i != row).map(|(_, v)| *v).collect();
         let mean = rest.iter().sum::<f64>() / (n - 1.0);
         let s = (rest.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 2.0)).sqrt();
-        // No gauge is better than its step.
+        // The noise is at least that of rounding to the resolution.
         let step = if quantum(&rest) > 0.0 { quantum(&rest) } else { quantum(v) };
         let s = s.max(step / 12_f64.sqrt());
         (row, s, (v[row] - mean).abs() / (s * (1.0 + 1.0 / (n - 1.0)).sqrt()))
@@ -94,8 +94,9 @@ fn apart_from_all(v: &[f64]) -> Option<(usize, f64)> {
     (size > -law.inverse_cdf(CHANCE / 2.0 / n)).then_some((row, s))
 }
 
-/// Wild readings of one column in these orders of its rows; `excused` are those that something else may make, and none that
-/// is `beyond` all physics needs a gauge's noise beside it.
+/// Outliers of a column in these orders of its rows.
+/// `excused` rows may deviate. `beyond` is a deviation that no physics explains: it is compared only with the
+/// noise of the others.
 pub(super) fn wild(
     v: &[f64],
     orders: &[Vec<Vec<usize>>],
@@ -105,14 +106,15 @@ pub(super) fn wild(
     let most = ((MOST * v.len() as f64) as usize).max(1);
     let (mut out, mut wild) = (Vec::new(), Lone::default());
     for _ in 0..most {
-        // By the order in which the others run most smoothly.
+        // Use the order in which the other rows are smoothest.
         let held = orders.iter().filter_map(|order| farthest(v, order, &out, excused));
         let Some(worst) = held.min_by(|a, b| a.noise.total_cmp(&b.noise)) else { break };
         let rest: Vec<f64> =
             (0..v.len()).filter(|i| *i != worst.row && !out.contains(i)).map(|i| v[i]).collect();
         let mut all = rest.clone();
         all.push(v[worst.row]);
-        // No gauge is better than its step. Where all others read the same, the step may be as large as the reading is off.
+        // The noise is at least that of rounding. If all others are equal, the deviation itself gives the
+        // resolution.
         let step = if quantum(&rest) > 0.0 { quantum(&rest) } else { quantum(&all) };
         let noise = worst.noise.max(step / 12_f64.sqrt());
         out.push(worst.row);
@@ -126,14 +128,14 @@ pub(super) fn wild(
     wild
 }
 
-/// Student's point that chance gives beyond in few of columns of so many rows.
+/// Student's quantile for [`CHANCE`] per column of `rows` rows.
 fn bound(rows: usize, differences: usize) -> f64 {
     let freedom = differences as f64 / WORTH_ONE;
     let law = StudentsT::new(0.0, 1.0, freedom);
     law.map_or(f64::INFINITY, |law| -law.inverse_cdf(CHANCE / 2.0 / rows as f64))
 }
 
-/// The reading farthest off its neighbours in this order, those that are `out` left out.
+/// The reading farthest from its neighbours in this order, rows in `out` left out.
 fn farthest(
     v: &[f64],
     order: &[Vec<usize>],
@@ -172,7 +174,7 @@ fn farthest(
     })
 }
 
-/// Whether a column of so many rows is looked at here.
-pub(super) fn is_few(rows: usize) -> bool {
+/// Whether this small-sample test applies to a column of `rows` rows.
+pub(super) fn is_small_sample(rows: usize) -> bool {
     (FEWEST..FEW).contains(&rows)
 }

@@ -1,28 +1,27 @@
-//! Mistakes in records that the records alone show.
-//! A unit, a sign, a sensor that is off, rows that stand twice.
+//! Suspicions: likely mistakes that records show without a model.
 //!
-//! Each finding is a question to whoever measured, never an error: the record stays as it is, and [`Unusable`] says what a
-//! fit should leave out. Every rule asks for more than chance, coarse resolution and honest physics give, so that clean
-//! data raise nothing; what a rule cannot tell from a machine that is merely odd it leaves alone. What needs a model
-//! (another machine, an error with the model's sign) is not asked here.
+//! A suspicion is a question to the person who measured, never an error. Records stay unchanged, and
+//! [`Unusable`] lists what a fit should leave out. Every rule demands more than chance, coarse resolution and
+//! normal physics explain, so clean data raise nothing. Checks that need a model (another machine, a sign)
+//! are elsewhere.
 //!
 //! | module | what it looks at |
 //! |---|---|
-//! | `sensors` | one temperature or channel beside the others: unplugged, range, unit, stuck, jump, wild values, a copy |
-//! | `motion` | positions, directions, speeds, times and errors of a run beside one another |
-//! | `rows` | rows that stand twice, wild responses |
-//! | `lone` | wild readings in records of few rows |
-//! | `slips` | a position with its decimal point in another place |
-//! | `stuck` | a sensor that stands still, beside itself at other times and beside the others |
-//! | `repeats` | single approaches far off the others to the same target |
-//! | `peaks` | where a short peak is honest, and the orders in which neighbours are neighbours |
-//! | `pieces` | a record that is too long to be held, each of its pieces by itself |
-//! | `between` | several records beside one another: the same rows twice, a sign, a unit, two sensors exchanged |
-//! | `step` | an error that steps and stays: lost counts are the machine's own, so it is no suspicion |
-//! | `told` | what some sensors say of another one |
-//! | `turned` | a record beside itself: single runs of a wrong direction, a sign that turns, another unit from a row on, a clock put forward or in the repeats' place, two sensors exchanged on the way |
+//! | `sensors` | one temperature or channel against the others: unplugged, range, unit, jump, outliers, a copy |
+//! | `motion` | positions, directions, speeds, times and errors of a run against one another |
+//! | `rows` | duplicated rows, outliers and constant stretches of responses |
+//! | `lone` | outliers in records of few rows |
+//! | `slips` | a position with a misplaced decimal point or a lost digit |
+//! | `stuck` | a frozen sensor, by its noise at other times and by the other sensors |
+//! | `repeats` | single approaches far from the others to the same target |
+//! | `peaks` | where a short peak is physical, and in which orders rows are neighbours |
+//! | `pieces` | a record too long for memory, piece by piece |
+//! | `between` | records against one another: repeated, a sign, a unit, two sensors exchanged |
+//! | `step` | a lasting step of an error; it may be lost counts, so it is no suspicion |
+//! | `sensor_regression` | regression of a sensor on other sensors |
+//! | `turned` | rows against other rows: direction, sign or unit wrong from a row on, exchanged columns, a clock put forward |
 //! | `units` | minutes, hours, inches |
-//! | `stats` | medians, robust deviations, straight lines |
+//! | `stats` | medians, robust spreads, differences |
 
 mod between;
 pub(crate) mod clock;
@@ -32,12 +31,12 @@ mod peaks;
 mod pieces;
 mod repeats;
 mod rows;
+mod sensor_regression;
 mod sensors;
 mod slips;
 mod stats;
 mod step;
 mod stuck;
-mod told;
 mod turned;
 mod units;
 
@@ -50,45 +49,45 @@ pub use step::steps_of;
 use crate::steps;
 use rtec_files::{InputError, Said};
 use rtec_model::record::{Column, Record, Role};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 
-/// Bad readings of a sensor in no more than this share of the rows cost those rows.
-/// More of them cost the sensor.
+/// A sensor with at most this share of bad rows loses only those rows.
 const FEW: f64 = 0.1;
 
-/// What kind of mistake it looks like (formats.md, "Reconciliation": `what`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+/// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum What {
-    /// Another unit than the column says.
+    /// Another unit than the column states.
     Unit,
-    /// The other sign.
+    /// The opposite sign.
     Sign,
-    /// A direction of approach that contradicts the movement, or says nothing.
+    /// A direction of approach that contradicts the movement or is constant.
     Direction,
-    /// A value that stands still where it should not.
+    /// A constant value where a real one would change.
     Stuck,
-    /// What an input reads without its sensor.
+    /// The value of an input without a sensor.
     Unplugged,
-    /// A value that no machine has.
+    /// A value that is impossible on a machine.
     Range,
-    /// A step that no machine makes.
+    /// A step that is impossible on a machine.
     Jump,
-    /// Rows or columns that stand twice.
+    /// Duplicated rows or columns.
     Doubled,
-    /// Two columns, or two sensors, one in the other's place.
+    /// Two columns or two sensors exchanged.
     Swapped,
-    /// Single rows far off all others.
+    /// Single rows far from all others.
     Outliers,
-    /// Taken on another machine than the model's (found only beside a model).
+    /// Measured on another machine than the model's (found only with a model).
     OtherMachine,
 }
 
 impl What {
-    /// As the document writes it.
+    /// The name in JSON documents.
     pub fn name(self) -> &'static str {
         match self {
             Self::Unit => "unit",
@@ -112,35 +111,30 @@ impl fmt::Display for What {
     }
 }
 
-impl Serialize for What {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(self.name())
-    }
-}
-
-/// A mistake that the data itself shows.
+/// A suspected mistake in a record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Suspicion {
-    /// The record: its sidecar as it was named.
+    /// Path of the record's sidecar.
     pub record: String,
-    /// The column, by its name in the CSV; empty where it is the whole row's.
+    /// Name of the column in the CSV; empty for whole rows.
     pub column: String,
-    /// Rows of data from 1, the header and comments not counted: `3-9,14`; empty for all of them.
+    /// Rows from 1 without header and comments, such as `3-9,14`; empty for all rows.
     pub rows: String,
-    /// What it looks like.
+    /// Kind of the mistake.
     pub what: What,
     /// One line: what was seen, and what it looks like.
     pub text: String,
-    /// The column is a temperature or a channel.
+    /// Whether the column is a temperature or a channel.
     #[serde(skip)]
     sensor: bool,
-    /// Rows of its record.
+    /// Number of rows of the record.
     #[serde(skip)]
     of: usize,
 }
 
 impl Suspicion {
-    /// A suspicion against a column; no rows (of this record, from 0) stand for all.
+    /// A suspicion against a column.
+    /// `rows` count from 0 in this record; none means all.
     pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
         let sensor = record.columns.iter().any(|c| c.name == column && is_sensor(c));
         let (of, path) = (record.rows(), record.path.display().to_string());
@@ -148,21 +142,20 @@ impl Suspicion {
         Self { record: path, column: column.to_owned(), rows: rows_text(&rows), what, text, sensor, of }
     }
 
-    /// A record that holds the rows of another one, whatever its name.
+    /// A record with the same rows as another one.
     pub fn again(first: &Record, record: &Record) -> Self {
         let text = format!("holds the same rows as {}: it says nothing more", first.path.display());
         Self::new(record, "", What::Doubled, &[], text)
     }
 
-    /// It is about few of its record's rows.
-    /// They can be spared, and the column is good without them.
+    /// Whether it concerns at most a tenth of the rows, and the others are good.
     pub fn is_few(&self) -> bool {
         !self.rows.is_empty()
             && self.row_list().len() as f64 <= FEW * self.of as f64
             && self.what != What::Jump
     }
 
-    /// It is about a temperature or a channel.
+    /// Whether it concerns a temperature or a channel.
     pub fn is_of_sensor(&self) -> bool {
         self.sensor
     }
@@ -179,7 +172,7 @@ impl Suspicion {
 }
 
 impl fmt::Display for Suspicion {
-    /// One line, with few of the rows where there are many.
+    /// One line; of many rows only some.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { record, column, rows, what, text, .. } = self;
         write!(f, "{record}: {what}: ")?;
@@ -196,7 +189,7 @@ impl fmt::Display for Suspicion {
     }
 }
 
-/// Rows from 0 as `3-9,14`, from 1.
+/// Rows from 0 as text, such as `3-9,14`, from 1.
 fn rows_text(rows: &[usize]) -> String {
     let mut out: Vec<String> = Vec::new();
     let mut i = 0;
@@ -211,7 +204,7 @@ fn rows_text(rows: &[usize]) -> String {
     out.join(",")
 }
 
-/// What these records, given together, show of mistakes; none for clean data.
+/// All suspicions of these records, compared with one another; none for clean data.
 pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     let mut found = Vec::new();
     for record in records {
@@ -225,7 +218,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     }
     stuck::look(records, &mut found);
     between::look(records, &mut found);
-    // A sensor that jumps in one record after the other shows something that is switched.
+    // Jumps in several records show that something is switched.
     let jumps = |s: &Suspicion, all: &[Suspicion]| {
         all.iter().filter(|o| o.what == What::Jump && o.column == s.column && o.record != s.record).count()
     };
@@ -234,7 +227,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     found
 }
 
-/// As [`suspicions`], and says each of them, with the steps that are none.
+/// Reports suspicions, steps and conditions of records; returns the suspicions.
 pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     let found = suspicions(records);
     for s in &found {
@@ -247,8 +240,8 @@ pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     found
 }
 
-/// Says what is no mistake and worth knowing of records.
-/// How their CSV is written, a clock that does not begin with the run, sensors that stand still.
+/// Reports conditions of records that are no mistakes.
+/// How their CSV is written, a clock that does not begin with the run, constant sensors.
 pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) {
     for still in stuck::still(records, found) {
         say(Said::Warning(still));
@@ -263,14 +256,14 @@ pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnM
     }
 }
 
-/// Puts suspicions into a document, where that is an object.
+/// Adds the suspicions to a JSON document, if that is an object.
 pub fn enter(document: &mut serde_json::Value, found: &[Suspicion]) {
     if let serde_json::Value::Object(map) = document {
         map.insert("suspicions".to_owned(), serde_json::json!(found));
     }
 }
 
-/// Refuses records to learn from in which a unit, a sign, a direction or a column looks wrong: a model would carry it on.
+/// Refuses records with a wrong unit, sign, direction or column for a fit.
 ///
 /// # Errors
 /// The first such suspicion against one of these records.
@@ -287,8 +280,7 @@ pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<(), InputError> 
     Err(InputError::whole(Path::new(&first.record), found, expected))
 }
 
-/// The records that no earlier one of these repeats.
-/// Those to learn from, and those to judge by.
+/// Drops records that repeat an earlier one, from training and hold-out.
 pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Record>) {
     let all: Vec<&Record> = train.iter().chain(&holdout).collect();
     let again: Vec<usize> = repeated(&all).into_iter().map(|(_, k)| k).collect();
@@ -300,7 +292,7 @@ pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Recor
     (new(0, train), new(n, holdout))
 }
 
-/// The records as a fit may learn from them; what it leaves out of them is said.
+/// The records without what a fit should leave out, which is reported.
 pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) -> Vec<Record> {
     let out = unusable(found);
     let left: Vec<Record> = records.iter().map(|r| out.without(r)).collect();
@@ -321,9 +313,9 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
     left
 }
 
-/// The records as figures and plots may hold them, after these suspicions.
-/// Without the rows that look misread or stand twice, and without the sensors that took no reading. A single reading that a sensor did not
-/// take is no number.
+/// The records for figures and plots.
+/// Leaves out misread and duplicated rows and sensors without readings. A single missing reading of a sensor
+/// becomes NaN.
 pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = every_row(records, doubts);
     let of_rows = Unusable { rows: rows_left_out(doubts), ..Unusable::default() };
@@ -335,8 +327,8 @@ pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [R
     usable
 }
 
-/// As [`in_figures`], with every row.
-/// What a figure would be if no row had been left out. Sensors that change places are put back.
+/// As [`in_figures`], but with every row.
+/// Exchanged sensors are put back.
 pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = Cow::Borrowed(records);
     for [one, other] in exchanged(doubts) {
@@ -376,7 +368,7 @@ pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Re
     usable
 }
 
-/// Pairs of sensors that change places at a row of their record.
+/// Pairs of sensors that are exchanged from a row of their record on.
 pub(crate) fn exchanged(doubts: &[Suspicion]) -> Vec<[&Suspicion; 2]> {
     let is_one = |d: &&Suspicion| d.what == What::Swapped && d.sensor && !d.rows.is_empty();
     let all: Vec<&Suspicion> = doubts.iter().filter(is_one).collect();
@@ -384,7 +376,7 @@ pub(crate) fn exchanged(doubts: &[Suspicion]) -> Vec<[&Suspicion; 2]> {
     pairs.map(|w| [w[0], w[1]]).collect()
 }
 
-/// Rows that no figure holds, from 0, by their record.
+/// Rows left out of all figures, from 0, by record.
 pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<usize>> {
     let mut rows: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
     for doubt in doubts.iter().filter(|d| d.is_of_rows()) {
@@ -393,23 +385,22 @@ pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<u
     rows
 }
 
-/// A record without the rows that no figure may hold.
-/// What the record shows of mistakes is said, and how many rows are left out.
+/// Reports the suspicions of a record and returns it without the bad rows.
 pub fn only_good(record: Record, say: &mut dyn FnMut(Said)) -> Record {
     let records = [record];
     let doubts = said(&records, say);
     good_rows(&in_figures(&records, &doubts)[0], records[0].rows(), say).into_owned()
 }
 
-/// The rows of a record of [`in_figures`] in which every sensor took its reading.
-/// Says how many of its `all` rows are left out.
+/// The rows of a record of [`in_figures`] in which every sensor has a reading.
+/// Reports how many of the `all` rows are left out.
 pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) -> Cow<'r, Record> {
     let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
     let mut left = Cow::Borrowed(record);
     if record.columns.iter().any(|c| off(&c)) {
         let is_taken = |row: &usize| record.columns.iter().all(|c| !is_sensor(c) || c.data[*row].is_finite());
         let keep: Vec<usize> = (0..record.rows()).filter(is_taken).collect();
-        // Where sensors are off in turns no row is whole: those sensors go then.
+        // If no row is whole, the sensors with gaps are dropped instead.
         let mut whole = if keep.is_empty() { record.clone() } else { record.select(&keep) };
         whole.columns.retain(|c| !off(&c));
         left = Cow::Owned(whole);
@@ -422,16 +413,16 @@ pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) 
     left
 }
 
-/// Puts the last good reading in place of those that a sensor did not take.
-/// Returns how many those are.
-/// Where none is before them it is the first good one of this piece of the record. `held`: each sensor's last good reading so far.
+/// Replaces missing readings of sensors by the last good one; returns how many.
+/// Readings before the first good one take that. `held` carries each sensor's last good reading to the next
+/// piece.
 pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> usize {
     let mut found = Vec::new();
     sensors::look(record, &mut found);
     let (first, rows) = (record.first_row(), record.rows());
     let mut held_rows = 0;
     for column in record.columns.iter_mut().filter(|c| is_sensor(c)) {
-        // Behind a step a prediction goes on with what is read: nothing says which level was the body's.
+        // After a step a prediction uses the readings: nothing shows which level was right.
         let is_bad = |d: &&Suspicion| d.is_not_taken() && d.what != What::Jump && d.column == column.name;
         let bad = found.iter().filter(is_bad);
         let bad: BTreeSet<usize> = bad
@@ -454,26 +445,25 @@ pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> 
 }
 
 impl Suspicion {
-    /// Its rows are misread or stand twice.
+    /// Whether its rows are misread or duplicated.
     fn misreads_rows(&self) -> bool {
         let misread =
             matches!(self.what, What::Doubled | What::Outliers | What::Stuck | What::Unplugged | What::Range);
         misread && !self.rows.is_empty()
     }
 
-    /// It is about whole rows: of a response, a position or the row itself, not of one sensor. Such rows are in no figure.
+    /// Whether whole rows are bad, not only one sensor. Figures leave such rows out.
     pub fn is_of_rows(&self) -> bool {
         self.misreads_rows() && !self.sensor
     }
 
-    /// Of a sensor that did not take its reading: of these rows, or of all where there are none.
+    /// Whether a sensor has no valid reading in these rows, or in any row.
     pub(crate) fn is_not_taken(&self) -> bool {
         self.is_of_sensor()
             && (self.misreads_rows() || matches!(self.what, What::Unplugged | What::Stuck | What::Jump))
     }
 
-    /// It leaves no row of its column:
-    /// all are doubted, or one of the two levels that a step parts.
+    /// Whether the whole column is lost: all rows are bad, or a step leaves two levels.
     fn is_of_column(&self) -> bool {
         self.rows.is_empty() || self.what == What::Jump
     }
@@ -487,8 +477,8 @@ pub struct Unusable {
 }
 
 /// What a fit should leave out after these suspicions.
-/// Sensors that are no predictors in any record, and rows (those of a few bad readings among them). A unit, a sign or a direction is left
-/// as it stands: what is right there only who measured can say.
+/// Sensors are dropped from all records, unless few rows are bad: then those rows. A response with a wrong
+/// unit, sign or direction stays, because only the person who measured knows the truth.
 pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     let mut out = Unusable::default();
     for s in suspicions {
@@ -512,19 +502,19 @@ pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
 }
 
 impl Unusable {
-    /// A temperature or channel of this name is no predictor.
+    /// Whether a temperature or channel of this name is left out.
     pub fn sensor(&self, name: &str) -> bool {
         self.sensors.contains(name)
     }
 
-    /// The rows of a record that should be left out, from 0.
+    /// The rows of a record that are left out, from 0.
     pub fn rows(&self, record: &Record) -> Vec<usize> {
         let rows = self.rows.get(&record.path.display().to_string());
         rows.map(|r| r.iter().copied().filter(|i| *i < record.rows()).collect()).unwrap_or_default()
     }
 
-    /// The record without its unusable rows, temperatures and channels.
-    /// As it is where that would leave nothing.
+    /// The record without its unusable rows and sensors.
+    /// If no row would remain, all rows stay.
     pub fn without(&self, record: &Record) -> Record {
         let out = self.rows(record);
         let keep: Vec<usize> = (0..record.rows()).filter(|i| out.binary_search(i).is_err()).collect();
@@ -534,7 +524,7 @@ impl Unusable {
     }
 }
 
-/// A temperature or a channel: what a law may take as its cause by name.
+/// Whether a law may take the column as a cause: a temperature or a channel.
 fn is_sensor(column: &Column) -> bool {
     matches!(column.role, Role::Temperature | Role::Channel)
 }

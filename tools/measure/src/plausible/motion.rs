@@ -1,8 +1,9 @@
-//! Positions, directions, speeds, times and errors of a run beside one another.
+//! Checks positions, directions, speeds, times and errors against one another.
 
 use super::stats::{distinct, median, middle_range, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use crate::iso230::{Round, correlation, line};
+use rtec_model::circle::turn_rad;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
 /// The longest axes of machine tools, mm.
@@ -31,32 +32,31 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A time of milliseconds called seconds: rows hours apart.
-/// And a clock that steps: set on the way, or two runs in one file.
+/// Detects milliseconds or days called seconds, and a clock that was set.
 fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(t) = record.column(&Role::Time) else { return };
     if t.data.len() < 5 {
         return;
     }
     let between = steps(&t.data);
-    let usual = median(between.iter().copied().filter(|d| *d > 0.0).collect());
+    let usual = median(between.iter().copied().filter(|d| *d > 0.0));
     let limit = match record.kind {
         Kind::Drift => 3600.0,
         Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep => 60.0,
         _ => 900.0,
     };
-    // Weeks of rows in whole numbers that are no minutes: a logger of seconds is set to 1, 10 or 60 s, not to 1000.
+    // Whole seconds that are not whole minutes, over weeks: loggers are set to 1, 10 or 60 s, not to 1000 s.
     let whole = t.data.iter().all(|t| t.fract() == 0.0);
     let long = usual * t.data.len() as f64 > 20.0 * DAY_S && whole && usual % 60.0 != 0.0;
     let epoch_ms = t.data[0] > 5e11;
-    // A row every quarter of an hour or so many of them, to four hours, is how people read gauges by hand.
+    // People read gauges by hand every quarter of an hour or a multiple of it, up to four hours.
     let by_hand = record.kind == Kind::Drift && usual % 900.0 == 0.0 && usual <= 14_400.0;
     if usual >= limit && !by_hand || long || epoch_ms {
         let text = format!("rows are {usual} s apart, which looks like milliseconds");
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
     }
-    // A spreadsheet counts days from 1900: 36 526 to 58 000 are this century's.
+    // A spreadsheet counts days from 1900: 36 526 to 58 000 are dates of this century.
     if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 && (36_526.0..58_000.0).contains(&t.data[0])
     {
         let text = format!(
@@ -75,17 +75,17 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
 }
 
 const DAY_S: f64 = 86_400.0;
-/// A machine may stand over a long weekend between two rows of one run.
+/// Longest pause in a run, s: a long weekend.
 const LONGEST_PAUSE_S: f64 = 5.0 * DAY_S;
 
-/// Degrees called radians.
-/// A dozen turns and more, in quarters of a degree, in steps that no circle is read in, or over a whole number of half turns in degrees.
-/// And an angle that is not that of the positions.
+/// Detects degrees called radians, and an angle that contradicts the positions.
+/// Degrees: more than a dozen turns if read as radians, and quarters of a degree, coarse steps or a whole
+/// number of half turns.
 fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(a) = record.column(&Role::Angle) else { return };
     let [lo, hi] = span(&a.data);
     let nice = a.data.iter().filter(|v| ((**v * 4.0) - (**v * 4.0).round()).abs() < 1e-6).count();
-    let coarse = median(steps(&a.data).iter().map(|d| d.abs()).collect()) > 0.2;
+    let coarse = median(steps(&a.data).iter().map(|d| d.abs())) > 0.2;
     let halves = range(&a.data) / 180.0;
     let whole = halves > 0.9 && (halves - halves.round()).abs() < 0.01;
     if range(&a.data) > 80.0
@@ -100,7 +100,8 @@ fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// An angle off that of the positions by more than this is another one, rad: 1°, some rows late on a quick circle.
+/// Largest median deviation from the angle of the positions, rad.
+/// 1° is a few rows late on a quick circle.
 const OTHER_ANGLE_RAD: f64 = 0.0175;
 
 fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
@@ -111,11 +112,8 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
     let places = x.iter().zip(y).map(|(x, y)| round.angle(*x, *y));
     let off = |sign: f64| {
-        let of = |(p, a): (f64, &f64)| {
-            ((p - sign * a + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI)
-                .abs()
-        };
-        median(places.clone().zip(&angle.data).map(of).collect())
+        let of = |(p, a): (f64, &f64)| turn_rad(sign * a, p).abs();
+        median(places.clone().zip(&angle.data).map(of))
     };
     if off(1.0) > OTHER_ANGLE_RAD {
         let [a, b] = &circle.plane;
@@ -128,8 +126,7 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// The position reached in place of the error.
-/// It runs along the position at one to one.
+/// Detects the reached position in place of the error: it has slope 1.
 fn actual(record: &Record, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> bool {
     let Some((_, slope, left)) = line(&p.data, &e.data) else { return false };
     if distinct(&p.data) < 4 {
@@ -146,7 +143,7 @@ fn actual(record: &Record, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> 
     false
 }
 
-/// Signs of the movement into each row; nothing for rows that stay where they were.
+/// Sign of the movement into each row; `None` where the axis stays.
 pub(super) fn moves(p: &[f64]) -> Vec<Option<f64>> {
     let sizes: Vec<f64> = steps(p).iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
     let dead = 0.05 * median(sizes);
@@ -157,7 +154,7 @@ pub(super) fn moves(p: &[f64]) -> Vec<Option<f64>> {
     (0..p.len()).map(of).collect()
 }
 
-/// Share of the rows whose movement has the sign of `way`, and how many can be asked.
+/// Share of the rows that move in the sign of `way`, and number of rows compared.
 pub fn agreement(p: &[f64], way: &[f64]) -> (f64, usize) {
     let asked: Vec<bool> = moves(p)
         .iter()
@@ -168,7 +165,7 @@ pub fn agreement(p: &[f64], way: &[f64]) -> (f64, usize) {
     (asked.iter().filter(|a| **a).count() as f64 / asked.len().max(1) as f64, asked.len())
 }
 
-/// Values minus the mean of those with the same sign of `way`.
+/// Values less the mean of the rows with the same sign of `way`.
 fn beside_sides(v: &[f64], way: &[f64]) -> Vec<f64> {
     let mean = |up: bool| {
         let own = v.iter().zip(way).filter(|(_, w)| (**w > 0.0) == up);
@@ -179,14 +176,14 @@ fn beside_sides(v: &[f64], way: &[f64]) -> Vec<f64> {
     v.iter().zip(way).map(|(v, w)| v - means[usize::from(*w > 0.0)]).collect()
 }
 
-/// Of more rows than these so many, drawn from all of them, are held beside those a period before: every period is looked at, and
-/// rows times rows are too many.
+/// Above this number of rows [`repeats`] compares a sample, to save time.
 const ROWS_THAT_REPEAT: usize = 20_000;
+/// Size of that sample.
 const ROWS_DRAWN: usize = 4096;
-/// Share of the rows of a column that repeats which may differ from those a period before.
+/// Largest share of rows that may differ from those one period before.
 const MAY_DIFFER: f64 = 0.03;
 
-/// Whether a column repeats itself exactly after some rows, with at least five places in it.
+/// Whether a column repeats with a period and has at least five places.
 fn repeats(v: &[f64]) -> bool {
     let n = v.len();
     let near = 5e-4 * range(v);
@@ -197,7 +194,7 @@ fn repeats(v: &[f64]) -> bool {
             let most = (MAY_DIFFER * rows as f64) as usize;
             return (0..rows).filter(|row| other(*row)).nth(most).is_some();
         }
-        // One row of each stretch, at a place in it that a fixed sequence draws: rows an equal number apart may all be one place.
+        // One row of each stretch, at a pseudo-random place: evenly spaced rows may all be one place.
         let drawn = (0..ROWS_DRAWN).map(|k| {
             let dice = (k as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33;
             let (from, to) = (k * rows / ROWS_DRAWN, (k + 1) * rows / ROWS_DRAWN);
@@ -206,7 +203,7 @@ fn repeats(v: &[f64]) -> bool {
         drawn.filter(|row| other(*row)).nth((MAY_DIFFER * ROWS_DRAWN as f64) as usize).is_some()
     };
     let round = (8..=n / 2).any(|period| !differs(period));
-    // Places, not levels: the values are far apart beside what they repeat to.
+    // The values must be places: few, and farther apart than the tolerance.
     round && {
         let mut places = v.to_vec();
         places.sort_by(f64::total_cmp);
@@ -215,8 +212,8 @@ fn repeats(v: &[f64]) -> bool {
     }
 }
 
-/// Position and error in each other's place.
-/// The error moves as a position does, the position as an error.
+/// Detects position and error in each other's column.
+/// The error moves as a position does, and the position as an error.
 fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> bool {
     let n = p.data.len();
     if n < 10 {
@@ -227,7 +224,7 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
         .or_else(|| record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == Kind::Positioning));
     let by_direction = way.is_some_and(|w| {
         let ((as_error, asked), (as_position, others)) = (agreement(&e.data, w), agreement(&p.data, w));
-        // What differs from side to side by a reversal also moves as they alternate; a position goes on along each side.
+        // Reversal also makes an error move with the direction; within one direction only a position goes on.
         let (along, left) = agreement(&beside_sides(&e.data, w), w);
         asked.min(others).min(left) >= 10 && as_error.min(along) >= 0.95 && (0.2..=0.8).contains(&as_position)
     });
@@ -247,14 +244,14 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
     false
 }
 
-/// Metres or micrometres called millimetres.
+/// Detects metres or micrometres called millimetres.
 fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
     let [lo, hi] = span(&p.data);
     let farthest = lo.abs().max(hi.abs());
     let text = if farthest > LONGEST_MM {
         format!("goes to {farthest:.0} mm, which looks like micrometres")
     } else {
-        // Few places some mm to metres apart once they are taken for metres: no scan of a fine period has so few.
+        // Few places within 3 mm: a scan of a fine period has more places.
         let sizes: Vec<f64> = steps(&p.data).iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
         let near = 0.05 * median(sizes.clone());
         let mut places = p.data.clone();
@@ -265,7 +262,7 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         let (size, pitch) = (range(&p.data), median(sizes));
         let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != Kind::FeedSweep;
         let quick = matches!(record.kind, Kind::Ballbar) && size < 0.7;
-        // In a positioning run one axis moves, and another by as little as its own error or what corrects it.
+        // In a positioning run one axis moves; others move by their own error or its correction.
         let follows = record.kind == Kind::Positioning
             && record.columns.iter().any(|c| match &c.role {
                 Role::Position(a) if c.name != p.name => {
@@ -284,7 +281,8 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
     out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
 }
 
-/// A direction or a speed is logged of an axis that stands still, and goes as the only other one moves.
+/// Detects the positions of one axis in the column of another.
+/// The logged direction or speed of an axis at rest agrees with the only axis that moves.
 fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
     let place = |a: &Axis| record.column(&Role::Position(a.clone()));
     let moving: Vec<&Axis> = axes.iter().filter(|a| place(a).is_some_and(|p| range(&p.data) > 0.0)).collect();
@@ -307,7 +305,7 @@ fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A direction of approach beside the movement.
+/// Checks the direction of approach against the movement.
 fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
     let Some(d) = record.column(&Role::Direction(axis.clone())) else { return };
     let n = d.data.len() as f64;
@@ -329,7 +327,7 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
             && ups >= 0.3 * moved
             && downs >= 0.3 * moved
             && moved >= 10.0;
-    // Rows put into the order of their positions say nothing of how each was approached.
+    // Rows sorted by position do not show how each was approached.
     let is_sorted = p.data.is_sorted() || p.data.iter().rev().is_sorted();
     let text = if share(&|v| v == 0.0) >= 0.25
         && share(&|v| v == 0.0) < 1.0
@@ -349,7 +347,7 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
     out.push(Suspicion::new(record, &d.name, What::Direction, &[], text));
 }
 
-/// A logged speed beside the positions and times of a run that was sampled while it moved.
+/// Checks a logged speed against positions and times of a run sampled in motion.
 fn speed(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
     let Some(v) = record.column(&Role::Velocity(axis.clone())) else { return };
     let Some(t) = record.column(&Role::Time) else { return };
@@ -392,7 +390,7 @@ fn speed(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// How many times the slope of `x` over time a logged rate is (median), and how well the two go together.
+/// Median ratio of a logged rate to the slope of `x`, and their correlation.
 fn per_second(x: &[f64], t: &[f64], rate: &[f64]) -> Option<(f64, f64)> {
     let at = 1..x.len() - 1;
     let slope = |i: usize| (x[i + 1] - x[i - 1]) / (t[i + 1] - t[i - 1]);
@@ -408,10 +406,10 @@ fn per_second(x: &[f64], t: &[f64], rate: &[f64]) -> Option<(f64, f64)> {
     (ratios.len() >= 10).then(|| (median(ratios), correlation(&a, &b)))
 }
 
-/// From row to row a machine's error varies by no more counts, where it is read in counts.
+/// Largest row-to-row noise of a machine's error, in counts.
 const MOST_COUNTS: f64 = 20.0;
 
-/// Millimetres called micrometres, and errors that no machine has.
+/// Detects millimetres called micrometres, and errors too large for a machine.
 fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     if e.data.len() < 8 || distinct(&e.data) < 3 {
         return;
@@ -421,7 +419,7 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     let multiples = |of: f64| {
         e.data.iter().all(|v| ((v / of) - (v / of).round()).abs() < 1e-3 * (v / of).abs().clamp(1.0, 100.0))
     };
-    // Counts of a thousandth, and a noise of few of them: a precise gauge rounds to finer or coarser steps, and varies by many.
+    // Few thousandths of a count: a precise gauge has another resolution and noise of many steps.
     let noise =
         spread(&e.data.windows(3).map(|w| w[0] - 2.0 * w[1] + w[2]).collect::<Vec<_>>()) / 6_f64.sqrt();
     let counted = record.count_um.is_some_and(|count| {
@@ -433,8 +431,8 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
             && noise < MOST_COUNTS * small
     });
     let driven = record.columns.iter().any(|c| matches!(c.role, Role::Velocity(_)));
-    // Where what a count is worth is known, less than one is no machine's error either way.
-    // A coarse gauge reads the same for most rows: its middle does not vary at all.
+    // Less than one count is too small in either unit. Most rows of a coarse gauge are equal, so its middle
+    // range is 0.
     let tiny = size > 0.0 && size < 0.1 && record.count_um.is_none_or(|count| size < count);
     let text = if tiny || counted {
         format!("varies by {size:.2e} µm, which looks like millimetres")
@@ -450,8 +448,7 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
 mod tests {
     use super::*;
 
-    /// A million rows that never repeat.
-    /// Every period of all of them once took minutes of processor.
+    /// A million rows: the cost must not grow with rows times periods.
     #[test]
     fn what_repeats_is_told_of_any_number_of_rows() {
         if !test_needs::long() {
@@ -468,11 +465,11 @@ mod tests {
             noise[i] = noise[i - 37];
         }
         assert!(repeats(&noise) && repeats(&noise[..400]));
-        // What repeats at first only does not.
+        // Rows that repeat only at first do not count.
         let mut first_only = noise.clone();
         first_only[30_000..].iter_mut().for_each(|v| *v = draw());
         assert!(!repeats(&first_only));
-        // A row in 150 is another: near enough; one in twenty is not.
+        // One differing row in 150 is tolerated, one in 20 is not.
         let spoilt = |every: usize| -> Vec<f64> {
             let of = |(i, v): (usize, &f64)| if i % every == 0 { -v - 1e8 } else { *v };
             noise[..400].iter().enumerate().map(of).collect()

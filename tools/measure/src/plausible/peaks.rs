@@ -1,14 +1,16 @@
 //! Where a short peak is physical, and in which orders rows are neighbours.
-//! A peak is physical at a turn, at a change of coolant, speed, load or temperature, at a run's ends, and in a state that stays.
+//! Peaks are physical at reversals, at changes of coolant or spindle speed, at peaks of load or a channel,
+//! and at a run's ends.
 
 use super::stats::{median, range, spread, steps};
 use rtec_model::record::{Axis, Column, Record, Role};
 
-/// The bound of a reversal spike's amplitude in the dictionary, µm.
+/// Largest amplitude of a reversal spike in the effect dictionary, µm.
 pub(super) const LARGEST_PEAK_UM: f64 = 1000.0;
 
 /// The axis along whose positions a response is read.
-/// Its own, or where that stands still the only one that moves: a straightness, a tilt. `None` where positions were not logged.
+/// The response's own axis, or the only moving one if that is at rest (straightness, tilt). `None` if there
+/// is no such axis.
 pub(super) fn read_along<'r>(record: &'r Record, c: &'r Column) -> Option<&'r Axis> {
     let moves = |axis: &Axis| record.data(&Role::Position(axis.clone())).is_some_and(|p| range(p) > 0.0);
     let own = match &c.role {
@@ -22,8 +24,8 @@ pub(super) fn read_along<'r>(record: &'r Record, c: &'r Column) -> Option<&'r Ax
     own.filter(|axis| moves(axis)).or_else(|| others.next().filter(|_| others.next().is_none()))
 }
 
-/// The rows of each direction, in the order of the positions of [`read_along`].
-/// None where these were not logged.
+/// The rows of each direction, sorted by the position of [`read_along`].
+/// Empty if positions are not logged.
 pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     let Some(axis) = read_along(record, c) else { return Vec::new() };
     let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
@@ -38,8 +40,9 @@ pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
 }
 
 /// Each row's deviation from the median of seven rows, and whether it is isolated.
-/// The seven are the row itself and three on each side, in these orders; towards the ends they are fewer, so that a trend leaves nothing. A
-/// row is isolated if it stands alone, or in a group of up to [`GROUP`] equal rows far from both sides. The edge of a step is not.
+/// The seven are the row and three on each side, in these orders. Towards the ends they are fewer and stay
+/// symmetric, so that a trend leaves nothing. An isolated row is in a group of at most [`GROUP`] rows that is
+/// far from both sides; the edge of a step is not isolated.
 pub(super) fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     let (mut left, mut alone) = (vec![0.0; v.len()], vec![false; v.len()]);
     for order in orders {
@@ -63,12 +66,12 @@ pub(super) fn beside(v: &[f64], orders: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) 
 /// Most consecutive bad readings; with more, the median of seven rows is bad.
 const GROUP: usize = 3;
 
-/// So many rows on end, one of them far off others, are a level and no single readings; and they lie this near, as a share of how
-/// far it is off.
+/// Consecutive similar rows from which a deviation is a level, not single readings.
 const LEVEL: usize = 4;
+/// Rows of a level differ by less than this share of its deviation.
 const LEVEL_SHARE: f64 = 0.5;
 
-/// Whether a row that is so far off others stands among rows that are as it is, in the order of time.
+/// Whether a row that deviates by `off` is part of a level in time order.
 pub(super) fn stays(v: &[f64], row: usize, off: f64) -> bool {
     let alike = |x: &&f64| (**x - v[row]).abs() < LEVEL_SHARE * off.abs();
     let before = v[..row].iter().rev().take(LEVEL).take_while(alike).count();
@@ -76,22 +79,21 @@ pub(super) fn stays(v: &[f64], row: usize, off: f64) -> bool {
     before + behind >= LEVEL
 }
 
-/// A state of so few rows makes a peak.
+/// Most rows of a short coolant state, in which a peak is physical.
 const SHORT: usize = 3;
 
-/// How many rows on either side of a turn may have a peak.
-/// Turns every few rows excuse nothing: that is how the run is made.
+/// Rows on either side of a reversal that may have a peak.
+/// `None` if the run reverses every few rows.
 fn after_turns(turns: usize, rows: usize) -> Option<usize> {
     match rows / turns.max(1) {
         12.. => Some(3),
-        // A circle of thirty rows has one a quarter, and a spike at some of them.
+        // A circle of 30 rows reverses every quarter and may have a spike there.
         6.. => Some(1),
         _ => None,
     }
 }
 
-/// Rows where something else may honestly make a short peak.
-/// At the ends, or by one of the [`causes`].
+/// Rows in which a short peak may be physical: both ends and [`causes`].
 pub(super) fn excused(record: &Record) -> Vec<bool> {
     let mut out = causes(record);
     let n = out.len();
@@ -100,7 +102,7 @@ pub(super) fn excused(record: &Record) -> Vec<bool> {
     out
 }
 
-/// Rows next to a reversal, to a change of coolant, spindle speed, load or temperature.
+/// Rows near a reversal, a change of coolant or speed, or a peak of a load.
 pub(super) fn causes(record: &Record) -> Vec<bool> {
     let n = record.rows();
     let mut out = vec![false; n];
@@ -109,16 +111,8 @@ pub(super) fn causes(record: &Record) -> Vec<bool> {
     };
     for c in &record.columns {
         match &c.role {
-            Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) => {
-                let turns: Vec<usize> = (1..n).filter(|i| c.data[*i] * c.data[i - 1] < 0.0).collect();
-                if let Some(by) = after_turns(turns.len(), n) {
-                    for i in turns {
-                        around(i, by);
-                    }
-                }
-            }
-            Role::Position(_) => {
-                let d = steps(&c.data);
+            Role::Direction(_) | Role::Velocity(_) | Role::Acceleration(_) | Role::Position(_) => {
+                let d = if matches!(c.role, Role::Position(_)) { steps(&c.data) } else { c.data.clone() };
                 let turns: Vec<usize> = (1..d.len()).filter(|i| d[*i] * d[i - 1] < 0.0).collect();
                 if let Some(by) = after_turns(turns.len(), n) {
                     for i in turns {
@@ -134,7 +128,7 @@ pub(super) fn causes(record: &Record) -> Vec<bool> {
                         around(i, 2);
                     }
                 } else if c.role == Role::Coolant {
-                    // A pump that is on or off for few rows shows in those.
+                    // A pump that is on or off for few rows affects those rows.
                     let short = |w: &&[usize]| w[1] - w[0] <= SHORT;
                     for w in changes.windows(2).filter(short) {
                         (w[0]..w[1]).for_each(|i| around(i, 0));
@@ -142,7 +136,7 @@ pub(super) fn causes(record: &Record) -> Vec<bool> {
                 }
             }
             Role::Load(_) | Role::Channel => {
-                // A cause that peaks by itself at a row explains a peak there.
+                // A cause that has a peak itself explains one in the response.
                 let order: Vec<usize> = (0..n).collect();
                 let (left, _) = beside(&c.data, &[order]);
                 let scale = spread(&left);

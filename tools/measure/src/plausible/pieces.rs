@@ -1,21 +1,20 @@
-//! Mistakes in a record that is too long to be held.
-//! What each of its pieces shows by itself.
+//! Suspicions in a record that is too long for memory, piece by piece.
 
 use super::{Suspicion, What, steps_of, suspicions};
 use rtec_files::Said;
 use rtec_model::record::Record;
 
-/// What the pieces of a record show so far.
+/// Suspicions of the pieces of a record read so far.
 #[derive(Debug, Default)]
 pub struct PieceSuspicions {
-    /// Of each: its rows as a suspicion writes them, and what was found.
+    /// Per piece: its rows as `first-last`, from 1, and its suspicions.
     found: Vec<(String, Vec<Suspicion>)>,
     steps: Vec<String>,
     rows: usize,
 }
 
 impl PieceSuspicions {
-    /// The next piece.
+    /// Adds the suspicions of the next piece.
     pub fn see(&mut self, piece: &Record) {
         let one = std::slice::from_ref(piece);
         let rows = format!("{}-{}", piece.first_row() + 1, piece.first_row() + piece.rows());
@@ -24,8 +23,8 @@ impl PieceSuspicions {
         self.rows += piece.rows();
     }
 
-    /// As [`super::said`], of all of them.
-    /// What is said of every piece as a whole is said once, of the record.
+    /// Reports the suspicions of all pieces as [`super::said`] does.
+    /// A suspicion of every piece as a whole is reported once, for the record.
     pub fn said(self, say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
         let alike = |a: &Suspicion, b: &Suspicion| {
             a.column == b.column && a.what == b.what && a.rows.is_empty() == b.rows.is_empty()
@@ -37,7 +36,7 @@ impl PieceSuspicions {
             for s in own {
                 let pieces = pieces_with(s);
                 let everywhere = s.rows.is_empty() && pieces == self.found.len();
-                // A sensor that jumps in one piece after the other shows something that is switched.
+                // Jumps in several pieces show that something is switched.
                 let switched = s.what == What::Jump && s.sensor && pieces > 1;
                 if switched || everywhere && number > 0 {
                     continue;

@@ -5,12 +5,13 @@ use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
-/// So many of the approaches' own spread away, an approach is wild; and the worst of them so many.
+/// An approach is an outlier above this multiple of the approaches' robust spread.
 const FAR: f64 = 10.0;
+/// The worst outlier must exceed this multiple.
 const WORST: f64 = 14.0;
 
-/// Approaches of a positioning run that neither drift nor repeatability explains.
-/// Nothing where they were found already.
+/// Outliers among the approaches of a positioning run to the same target.
+/// Columns with known outliers are skipped.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     let path = record.path.display().to_string();
     for c in record.measured().filter(|_| record.kind == Kind::Positioning) {
@@ -27,20 +28,20 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         }
         let mut away = vec![0.0; record.rows()];
         for g in groups.iter().filter(|g| g.len() >= 3) {
-            let middle = median(g.iter().map(|i| c.data[*i]).collect());
+            let middle = median(g.iter().map(|i| c.data[*i]));
             for i in g {
                 away[*i] = c.data[*i] - middle;
             }
         }
-        // The middle one of each group is its own median, and says nothing of the spread.
+        // The median approach of each group deviates by 0 and tells nothing of the spread.
         let others: Vec<f64> = away.iter().map(|v| v.abs()).filter(|v| *v > 0.0).collect();
         let resolution = smallest_step(&c.data);
         let spread = (1.4826 * median(others)).max(resolution);
         let far = |i: &usize| away[*i].abs() > FAR * spread;
-        // Before it has turned for the first time an axis lacks the spike that each later pass begins with.
+        // Before its first reversal an axis lacks the spike that each later pass begins with.
         let begun = (0..away.len()).take_while(far).count();
         let begun = if d[..begun].windows(2).all(|w| w[0] * w[1] > 0.0) { begun } else { 0 };
-        // Nor is a level that the error stays on a single approach.
+        // A level that persists is not a single approach.
         let single = |i: &usize| far(i) && !stays(&c.data, *i, away[*i]);
         let rows: Vec<usize> = (begun..away.len()).filter(single).collect();
         let worst = rows.iter().map(|i| away[*i].abs()).fold(0.0, f64::max);
@@ -57,18 +58,18 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// An axis moves where its positions run over this share of what those of another one do.
+/// An axis moves if its range exceeds this share of the other axis's range.
 pub(super) const MOVES: f64 = 0.01;
 
-/// The positions of the axes beside this one that move in a record.
-/// On a plate or a circle one axis alone makes no place.
+/// Positions of the other axes that move.
+/// On a plate or a circle one axis alone does not define a place.
 pub(super) fn also_moved<'r>(record: &'r Record, axis: &Axis) -> Vec<&'r [f64]> {
     let least = MOVES * record.data(&Role::Position(axis.clone())).map_or(0.0, range);
     let other = |c: &&Column| matches!(&c.role, Role::Position(a) if a != axis) && range(&c.data) > least;
     record.columns.iter().filter(other).map(|c| c.data.as_slice()).collect()
 }
 
-/// Each group's rows apart where another axis is elsewhere.
+/// Splits each group where another axis is at another position.
 pub(super) fn apart_by(groups: Vec<Vec<usize>>, q: &[f64]) -> Vec<Vec<usize>> {
     let apart = range(q) / 200.0;
     let mut out = Vec::new();
@@ -83,27 +84,20 @@ pub(super) fn apart_by(groups: Vec<Vec<usize>>, q: &[f64]) -> Vec<Vec<usize>> {
     out
 }
 
-/// Rows of one target and direction: positions that lie together.
+/// Rows of one target and one direction, grouped by position.
 pub(super) fn groups(p: &[f64], d: &[f64]) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..p.len()).collect();
     order.sort_by(|a, b| p[*a].total_cmp(&p[*b]));
     let (lo, hi) = (order.first().map_or(0.0, |i| p[*i]), order.last().map_or(0.0, |i| p[*i]));
     let apart = (hi - lo) / 200.0;
-    let mut targets: Vec<Vec<usize>> = Vec::new();
-    for i in order {
-        match targets.last_mut() {
-            Some(t) if p[i] - p[t[t.len() - 1]] <= apart => t.push(i),
-            _ => targets.push(vec![i]),
-        }
-    }
-    let ways = |t: Vec<usize>| {
-        let (up, down): (Vec<usize>, Vec<usize>) = t.into_iter().partition(|i| d[*i] > 0.0);
+    let ways = |t: &[usize]| {
+        let (up, down): (Vec<usize>, Vec<usize>) = t.iter().partition(|i| d[**i] > 0.0);
         [up, down]
     };
-    targets.into_iter().flat_map(ways).filter(|g| !g.is_empty()).collect()
+    order.chunk_by(|a, b| p[*b] - p[*a] <= apart).flat_map(ways).filter(|g| !g.is_empty()).collect()
 }
 
-/// What the values are read in, where they are few.
+/// Resolution of the values, if at most half of them differ; else 0.
 fn smallest_step(values: &[f64]) -> f64 {
     if distinct(values) * 2 > values.len() {
         return 0.0;

@@ -1,23 +1,23 @@
-//! Rows that stand twice, and responses far off all others.
+//! Duplicated rows, and outliers and constant stretches of responses.
 
 use super::lone::{self, Lone};
 use super::peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
-use super::stats::{distinct, median, medians_of_others, quantum, range, spread, steps};
+use super::stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use crate::steps::repeats;
 use rtec_model::record::{Column, Record, Role};
 use statrs::distribution::{Beta, Binomial, ContinuousCDF as _, DiscreteCDF as _};
 use std::collections::HashMap;
 
-/// A shorter stretch of one value is not looked at.
+/// Shortest stretch of one value that is examined, rows.
 const SHORTEST: usize = 6;
-/// So many rows of one value are no chance.
+/// Stretch of one value that chance does not explain, rows.
 const FLAT: usize = 20;
-/// Rows so many times as far off as others are not of the same kind.
+/// Outliers are rows farther off than this fraction of the farthest: 1 / `APART`.
 const APART: f64 = 5.0;
-/// A block that stands twice is at least so long.
+/// Fewest rows of a pasted block.
 const BLOCK: usize = 8;
-/// Largest probability by chance at which equal rows are called doubled.
+/// Largest probability by chance at which equal rows are called duplicated.
 const DOUBLED_BY_CHANCE: f64 = 0.01;
 
 pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
@@ -30,7 +30,7 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
             far_off(record, c, &found, out);
             continue;
         }
-        // The others are looked at as if those rows had not been.
+        // The other rows are checked as if these were interpolated.
         let without = Column { data: bridged(&c.data, &same), ..c.clone() };
         let mut found = wild(record, &without);
         found.rows.retain(|row| same.binary_search(row).is_err());
@@ -40,14 +40,7 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Rows far off others, and how these spread.
-#[derive(Default)]
-struct Wild {
-    rows: Vec<usize>,
-    spread: f64,
-}
-
-fn far_off(record: &Record, c: &Column, Wild { rows, spread }: &Wild, out: &mut Vec<Suspicion>) {
+fn far_off(record: &Record, c: &Column, Lone { rows, spread }: &Lone, out: &mut Vec<Suspicion>) {
     let Some(first) = rows.first() else { return };
     let text = format!(
         "{} of {} rows are far off those beside them, as {:.2} (the others spread by {spread:.2})",
@@ -58,16 +51,16 @@ fn far_off(record: &Record, c: &Column, Wild { rows, spread }: &Wild, out: &mut 
     out.push(Suspicion::new(record, &c.name, What::Outliers, rows, text));
 }
 
-/// A reading is beyond all others where it is so many times as far from their median as the farthest of them.
+/// Ratio of distances from the median at which a reading is beyond all others.
 const BEYOND: f64 = 20.0;
-/// No more rows than this share are beyond the others.
+/// Largest share of such rows.
 const FEW_ROWS: f64 = 0.12;
-/// Probability above which so many rows on end may read the same by chance.
+/// Probability above which equal consecutive rows may be chance.
 const ALIKE_BY_CHANCE: f64 = 0.05;
 
 /// Consecutive rows with one exact value far beyond all others, such as 9999.
-/// An instrument writes it if it has no reading. The gauge must seldom read the same twice, because no state of a machine removes a gauge's
-/// noise.
+/// An instrument writes it if it has no reading. The gauge must seldom repeat a value, because every state of
+/// a machine has a gauge's noise.
 fn one_reading(c: &Column) -> Vec<usize> {
     let v = &c.data;
     let usual = median(v.clone());
@@ -87,7 +80,7 @@ fn one_reading(c: &Column) -> Vec<usize> {
     if is_one && chance < ALIKE_BY_CHANCE { rows } else { Vec::new() }
 }
 
-/// The values with a straight line in place of those in these rows.
+/// The values, linearly interpolated over these rows.
 pub(super) fn bridged(v: &[f64], rows: &[usize]) -> Vec<f64> {
     let mut out = v.to_vec();
     let is_good = |i: &usize| rows.binary_search(i).is_err();
@@ -103,22 +96,21 @@ pub(super) fn bridged(v: &[f64], rows: &[usize]) -> Vec<f64> {
     out
 }
 
-/// The same row again: the next one, or a block pasted once more.
+/// Detects duplicated rows: the row before once more, or a pasted block.
 fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     let n = record.rows();
     if n < 4 {
         return;
     }
-    // What is derived from positions and times differs in a copy, because its neighbours do.
+    // Values derived from positions and times differ in a copy, because its neighbours do.
     let is_derived = |c: &&Column| matches!(c.role, Role::Velocity(_) | Role::Acceleration(_));
     let whole: Vec<&Column> = record.columns.iter().filter(|c| !is_derived(c)).collect();
-    // The clock and the cycle's number are counted, not measured: what is pasted gets its own.
+    // Time and cycle are counted, so pasted rows have their own.
     let counted = |c: &&Column| matches!(c.role, Role::Time | Role::Cycle);
     let measured: Vec<&Column> = whole.iter().copied().filter(|c| !counted(c)).collect();
     let same =
         |of: &[&Column], i: usize, j: usize| of.iter().all(|c| c.data[i].to_bits() == c.data[j].to_bits());
-    // The next row, or the one after where pairs were doubled: without time neighbours must be alike far more often than
-    // rows a few apart.
+    // Equal neighbours. Without a time they must be far more frequent than equal rows seven apart.
     let next: Vec<usize> = (1..n).filter(|i| same(&whole, *i, i - 1)).collect();
     let apart = (7..n).filter(|i| same(&whole, *i, i - 7)).count();
     let told = match record.data(&Role::Time) {
@@ -137,11 +129,11 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Whether coarse clocks and gauges alone make so many rows like the row before.
-/// A clock finer than half a row never shows the same time twice.
+/// Whether coarse clocks and gauges alone make this many equal neighbours.
+/// A clock finer than half a row never shows one time twice.
 fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     let between = steps(time);
-    if 2.0 * quantum(time) <= median(between.iter().copied().filter(|d| *d > 0.0).collect()) {
+    if 2.0 * quantum(time) <= median(between.iter().copied().filter(|d| *d > 0.0)) {
         return false;
     }
     let is_cause = |c: &&Column| !c.role.is_measured() && c.role != Role::Time;
@@ -156,7 +148,7 @@ fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
         .map(|c| {
             let off: Vec<f64> = others.iter().map(|[i, j]| (c.data[*i] - c.data[*j]).abs()).collect();
             let same = off.iter().filter(|d| **d == 0.0).count() as f64 / off.len().max(1) as f64;
-            // Of noise that spreads over many steps of the gauge half lies within the median.
+            // For noise over many steps of the gauge, half the differences lie within the median.
             let step = quantum(&c.data);
             same.max(0.5 * step / (2.0 * median(off) + step).max(f64::MIN_POSITIVE))
         })
@@ -164,8 +156,8 @@ fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     Binomial::new(p.min(1.0), pairs as u64).is_ok_and(|b| b.sf(alike as u64 - 1) >= DOUBLED_BY_CHANCE)
 }
 
-/// The probability that a block of so many rows repeats an earlier one by chance.
-/// A coarse gauge often reads the same again at the same place. How often, the rows beside the copies show.
+/// Probability that a block of `block` rows repeats an earlier one by chance.
+/// A coarse gauge often repeats its reading at a place; the rows outside the copies show how often.
 fn repeats_by_chance(record: &Record, copies: &[usize], block: usize) -> f64 {
     let is_copy = |row: &usize| copies.binary_search(row).is_ok();
     let again: f64 = record
@@ -178,7 +170,8 @@ fn repeats_by_chance(record: &Record, copies: &[usize], block: usize) -> f64 {
                     same += f64::from(u8::from(c.data[w[0]].to_bits() == c.data[w[1]].to_bits()));
                 }
             }
-            // The longest run was chosen, so the others differ more often than by chance: the upper end of what they leave open.
+            // Selection bias: the longest block was chosen, so the other rows repeat too seldom. Use the
+            // upper confidence limit.
             let most = Beta::new(same + 1.0, pairs - same).map_or(1.0, |b| b.inverse_cdf(0.95));
             if pairs > 0.0 { most } else { 0.5 }
         })
@@ -186,15 +179,14 @@ fn repeats_by_chance(record: &Record, copies: &[usize], block: usize) -> f64 {
     record.rows() as f64 * again.powi(block as i32)
 }
 
-/// Rows of blocks that repeat an earlier block in all that was measured, where that is no chance.
+/// Rows of blocks that repeat an earlier block beyond chance.
 fn pasted(
     record: &Record,
     measured: &[&Column],
     same: &dyn Fn(&[&Column], usize, usize) -> bool,
 ) -> Vec<usize> {
     let n = record.rows();
-    // Only what is noisy cannot repeat by itself: rows are told apart by a response that does not run smoothly, in time or
-    // from place to place.
+    // Only noise cannot repeat by itself: one response must be rough in time or from place to place.
     let noisy = record.measured().any(|c| {
         let by_place: Vec<f64> = ways(record, c).concat().iter().map(|i| c.data[*i]).collect();
         (rough(&c.data) || rough(&by_place) || differs_at_its_places(record, c)) && distinct(&c.data) * 4 > n
@@ -211,7 +203,7 @@ fn pasted(
     let mut i = 1;
     while i < n {
         let starts = first.get(&key(i)).map_or(&[][..], Vec::as_slice);
-        // The longest run from here that some earlier stretch has too.
+        // The longest run from here that an earlier stretch also has.
         let length = |j: usize| (0..n - i).take_while(|k| j + k < i && same(measured, i + k, j + k)).count();
         let best = starts.iter().filter(|j| **j < i).take(50).map(|j| length(*j)).max().unwrap_or(0);
         if best >= BLOCK {
@@ -222,12 +214,12 @@ fn pasted(
             i += 1;
         }
     }
-    // A machine without noise repeats itself in every cycle; a pasted block is not all there is, but for one copy of all.
+    // A machine without noise repeats in every cycle, so at most half of the rows may be copies.
     let is_machine = rows.len() * 2 > n || repeats_by_chance(record, &rows, longest) >= DOUBLED_BY_CHANCE;
     if is_machine { Vec::new() } else { rows }
 }
 
-/// At one place, from one side, it is hardly ever the same to the last digit.
+/// Whether readings at one place and direction are seldom equal.
 fn differs_at_its_places(record: &Record, c: &Column) -> bool {
     let places = places(record, c, &ways(record, c));
     let (mut all, mut own) = (0, 0);
@@ -238,15 +230,17 @@ fn differs_at_its_places(record: &Record, c: &Column) -> bool {
     all >= 2 * BLOCK && own * 10 >= all * 7
 }
 
-/// Up and down from row to row more often than not.
+/// Whether the values turn back in more than 35 % of the steps.
 fn rough(v: &[f64]) -> bool {
     let d = steps(v);
     let turns = d.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
     turns * 100 > 35 * d.len()
 }
 
-/// Whether this gauge stands on a whole step of gauges as coarse as whole micrometres.
-/// Less than a step does not move it. They are the record's others, or in another record one that reads the same response.
+/// Whether a constant gauge may only be coarse.
+/// Its value is a whole step of the other coarse gauges.
+/// Compares with the other responses of the record, else with the same response of other records. Coarse is a
+/// step of 1 µm or more.
 fn as_coarse_as_others(record: &Record, all: &[Record], c: &Column) -> bool {
     let is_coarse = |o: &Column| {
         let q = quantum(&o.data);
@@ -260,7 +254,7 @@ fn as_coarse_as_others(record: &Record, all: &[Record], c: &Column) -> bool {
     all.iter().filter_map(|r| r.column(&c.role)).filter(moves).any(is_coarse)
 }
 
-/// A response that stands still: a gauge that is not read.
+/// Detects a constant response: a gauge that is not read.
 fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     let n = c.data.len();
     if n >= FLAT && distinct(&c.data) == 1 && !as_coarse_as_others(record, all, c) {
@@ -271,16 +265,7 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     if n < 40 {
         return;
     }
-    let mut best = (0, 0);
-    let mut start = 0;
-    for i in 0..=n {
-        if i == n || c.data[i].to_bits() != c.data[start].to_bits() {
-            if i - start > best.1 - best.0 {
-                best = (start, i);
-            }
-            start = i;
-        }
-    }
+    let best = longest_run(&c.data);
     let length = best.1 - best.0;
     let outside: Vec<f64> = (0..n).filter(|i| *i < best.0 || *i >= best.1).map(|i| c.data[i]).collect();
     if outside.len() < 20 || length < SHORTEST {
@@ -288,14 +273,14 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     }
     let p = outside.windows(2).filter(|w| w[0].to_bits() != w[1].to_bits()).count() as f64
         / (outside.len() - 1) as f64;
-    // Coarse steps change less where the value lies between two of them, hence the square.
+    // A coarse reading changes less often near the middle of a step, hence the square.
     let chance = length as f64 * (1.0 - 0.7 * p.min(0.95).powi(2)).ln() + (n as f64).ln();
     let long =
         length >= FLAT && p >= 0.7 && distinct(&outside) * 4 > outside.len() && chance < (1e-8_f64).ln();
-    // A noisy gauge: the chance that two readings on end are alike is what it is at other times; and nothing smooth, and no
-    // machine at rest, keeps it from its noise.
+    // A noisy gauge: the probability of equal neighbours is taken from the other rows, times three.
     let alike = 3.0 * ((1.0 - p) * (outside.len() - 1) as f64 + 1.0) / outside.len() as f64;
-    let usual = longest_run(&outside);
+    let (from, to) = longest_run(&outside);
+    let usual = to - from;
     let noisy = rough(&outside) && alike < 0.8 && length >= 3 * usual;
     if long || noisy && (length - 1) as f64 * alike.max(0.1).ln() + (n as f64).ln() < (1e-5_f64).ln() {
         let rows: Vec<usize> = (best.0..best.1).collect();
@@ -304,25 +289,14 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// How many rows on end have one value at the most.
-fn longest_run(v: &[f64]) -> usize {
-    let (mut best, mut now) = (0, 0);
-    for w in v.windows(2) {
-        now = if w[0].to_bits() == w[1].to_bits() { now + 1 } else { 0 };
-        best = best.max(now);
-    }
-    best + usize::from(!v.is_empty())
-}
-
-/// Rows far off those that are near in time, and off those near in position and direction.
-fn wild(record: &Record, c: &Column) -> Wild {
+/// Rows far from their neighbours in time and in position and direction.
+fn wild(record: &Record, c: &Column) -> Lone {
     let n = c.data.len();
-    if lone::is_few(n) {
-        let Lone { rows, spread } = lone::of_response(record, c);
-        return Wild { rows, spread };
+    if lone::is_small_sample(n) {
+        return lone::of_response(record, c);
     }
     if n < lone::FEW || range(&c.data) <= 0.0 {
-        return Wild::default();
+        return Lone::default();
     }
     let may_peak = excused(record);
     let in_time: Vec<usize> = (0..n).collect();
@@ -331,10 +305,10 @@ fn wild(record: &Record, c: &Column) -> Wild {
     if !by_place.is_empty() {
         orders.push(by_place);
     }
-    // By the order in which the response runs most smoothly; or by what the same place gave at other times.
+    // Use the order in which the response is smoothest, or the same place at other times.
     let in_order = |o: &Vec<Vec<usize>>| {
         let (left, alone) = beside(&c.data, o);
-        // Where it runs up or down steeply a row is its own median, however noisy it is.
+        // On a steep course each row is its own median, however noisy.
         let scale = width(&left).max(noise_along(&c.data, o));
         (left, alone, scale)
     };
@@ -348,13 +322,13 @@ fn wild(record: &Record, c: &Column) -> Wild {
         lefts.push((left, alone, scale));
     }
     let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else {
-        return Wild::default();
+        return Lone::default();
     };
-    let none = Wild { rows: Vec::new(), spread: scale };
+    let none = Lone { rows: Vec::new(), spread: scale };
     if scale <= 0.0 {
         return none;
     }
-    // A place that is always like this, or as far off at other times, is the machine's.
+    // A deviation that a place always has is the machine's.
     let mut usual_there = vec![false; n];
     let at_places = mates.as_ref().map_or(0.0, |m| width(&of_place(&c.data, m).0));
     for place in mates.iter().flatten().filter(|p| p.len() >= 2) {
@@ -364,31 +338,31 @@ fn wild(record: &Record, c: &Column) -> Wild {
             usual_there[*i] = off < 0.5 * left[*i].abs() || place.len() >= 3 && off < 4.0 * at_places;
         }
     }
-    // No peak that a turn or a start makes is larger than the bound of such a peak.
+    // No spike at a reversal or a start is larger than the dictionary's bound.
     let excused =
         |i: usize| may_peak[i] && !(matches!(c.role, Role::Error(_)) && left[i].abs() > LARGEST_PEAK_UM);
     let far = |i: usize| left[i].abs() / scale;
-    // What stays where it is in time is a state of the machine, however few rows of a place fall into it: before or after
-    // counts were lost, coolant that is on, a run that nothing came before.
+    // A level that lasts is a state of the machine: lost counts, coolant, or a run without a reversal before
+    // it.
     let own = |i: &usize| alone[*i] && !excused(*i) && !usual_there[*i] && !stays(&c.data, *i, left[*i]);
     let worst = (0..n).filter(own).map(far).fold(0.0, f64::max);
-    // What is far beyond all others is told apart from them, however heavy their tails.
+    // Far outliers are separated from the rest, however heavy its tails.
     let apart = (worst / APART).max(8.0);
     let rows: Vec<usize> = (0..n).filter(|i| far(*i) > apart && own(i)).collect();
-    // Heavy tails, or a shape that is no smooth one, are one thing; a few rows beyond all others another.
+    // Many moderately far rows are heavy tails or a shape, not outliers.
     let tail = (apart / 2.0).max(4.5);
     let bulk = (0..n).filter(|i| rows.binary_search(i).is_err() && !excused(*i) && far(*i) > tail).count();
-    // Many close together are a shape of their own: one row in twenty by chance has a neighbour in one case of four.
+    // Many close together are a shape: by chance one of four has a neighbour if one row in twenty is chosen.
     let close = rows.windows(2).filter(|w| w[1] - w[0] <= 3).count();
     if rows.len() >= 4 && 2 * close > rows.len() {
         return none;
     }
     let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
     let few = rows.len() as f64 <= FEW_ROWS * n as f64;
-    if enough && few && 2 * bulk <= rows.len() { Wild { rows, spread: scale } } else { none }
+    if enough && few && 2 * bulk <= rows.len() { Lone { rows, spread: scale } } else { none }
 }
 
-/// The spread of most values; by more of them where most are the same (a coarse reading).
+/// Robust standard deviation; from the 90th percentile if most values are 0.
 fn width(v: &[f64]) -> f64 {
     let by_half = spread(v);
     if by_half > 0.0 {
@@ -396,41 +370,34 @@ fn width(v: &[f64]) -> f64 {
     }
     let mut sizes: Vec<f64> = v.iter().map(|v| v.abs()).collect();
     sizes.sort_by(f64::total_cmp);
-    // Nine of ten of a normal distribution lie within 1.645 of its standard deviations.
+    // Nine of ten of a normal distribution lie within 1.645 σ.
     sizes[sizes.len() * 9 / 10] / 1.645
 }
 
-/// Standard deviation of the noise from row to row of these orders.
-/// What three rows on end are off a straight line.
+/// Standard deviation of the noise in these orders, from second differences.
 fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
     let off = |w: &[usize]| v[w[0]] - 2.0 * v[w[1]] + v[w[2]];
     let all: Vec<f64> = orders.iter().flat_map(|o| o.windows(3).map(off)).collect();
     spread(&all) / 6_f64.sqrt()
 }
 
-/// The rows of each place, from the rows of each direction in the order of their positions.
+/// The rows of each place, from the rows of each direction sorted by position.
 fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
     let Some(p) = read_along(record, c).and_then(|a| record.data(&Role::Position(a.clone()))) else {
         return Vec::new();
     };
-    let mut found: Vec<Vec<usize>> = Vec::new();
-    for rows in ways {
+    let of_way = |rows: &Vec<usize>| {
         let near = 0.2 * range(p) / rows.len().max(1) as f64;
-        for (k, i) in rows.iter().enumerate() {
-            match found.last_mut().filter(|_| k > 0 && p[*i] - p[rows[k - 1]] <= near) {
-                Some(place) => place.push(*i),
-                None => found.push(vec![*i]),
-            }
-        }
-    }
-    found
+        rows.chunk_by(|a, b| p[*b] - p[*a] <= near).map(<[usize]>::to_vec).collect::<Vec<_>>()
+    };
+    ways.iter().flat_map(of_way).collect()
 }
 
-/// What each row has beyond the median of its place.
+/// Each row's deviation from the median of its place.
 fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
     let mut left = vec![0.0; v.len()];
     for place in places {
-        let usual = median(place.iter().map(|i| v[*i]).collect());
+        let usual = median(place.iter().map(|i| v[*i]));
         for i in place {
             left[*i] = v[*i] - usual;
         }

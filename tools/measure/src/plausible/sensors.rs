@@ -1,4 +1,4 @@
-//! One temperature or channel beside the others of its record.
+//! Checks one temperature or channel against the others of its record.
 
 use super::lone;
 use super::rows::bridged;
@@ -7,12 +7,12 @@ use super::{Suspicion, What, is_sensor};
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role, span};
 
-/// What any sensor on a machine tool can read, °C.
+/// Range of a sensor on a machine tool, °C.
 pub(crate) const DEGC: [f64; 2] = [-40.0, 150.0];
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
-    // Those that are read at least at times, with a straight line in place of what they did not read.
+    // Sensors that are read at least at times, with unread rows interpolated, and whether all rows were read.
     let mut read: Vec<(Column, bool)> = Vec::new();
     for c in &sensors {
         let others: Vec<&Column> = sensors.iter().filter(|o| o.name != c.name).copied().collect();
@@ -41,7 +41,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     copies(record, out);
 }
 
-/// Rows that show an open input's code, or what no sensor reads.
+/// Detects the code of an open input and values outside the range of a sensor.
 fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     let coded = |v: f64| disconnected(v).filter(|(_, certain)| *certain).map(|d| d.0);
     let rest: Vec<f64> = c
@@ -50,16 +50,16 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
         .copied()
         .filter(|v| disconnected(*v).is_none() && *v > DEGC[0] && *v < DEGC[1])
         .collect();
-    // Where this sensor is warm at other times, or else the others.
+    // The sensor's usual value at other times, or else that of the others.
     let usual = if rest.is_empty() {
         let near = others.iter().flat_map(|o| &o.data).copied().filter(|v| *v > DEGC[0] && *v < DEGC[1]);
-        median(near.collect())
+        median(near)
     } else {
         median(rest.clone())
     };
     let known = !rest.is_empty() || !others.is_empty();
     let mut rows = Vec::new();
-    // Each code that was read, and why it is one.
+    // Each code, and why it is one.
     let mut codes: Vec<(f64, &str)> = Vec::new();
     for (i, v) in c.data.iter().enumerate() {
         let off = coded(*v).or_else(|| {
@@ -100,13 +100,13 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     out.push(Suspicion::new(record, &c.name, What::Range, if all { &[] } else { &beyond }, text));
 }
 
-/// No body moves so far between two rows that follow each other as they usually do, and then stands still to the last digit, K.
+/// Step that no body makes between two rows before constant readings, K.
 const FAILS_K: f64 = 15.0;
-/// So many rows of one value are no chance behind such a step.
+/// Fewest equal rows after such a step.
 const STANDS: usize = 5;
 
-/// The rows in which a sensor shows one value behind a step that no body makes, until it steps back or the record ends: what a bus
-/// reads of a sensor that does not answer. With the step's size, K.
+/// Rows with one exact value after an impossible step, and the step's size, K.
+/// They end with another such step or with the record: a bus reads this from a sensor that does not answer.
 fn frozen(record: &Record, c: &Column) -> Option<(std::ops::Range<usize>, f64)> {
     let (v, time) = (&c.data, record.time_s());
     let usual_s = median(steps(time));
@@ -116,7 +116,7 @@ fn frozen(record: &Record, c: &Column) -> Option<(std::ops::Range<usize>, f64)> 
         let stands = v[start..].iter().take_while(|x| x.to_bits() == v[start].to_bits()).count();
         let end = start + stands;
         if stands >= STANDS && leaps(start) && (end == v.len() || leaps(end)) {
-            // A sensor that comes back from its failure steps too: it failed before, not now.
+            // A sensor that comes back from a failure also steps: then it failed before, not now.
             let moves = |rows: &[f64]| rows.windows(2).any(|w| w[0].to_bits() != w[1].to_bits());
             if moves(&v[..start]) {
                 return Some((start..end, (v[start] - v[start - 1]).abs()));
@@ -127,16 +127,15 @@ fn frozen(record: &Record, c: &Column) -> Option<(std::ops::Range<usize>, f64)> 
     None
 }
 
-/// A sensor that is read well scatters by less from row to row, K.
+/// Largest row-to-row noise of a working sensor, K.
 const SCATTER_K: f64 = 1.0;
 
-/// Readings that go up and down by kelvins from row to row, as no body does.
-/// A loose contact, an open input.
+/// Detects a loose contact or an open input: scatter of kelvins from row to row.
 fn loose(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let moves = steps(&c.data);
     let turns = moves.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
     let noise = noise_k(&c.data);
-    // Two of three steps of noise turn back.
+    // Of pure noise, two of three steps turn back.
     if c.data.len() >= 20 && noise > SCATTER_K && 2 * turns > moves.len() {
         let text = format!(
             "scatters by {noise:.1} K from row to row, as no body's temperature does: a loose contact or an open input"
@@ -145,16 +144,14 @@ fn loose(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Standard deviation of a sensor's noise, by what three rows on end differ from a straight line.
+/// Standard deviation of a sensor's noise, from second differences, K.
 fn noise_k(v: &[f64]) -> f64 {
-    let mut second: Vec<f64> = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    second.sort_by(f64::total_cmp);
-    // Median of a normal distribution's sizes; a difference of second order has six times the variance.
-    second.get(second.len() / 2).copied().unwrap_or(0.0) / 0.6745 / 6_f64.sqrt()
+    let second = v.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs());
+    // The median of a normal variable's size is 0.6745 σ; a second difference has six times the variance.
+    median(second) / 0.6745 / 6_f64.sqrt()
 }
 
-/// A value next to which there are others nearly the same.
-/// The sensor got there by degrees.
+/// Whether a neighbouring value is near: the sensor got there gradually.
 fn passes_through(c: &Column, i: usize) -> bool {
     let near = |j: usize| {
         let d = (c.data[j] - c.data[i]).abs();
@@ -168,7 +165,7 @@ fn kelvin(v: &[f64]) -> bool {
     lo > 263.15 && hi < 393.15
 }
 
-/// Kelvin or degrees Fahrenheit called °C.
+/// Detects kelvin or degrees Fahrenheit called °C.
 fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     if kelvin(&c.data) {
         let text = format!("reads {:.1} degC, which looks like kelvin", c.data[0]);
@@ -181,7 +178,7 @@ fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
         return;
     }
     let starts: Vec<f64> = others.iter().map(|o| o.data[0]).filter(|v| (5.0..50.0).contains(v)).collect();
-    // Beside others: at their start once converted. Alone: no machine's coldest place is that warm from the start.
+    // With other sensors: converted, it starts near them. Alone: even the coldest value is at least 50.
     let looks = if starts.is_empty() {
         others.iter().all(|o| span(&o.data)[0] >= 50.0)
     } else {
@@ -197,7 +194,7 @@ fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     }
 }
 
-/// A step that stays, which neither this sensor's other rows nor any other sensor shows.
+/// Detects a lasting step that no other row or sensor shows.
 fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
     let n = c.data.len();
     if n < 20 {
@@ -218,7 +215,7 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     {
         return false;
     }
-    // Heat that one body shows at once others show late: they begin to move then.
+    // Heat that one body shows at once reaches others late: they begin to move then.
     let follows = |o: &&Column| begins_to_move(&o.data, at, FOLLOWS * size);
     if is_switched(record, &own, at) || others.iter().any(follows) {
         return false;
@@ -234,26 +231,25 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     true
 }
 
-/// Rows on either side of a moment from which a sensor's slope is taken.
-/// A slow body shows its bend over many only.
+/// Rows on either side over which slopes are compared.
+/// A slow body bends over many rows only.
 const SIDES: [usize; 3] = [8, 16, 24];
-/// Another sensor that moves on by this share of a jump within the fewest of them, otherwise than before, follows it; over more
-/// rows it has more time.
+/// Change of slope of a sensor that follows a jump, per window, as share of it.
 const FOLLOWS: f64 = 0.05;
-/// So many standard errors of a slope are no chance.
-/// So many times the bend that was there before is a new one.
+/// A change of slope must exceed this multiple of its standard error.
 const CERTAIN: f64 = 6.0;
+/// It must also exceed this multiple of the change one window earlier.
 const NEW_BEND: f64 = 2.0;
 
-/// Whether a sensor's slope changes behind row `at`, by no less than `least` kelvin within the rows on one side of it, and not
-/// as it did before.
+/// Whether a sensor's slope changes after row `at`.
+/// The change must be at least `least` kelvin over the rows of one side, and larger than the one before.
 fn begins_to_move(v: &[f64], at: usize, least: f64) -> bool {
-    // No reading is better than its resolution.
+    // The noise is at least that of rounding to the resolution.
     let noise = noise_k(v).max(quantum(v) / 12_f64.sqrt());
     SIDES.iter().any(|side| bends(v, at, *side, least, noise))
 }
 
-/// The same over so many rows on either side.
+/// The same test over `side` rows on either side.
 fn bends(v: &[f64], at: usize, side: usize, least: f64, noise: f64) -> bool {
     let slope = |rows: std::ops::Range<usize>| -> Option<f64> {
         let rows = v.get(rows)?;
@@ -262,7 +258,7 @@ fn bends(v: &[f64], at: usize, side: usize, least: f64, noise: f64) -> bool {
         let square: f64 = (0..side).map(|i| (i as f64 - middle).powi(2)).sum();
         Some(rows.iter().enumerate().map(with).sum::<f64>() / square)
     };
-    // The first row behind the moment is where the jump is seen.
+    // The jump shows in the first row after `at`.
     let bend = |at: usize| Some(slope(at + 1..at + 1 + side)? - slope((at + 1).checked_sub(side)?..at + 1)?);
     let Some(here) = bend(at) else { return false };
     let before = at.checked_sub(side).and_then(bend).unwrap_or(0.0);
@@ -271,17 +267,17 @@ fn bends(v: &[f64], at: usize, side: usize, least: f64, noise: f64) -> bool {
     here.abs() > CERTAIN * error && here.abs() * side as f64 > least && here.abs() > NEW_BEND * before.abs()
 }
 
-/// Another step of at least this share of the largest is one of something that is switched.
+/// A second step of this share of the largest shows that something is switched.
 const AGAIN: f64 = 0.5;
 
-/// Whether what a sensor jumps by is switched.
-/// It jumps as far at other times, or spindle or coolant change there.
+/// Whether a jump comes from something switched.
+/// The sensor jumps as far at other times, or the spindle or coolant changes there.
 fn is_switched(record: &Record, own: &[f64], at: usize) -> bool {
     let again = own.iter().enumerate().any(|(i, d)| i.abs_diff(at) > 5 && d.abs() > AGAIN * own[at].abs());
     again || is_caused(record, at)
 }
 
-/// Whether spindle or coolant change near the step behind row `at`.
+/// Whether the spindle or the coolant changes near the step after row `at`.
 fn is_caused(record: &Record, at: usize) -> bool {
     let changes = |c: &Column| {
         let near = at.saturating_sub(1)..(at + 3).min(c.data.len());
@@ -291,8 +287,8 @@ fn is_caused(record: &Record, at: usize) -> bool {
     record.columns.iter().filter(cause).any(changes)
 }
 
-/// Readings far from those before and after, to which a body could not have gone
-/// and come back. What is found is said.
+/// Reports readings that a body cannot reach and leave.
+/// Returns whether there are any.
 fn misread(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
     let mut rows = excursions(record, c, others);
     let data = bridged(&c.data, &rows);
@@ -304,43 +300,39 @@ fn misread(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspic
     !rows.is_empty()
 }
 
-/// No more of a sensor's rows are misread;
-/// where more are, none of its levels is known to be the body's.
+/// Largest share of misread rows; with more, no level is known to be the body's.
 const MISREAD_SHARE: f64 = 0.25;
-/// A bus that does not answer, or a contact that opens, is asked so many times
-/// before it is looked at.
+/// Most readings of a short failure: a bus without an answer, or an open contact.
 const FEW_READINGS: usize = 4;
-/// So many readings that are one to the last digit have none of a body's noise.
+/// Fewest equal readings that cannot be a body with noise.
 const EQUAL_READINGS: usize = 3;
-/// Between two rows a body moves by less than so many times what it usually does.
+/// A leap exceeds this multiple of the usual row-to-row change.
 const LEAP_OVER_USUAL: f64 = 8.0;
-/// Rows that are so many times the usual time apart have others missing between
-/// them.
+/// Rows are missing if the time step exceeds this multiple of the usual one.
 const PAUSE: f64 = 3.0;
 
-/// Rows that a sensor leaps to and leaps back from, or that its log begins or
-/// ends with.
+/// Misread rows between leaps, or between a leap and an end of the record.
 ///
-/// Leaps part the rows into stretches. The longest is the body's; a stretch goes on with it that begins where the last one ended. What lies
-/// between was misread, if the machine gave no cause and no other sensor saw it.
+/// Leaps split the rows into stretches. The longest is the body's. A stretch that begins where the body's
+/// last one ended also belongs to it. The rows between were misread if the machine gave no cause and no other
+/// sensor shows them.
 fn excursions(record: &Record, c: &Column, others: &[&Column]) -> Vec<usize> {
     let (v, time, n) = (&c.data, record.time_s(), c.data.len());
     let own = steps(v);
-    let mut moves: Vec<f64> = own.iter().map(|d| d.abs()).collect();
-    moves.sort_by(f64::total_cmp);
+
     if n < EXCURSION_ROWS {
         return Vec::new();
     }
     let usual_s = median(steps(time));
-    let usual_k = moves[moves.len() / 2];
-    // So few rows have no robust spread.
+    let usual_k = median(own.iter().map(|d| d.abs()));
+    // Too few rows for a robust spread.
     let least = if n < SHORTEST { FAILS_K } else { limit_k(v).min(FAILS_K) };
     let far = |k: f64| k.abs() >= least && k.abs() > LEAP_OVER_USUAL * usual_k;
     let leaps = |i: usize| far(own[i - 1]) && time[i] - time[i - 1] <= PAUSE * usual_s;
     let starts: Vec<usize> = std::iter::once(0).chain((1..n).filter(|i| leaps(*i))).chain([n]).collect();
     let stretches: Vec<std::ops::Range<usize>> = starts.windows(2).map(|w| w[0]..w[1]).collect();
     let Some(body) = (0..stretches.len()).max_by_key(|k| stretches[*k].len()) else { return Vec::new() };
-    // Of each stretch: whether it is the body's.
+    // For each stretch: whether it is the body's.
     let mut is_body = vec![false; stretches.len()];
     is_body[body] = true;
     let mut end = body;
@@ -365,9 +357,9 @@ fn excursions(record: &Record, c: &Column, others: &[&Column]) -> Vec<usize> {
         let back = edges.len() == 2;
         let fast = leap_k >= FAILS_K || equal || back && off.len() <= FEW_READINGS;
         let alone = |i: &usize| others.iter().all(|o| (o.data[*i] - o.data[i - 1]).abs() < 0.25 * leap_k);
-        // A body that stands still to the last digit is none, however many sensors show it.
+        // No body is constant to the last digit, however many sensors show it.
         let own_fault = edges.iter().all(alone) || equal && leap_k >= FAILS_K;
-        // Behind a real leap a body goes on towards where it came to.
+        // After a real leap a body goes on in the same direction.
         let settles = |i: &usize| {
             let behind = own.get(*i).copied().unwrap_or(0.0) * own[i - 1].signum();
             !back && behind * LEAP_OVER_USUAL > leap_k
@@ -380,23 +372,23 @@ fn excursions(record: &Record, c: &Column, others: &[&Column]) -> Vec<usize> {
     if rows.len() as f64 > MISREAD_SHARE * n as f64 { Vec::new() } else { rows }
 }
 
-/// Fewer rows do not tell the body from what is misread.
+/// Fewer rows do not separate the body from misread values.
 const EXCURSION_ROWS: usize = 8;
 
-/// Runs of `false`.
+/// Ranges of consecutive `false`.
 fn runs_of(flags: &[bool]) -> Vec<std::ops::Range<usize>> {
     let places: Vec<usize> = (0..flags.len()).filter(|k| !flags[*k]).collect();
     places.chunk_by(|a, b| a + 1 == *b).map(|run| run[0]..run[run.len() - 1] + 1).collect()
 }
 
-/// What each row is off the median of the five around it.
+/// Each row's deviation from the median of the five rows around it.
 fn off_near(v: &[f64]) -> Vec<f64> {
     let near = |i: usize| median(v[i.saturating_sub(2)..(i + 3).min(v.len())].to_vec());
     (0..v.len()).map(|i| v[i] - near(i)).collect()
 }
 
-/// A reading so far off its neighbours is wild, K.
-/// A body that is switched moves fast from row to row, and turns: that is no reading gone wrong.
+/// Deviation from the neighbours above which a reading is an outlier, K.
+/// It includes fast steps, because a switched body moves fast and turns without a misreading.
 fn limit_k(v: &[f64]) -> f64 {
     let mut moves: Vec<f64> = steps(v).iter().map(|d| d.abs()).collect();
     moves.sort_by(f64::total_cmp);
@@ -406,13 +398,13 @@ fn limit_k(v: &[f64]) -> f64 {
 /// Single values far from those before and after.
 fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
     let n = c.data.len();
-    // A warm moment of the machine is seen by another sensor too.
+    // If the machine causes a peak, another sensor shows it too.
     let peak = |v: &[f64], i: usize| v[i] - f64::midpoint(v[i - 1], v[i + 1]);
     let alone = |i: usize, off: f64| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * off.abs());
     if n < SHORTEST {
         let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
-        let found =
-            lone::is_few(n).then(|| lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
+        let found = lone::is_small_sample(n)
+            .then(|| lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
         return found.map_or_else(Vec::new, |found| found.rows);
     }
     let (left, limit) = (off_near(&c.data), limit_k(&c.data));
@@ -420,9 +412,9 @@ fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
     if rows.len() * 10 <= n { rows } else { Vec::new() }
 }
 
-/// Fewer rows have no robust spread.
+/// Fewer rows give no robust spread.
 const SHORTEST: usize = 20;
-/// A reading is wild from so many kelvins on.
+/// Smallest deviation of an outlier, K.
 const LEAST_K: f64 = 3.0;
 
 fn say_wild(record: &Record, c: &Column, rows: &[usize], out: &mut Vec<Suspicion>) {
@@ -436,7 +428,7 @@ fn say_wild(record: &Record, c: &Column, rows: &[usize], out: &mut Vec<Suspicion
     out.push(Suspicion::new(record, &c.name, What::Outliers, rows, text));
 }
 
-/// Two columns that are one.
+/// Detects two columns with the same values.
 fn copies(record: &Record, out: &mut Vec<Suspicion>) {
     let columns: Vec<&Column> =
         record.columns.iter().filter(|c| is_sensor(c) || c.role.is_response()).collect();
@@ -455,8 +447,8 @@ fn copies(record: &Record, out: &mut Vec<Suspicion>) {
 mod tests {
     use super::*;
 
-    /// A body that a load warms at once: what it warms begins to move then.
-    /// A reading that jumps by itself moves nothing, nor does it where others are on their way already.
+    /// Sensors that follow a jump begin to move then.
+    /// Sensors that move already or later do not follow it.
     #[test]
     fn what_others_follow_is_no_jump() {
         let body = |from: usize, tau: f64| -> Vec<f64> {

@@ -1,25 +1,25 @@
-//! A single position with its decimal point in another place, or a digit too few.
-//! Others of its place, or the run's own way, say where the axis was.
+//! Detects single positions with a misplaced decimal point or a lost digit.
+//! Other rows between the same places, or the course of the run, show where the axis was.
 
 use super::stats::{median, middle_range, steps};
 use super::{Suspicion, What};
 use rtec_model::record::{Column, Record, Role};
 
-/// Fewer rows show no way.
+/// Fewest rows that show the course of a run.
 const FEWEST: usize = 10;
-/// A decimal point that slipped by a place, or by two.
+/// Factors of a decimal point misplaced by one or two digits.
 const SLIPS: [f64; 4] = [10.0, 0.1, 100.0, 0.01];
-/// Rows closer than this share of a step, or of the travel, are at one place.
+/// Positions within this share of the median step are one place.
 const NEAR_STEP: f64 = 0.05;
+/// Positions within this share of the travel are one place.
 const NEAR_TRAVEL: f64 = 0.002;
-/// Between two rows a run goes through the middle, off by no more than this share of the way between them; and what does not
-/// is farther off by at least that share.
+/// Largest distance of a corrected position from its neighbours' middle, as share.
 const MIDDLE: f64 = 0.35;
+/// Least distance of a wrong position outside its neighbours, as share.
 const BESIDE: f64 = 0.5;
-/// More than one row in so many is how a run is made.
+/// More wrong positions than one row in this many are part of how the run is made.
 const ONE_IN: usize = 25;
-/// So many rows beside rows are looked at.
-/// A run of more that turns all the time is not.
+/// Most comparisons of rows; a longer run that turns often is not checked.
 const MOST_PAIRS: usize = 50_000_000;
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
@@ -27,7 +27,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         return;
     }
     for c in record.columns.iter().filter(|c| matches!(c.role, Role::Position(_))) {
-        let way = Way { motion: motion(record, c), ..Way::of(&c.data) };
+        let way = PositionSequence { motion: motion(record, c), ..PositionSequence::of(&c.data) };
         let beside: Vec<usize> = (1..record.rows() - 1).filter(|i| way.is_beside(*i)).collect();
         if beside.len() * record.rows() > MOST_PAIRS {
             continue;
@@ -51,12 +51,12 @@ fn said(c: &Column, row: usize, meant: f64, rows: usize) -> String {
     )
 }
 
-/// The positions of a run in the order of its rows.
-struct Way<'p> {
+/// The positions of a run in row order.
+struct PositionSequence<'p> {
     p: &'p [f64],
-    /// What is closer than this is one place.
+    /// Positions closer than this are one place, mm.
     near: f64,
-    /// It goes along in sweeps.
+    /// The run moves in sweeps: it turns in less than about a quarter of its rows.
     sweeps: bool,
     /// Times and velocities of the rows, if both are logged.
     motion: Option<[&'p [f64]; 2]>,
@@ -68,7 +68,7 @@ fn motion<'r>(record: &'r Record, position: &Column) -> Option<[&'r [f64]; 2]> {
     Some([record.data(&Role::Time)?, record.data(&velocity)?])
 }
 
-impl<'p> Way<'p> {
+impl<'p> PositionSequence<'p> {
     fn of(p: &'p [f64]) -> Self {
         let own = steps(p);
         let sizes: Vec<f64> = own.iter().map(|d| d.abs()).filter(|d| *d > 0.0).collect();
@@ -87,7 +87,7 @@ impl<'p> Way<'p> {
         [self.p[i - 1], self.p[i + 1]]
     }
 
-    /// It stands far off the way from the row before to the row after it, and farther than a run that turns there comes.
+    /// Whether the row lies farther outside its neighbours than a reversal explains.
     fn is_beside(&self, i: usize) -> bool {
         let (own, [a, b]) = (self.p[i], self.around(i));
         let (lo, hi) = (a.min(b), a.max(b));
@@ -98,8 +98,8 @@ impl<'p> Way<'p> {
         own != 0.0 && self.near > 0.0 && off > self.near.max(BESIDE * (hi - lo)).max(turns)
     }
 
-    /// Whether the logged speed brings the axis to where a row is.
-    /// The other possibility is where the row may be meant. The neighbour decides that it agrees with better: a pause or a turn may lie before the other.
+    /// Whether the logged velocity supports the written position rather than `meant`.
+    /// The neighbour that fits better decides, because a pause or a turn may lie on the other side.
     fn comes_there(&self, i: usize, meant: f64) -> bool {
         let Some([t, v]) = self.motion else { return false };
         let off = |place: f64| {
@@ -109,8 +109,7 @@ impl<'p> Way<'p> {
         off(self.p[i]) < off(meant)
     }
 
-    /// Where a row was that stands beside the way, if it is at no place of its own.
-    /// None where it may stand there.
+    /// The position that a row probably had; `None` if the written one is plausible.
     fn meant(&self, i: usize) -> Option<f64> {
         let (p, n) = (self.p, self.p.len());
         let (own, [a, b]) = (p[i], self.around(i));
@@ -121,11 +120,11 @@ impl<'p> Way<'p> {
         };
         let others: Vec<f64> = (1..n - 1).filter(same).map(|k| p[k]).collect();
         let alone = (0..n).all(|k| k == i || !self.at(p[k], own));
-        // Where targets come in any order another one between the same two is no wonder.
+        // If targets come in any order, another target between the same two is normal.
         if others.iter().any(|o| self.at(*o, own)) || !(self.sweeps || alone && others.len() >= 2) {
             return None;
         }
-        // What is about zero is so with any decimal point.
+        // A value near zero stays near zero with any decimal point.
         let slipped = || SLIPS.iter().map(|by| own * by).filter(|q| q.abs() > 4.0 * self.near);
         if let Some(place) = others.iter().find(|o| slipped().any(|q| self.at(q, **o))) {
             return Some(*place);
@@ -134,14 +133,14 @@ impl<'p> Way<'p> {
         if alike && with_a_digit_more(own).any(|q| self.at(q, others[0])) {
             return Some(others[0]);
         }
-        // In a sweep that comes by here no second time, its neighbours say so.
+        // In a sweep that passes this place only once, the two neighbours decide.
         let (middle, apart) = (f64::midpoint(a, b), (b - a).abs());
         let through = |q: &f64| apart > 2.0 * self.near && (q - middle).abs() < MIDDLE * apart;
         if self.sweeps && alone { slipped().find(through) } else { None }
     }
 }
 
-/// What a value may have been before a digit of it was lost.
+/// Values from which dropping one digit gives this value.
 fn with_a_digit_more(value: f64) -> impl Iterator<Item = f64> {
     let text = value.to_string();
     let places: Vec<usize> = (usize::from(value < 0.0)..=text.len()).collect();
@@ -157,8 +156,8 @@ mod tests {
     use rtec_model::record::Kind;
     use std::path::Path;
 
-    /// An axis to and fro between moving places, read once just where it turns.
-    /// Farther out than the rows on both sides, by less than it goes from row to row. A digit that was lost is farther off.
+    /// A reading at a reversal may lie outside both neighbours, by less than a step.
+    /// A lost digit lies farther off.
     #[test]
     fn where_a_run_turns_no_digit_is_lost() {
         let said = |lost: Option<usize>| {
@@ -182,8 +181,7 @@ mod tests {
         assert_eq!((said(None), said(Some(100))), (0, 1));
     }
 
-    /// A run to and fro is read where it turns, once later than else.
-    /// By its digits alone that reading lost one. Its speed brings the axis there.
+    /// A late reading at a reversal looks like a lost digit; its speed explains it.
     #[test]
     fn a_speed_that_comes_there_shows_that_no_digit_is_lost() {
         let said = |with_speed: bool| {

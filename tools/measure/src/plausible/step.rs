@@ -1,20 +1,21 @@
-//! What may be a mistake or the machine's own, and is worth a look either way.
-//! An error that steps between two rows and stays.
+//! Steps of an error between two rows that stay.
+//! They may be a mistake or the machine's own, so they are reported but are no suspicion.
 
 use super::peaks::excused;
 use super::stats::{median, spread, steps};
 use rtec_model::record::{Column, Kind, Record, Role};
 
-/// So many times the usual step from row to row, and the largest of those around it.
+/// The step must exceed this multiple of the usual row-to-row step.
 const OVER_ALL: f64 = 12.0;
+/// It must exceed this multiple of the largest step near it.
 const OVER_NEAR: f64 = 6.0;
-/// Rows that are so many times the usual time apart have others missing between them.
+/// Rows are missing if the time step exceeds this multiple of the usual one.
 const PAUSE: f64 = 3.0;
-/// Rows on either side that a level is taken from.
+/// Rows on either side that give a level.
 const SIDE: usize = 6;
 
-/// Steps in the errors of drift tests, a line each.
-/// Lost counts, or a gauge or tool that was moved.
+/// Reports steps in the errors of drift tests, one line each.
+/// Counts were lost, or a gauge or tool was moved.
 pub fn steps_of(records: &[Record]) -> Vec<String> {
     let drifts = records.iter().filter(|r| r.kind == Kind::Drift);
     let of = |r: &Record| {
@@ -37,7 +38,7 @@ fn step(record: &Record, c: &Column) -> Option<String> {
     if usual <= 0.0 || size(at) < OVER_ALL * usual || size(at) < OVER_NEAR * near || excused(record)[at + 1] {
         return None;
     }
-    // Where rows are missing the error went on without them.
+    // Over missing rows the error may drift by more than a step.
     let time = record.time_s();
     if time[at + 1] - time[at] > PAUSE * median(steps(time)) {
         return None;

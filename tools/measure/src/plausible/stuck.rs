@@ -1,25 +1,26 @@
-//! A sensor that stands still: beside its own noise and movement at other times, in other records, and beside the others.
+//! Frozen sensors, found by their own noise and course and by other sensors.
 
-use super::stats::{quantum, range, steps};
-use super::told::{SensorRegression, told};
+use super::sensor_regression::{SensorRegression, sensor_regression};
+use super::stats::{longest_run, quantum, range, steps};
 use super::{Suspicion, What};
 use rtec_model::effect::sign;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, span};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// A shorter run of one value may be chance.
+/// Shortest run of equal readings that is examined, rows.
 const SHORTEST: usize = 12;
-/// Rows from which a sensor's noise, or what the others say of it, can be learned.
+/// Rows needed to estimate a sensor's noise or a regression.
 const ENOUGH: usize = 30;
-/// What the others say moves on by more than so many times what they are wrong by beside the run.
+/// Least ratio of the predicted change in the run to the error beside it.
 const NEAR: f64 = 5.0;
-/// What sensors and loggers read in.
+/// Usual resolutions of sensors and loggers, K.
 const RESOLUTIONS_K: [f64; 13] =
     [1.0, 0.5, 0.25, 0.2, 0.125, 0.1, 0.0625, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
-/// Rows over which a sensor moved one way before it stood still, by no less than so many steps of its resolution a row.
+/// Rows before the run in which the sensor must move in one direction.
 const COURSE: usize = 8;
+/// Least mean step of these rows, in steps of the resolution.
 const FAST: f64 = 3.0;
-/// Chance that a good sensor stands still so long.
+/// Probability below which noise does not explain the run.
 const CHANCE: f64 = 1e-4;
 
 pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
@@ -50,8 +51,8 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Temperatures that read the same in every row and are not doubted.
-/// A coarse sensor in a calm room does that, and one that is not read. A line each.
+/// One line per temperature that is constant and has no suspicion.
+/// The sensor may not be read, or be coarse in a calm room.
 pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
     let of = |record: &Record| {
         let path = record.path.display().to_string();
@@ -72,23 +73,9 @@ fn temperatures(record: &Record) -> impl Iterator<Item = &Column> {
     record.columns.iter().filter(|c| c.role == Role::Temperature)
 }
 
-/// The longest run of one value: first row, and one past the last.
-fn longest_run(v: &[f64]) -> (usize, usize) {
-    let (mut best, mut start) = ((0, 0), 0);
-    for i in 0..=v.len() {
-        if i == v.len() || v[i].to_bits() != v[start].to_bits() {
-            if i - start > best.1 - best.0 {
-                best = (start, i);
-            }
-            start = i;
-        }
-    }
-    best
-}
-
-/// Standard deviation of a reading's noise from row to row, and its resolution.
-/// From second differences, which a trend leaves alone, without their largest tenth: those are the machine's. Where a reading goes on the
-/// way it went, or stays, its steps are those of the resolution on a slope: only noise turns back.
+/// Standard deviation of a sensor's row-to-row noise, and its resolution.
+/// Uses second differences without their largest tenth, which the machine causes. Only rows where the reading
+/// turns back count, because steps in one direction may be rounding on a slope.
 fn noise(pieces: &[&[f64]]) -> (f64, f64) {
     let turn = |w: &[f64]| {
         let (before, behind) = (w[1] - w[0], w[2] - w[1]);
@@ -97,13 +84,13 @@ fn noise(pieces: &[&[f64]]) -> (f64, f64) {
     let mut squares: Vec<f64> = pieces.iter().flat_map(|p| p.windows(3).map(turn)).collect();
     squares.sort_by(f64::total_cmp);
     squares.truncate(squares.len() * 9 / 10);
-    // Of a normal distribution's squares the mean without the largest tenth is 0.623 of the variance.
+    // Without the largest tenth, the mean of a normal variable's squares is 0.623 of the variance.
     let variance = squares.iter().sum::<f64>() / squares.len().max(1) as f64 / 0.623 / 6.0;
     let step = quantum(&pieces.concat());
     ((variance - step * step / 12.0).max(0.0).sqrt(), step)
 }
 
-/// The run of rows in which a sensor of the k-th record stands still though it should not.
+/// The rows in which a sensor of record `k` is frozen, if any.
 fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usize)> {
     let (record, n) = (&records[k], c.data.len());
     let (start, end) = longest_run(&c.data);
@@ -122,15 +109,15 @@ fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usiz
     found.then_some((start, end))
 }
 
-/// The largest of [`RESOLUTIONS_K`] that all readings are multiples of.
-/// Those of a sensor that moves one way lie farther apart.
+/// The largest of [`RESOLUTIONS_K`] that all readings are multiples of; 0 if none.
+/// The smallest difference of readings would be too large for a sensor that moves in one direction.
 fn resolution(v: &[f64]) -> f64 {
     let whole = |step: f64| v.iter().all(|x| (x / step - (x / step).round()).abs() < 1e-4);
     RESOLUTIONS_K.into_iter().find(|step| whole(*step)).unwrap_or(0.0)
 }
 
-/// In the middle of warming or cooling, from one row to the next.
-/// A body's heat goes on flowing, and where its source ends it turns back.
+/// Detects a sensor that freezes abruptly while it warms or cools.
+/// A real body slows down, or turns back where its heat source ends.
 fn in_full_course(record: &Record, c: &Column, start: usize) -> bool {
     let Some(first) = start.checked_sub(COURSE) else { return false };
     let own = steps(&c.data[first..=start]);
@@ -139,20 +126,19 @@ fn in_full_course(record: &Record, c: &Column, start: usize) -> bool {
     let even = time.iter().all(|dt| *dt < 3.0 * time[0] && *dt > 0.3 * time[0]);
     let way = sign(own[0]);
     let mean = own.iter().sum::<f64>() * way / own.len() as f64;
-    // What comes to rest does so by ever smaller steps.
+    // A body that comes to rest makes ever smaller steps.
     let half: f64 = own[own.len() / 2..].iter().sum::<f64>() * way / (own.len() - own.len() / 2) as f64;
     even && own.iter().all(|s| s * way >= 0.9 * step) && mean > FAST * step && half > 0.7 * mean
 }
 
-/// By its own noise.
-/// At other times it changes from row to row so much that this run is no chance.
+/// Detects a run that is too long for the sensor's noise at other times.
 fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere: &[&Record]) -> bool {
     let mut pieces: Vec<&[f64]> = vec![&c.data[..start], &c.data[end..]];
     pieces.extend(elsewhere.iter().filter_map(|r| r.temperature(&c.name)));
     pieces.retain(|p| p.len() >= 3);
     let rows: usize = pieces.iter().map(|p| p.len()).sum();
     let length = end - start;
-    // A logger that reads slower than it writes repeats itself everywhere.
+    // A logger that writes faster than it reads repeats every reading.
     let usual = pieces.iter().map(|p| longest_run(p)).map(|(a, b)| b - a).max().unwrap_or(0);
     if rows < ENOUGH.min(2 * length) || length < 3 * usual {
         return false;
@@ -161,16 +147,16 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
     if sigma <= 0.1 * step || sigma <= 0.0 {
         return false;
     }
-    // A reading to and fro between two steps of its resolution lies between them: that says nothing of how large its noise is.
+    // Toggling between two neighbouring steps does not tell the size of the noise.
     let to_and_fro =
         |w: &[f64]| (w[1] - w[0]) * (w[2] - w[1]) < 0.0 && (w[2] - 2.0 * w[1] + w[0]).abs() > 2.5 * step;
     if !pieces.iter().any(|p| p.windows(3).any(to_and_fro)) {
         return false;
     }
-    // The value most likely to stay: in the middle between two steps of the resolution.
+    // Largest probability that a reading repeats: the true value lies in the middle of a step.
     let stays = Normal::standard().cdf(0.5 * step / sigma) * 2.0 - 1.0;
     let chance = (length - 1) as f64 * stays.max(0.05).ln() + (record.rows() as f64).ln();
-    // Noise that comes with the spindle goes with it, from all sensors at once.
+    // Noise that the spindle causes stops with the spindle, for all sensors at once.
     let outside = |o: &[f64]| [o[..start].to_vec(), o[end..].to_vec()].concat();
     let noisy = temperatures(record).filter(|o| o.name != c.name).filter(|o| {
         let rest = outside(&o.data);
@@ -183,8 +169,8 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
     chance < CHANCE.ln() && awake
 }
 
-/// By the others.
-/// What they say of it moves on, by much more than they were ever wrong.
+/// Detects a frozen sensor from the others.
+/// Their regression predicts a change far above its own error.
 fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere: &[&Record]) -> bool {
     let own: Vec<usize> = (0..record.rows()).filter(|i| *i < start || *i >= end).collect();
     let own = (own.len() >= ENOUGH).then(|| record.select(&own));
@@ -196,18 +182,17 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
         let common = |n: &&str| *n != c.name && known.temperature(n).is_some();
         let rest: Vec<&str> = record.names(&Role::Temperature).filter(common).collect();
         let Some(y) = known.temperature(&c.name).filter(|_| !rest.is_empty()) else { return false };
-        let told = told(known, y, &rest);
-        // Where the sensor still moves, near this run, they have to say what it reads.
+        let told = sensor_regression(known, y, &rest);
+        // Prediction error where the sensor still moves, near the run.
         let wrong = beside_the_run(record, c, (start, end), &rest);
-        // Asked of states that it has seen only.
+        // Predict only within the range of temperatures that the regression was fitted on.
         let seen = |n: &&str| {
             let (Some(a), Some(b)) = (known.temperature(n), asked.temperature(n)) else { return false };
-            let bounds = |v: &[f64]| v.iter().fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(*x), h.max(*x)));
-            let ((l, h), (from, to)) = (bounds(a), bounds(b));
+            let ([l, h], [from, to]) = (span(a), span(b));
             from > l - 0.5 * (h - l) - 0.5 && to < h + 0.5 * (h - l) + 0.5
         };
         let moved = moves_on(told.says(&asked, &rest));
-        // What was learned from another record has to hold beside this run too.
+        // A regression of another record must hold beside this run too.
         let wrong = wrong.unwrap_or(0.0).max(wrong_beside(record, c, (start, end), &told, &rest));
         told.left < 0.1 * range(y)
             && moved > (8.0 * quantum(y)).max(10.0 * told.left).max(1.0)
@@ -216,23 +201,23 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
     })
 }
 
-/// How far values move on.
-/// Twice the range of the middle half of them, which is the range of what goes on evenly. A step in their last few rows is none: heat comes
-/// late.
+/// Robust range of the values.
+/// Twice the interquartile range, which is the range of a straight line. A step in the last rows does not
+/// count, because heat arrives late.
 fn moves_on(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let at = |share: usize| values[(values.len() - 1) * share / 4];
     2.0 * (at(3) - at(1))
 }
 
-/// The rows on either side of a run, as many as it has.
+/// The rows on either side of a run, as many on each side as the run has.
 fn rows_beside(record: &Record, (start, end): (usize, usize)) -> Vec<usize> {
     let length = end - start;
     let near = start.saturating_sub(length)..(end + length).min(record.rows());
     near.filter(|i| *i < start || *i >= end).collect()
 }
 
-/// How wrong what was learned elsewhere is of a sensor next to the run in which it stands still, K.
+/// RMS error of a regression in the rows beside a run, K.
 fn wrong_beside(
     record: &Record,
     c: &Column,
@@ -246,8 +231,8 @@ fn wrong_beside(
     (off.iter().map(|x| x * x).sum::<f64>() / off.len().max(1) as f64).sqrt()
 }
 
-/// How wrong the others are of a sensor next to the run in which it stands still, K: learned from the rows that are farther away
-/// than the run is long. None where too few are.
+/// RMS error beside a run of a regression on the rows farther away, K.
+/// `None` if too few rows are farther away.
 fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), rest: &[&str]) -> Option<f64> {
     let length = end - start;
     let near = start.saturating_sub(length)..(end + length).min(record.rows());
@@ -257,11 +242,17 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
         return None;
     }
     let known = record.select(&far);
-    Some(wrong_beside(record, c, (start, end), &told(&known, known.temperature(&c.name)?, rest), rest))
+    Some(wrong_beside(
+        record,
+        c,
+        (start, end),
+        &sensor_regression(&known, known.temperature(&c.name)?, rest),
+        rest,
+    ))
 }
 
-/// All along, among others that change at most rows, one of which moves.
-/// A sensor of coarse resolution may stand still in a calm room, but not there.
+/// Detects a sensor frozen in every row while all others change in most rows.
+/// At least one of the others must move by more than 1 K: a coarse sensor may stay constant in a calm room.
 fn among_lively_ones(record: &Record, c: &Column) -> bool {
     let others: Vec<&Column> = temperatures(record).filter(|o| o.name != c.name).collect();
     let changes = |o: &Column| steps(&o.data).iter().filter(|d| **d != 0.0).count() as f64;
@@ -271,7 +262,7 @@ fn among_lively_ones(record: &Record, c: &Column) -> bool {
     enough && record.rows() >= ENOUGH && moving && others.iter().filter(lively).count() == others.len()
 }
 
-/// A value of better resolution than a sixteenth or a tenth of a kelvin.
+/// Whether the value is neither a multiple of 1/16 K nor of 0.1 K.
 fn fine(v: f64) -> bool {
     let whole = |v: f64| (v - v.round()).abs() < 1e-6;
     !(whole(16.0 * v) || whole(10.0 * v))
@@ -283,8 +274,7 @@ mod tests {
     use rtec_model::record::Kind;
     use std::path::Path;
 
-    /// Heat comes late.
-    /// What the spindle's own sensor does in the last rows of a run says nothing of one farther away.
+    /// A step at the end of a run has not reached other sensors yet.
     #[test]
     fn a_step_at_the_end_of_a_run_is_no_moving_on() {
         let even: Vec<f64> = (0..20).map(|i| 0.1 * f64::from(i)).collect();
@@ -293,8 +283,8 @@ mod tests {
         assert!(moves_on(late) < 1e-9);
     }
 
-    /// A sensor without noise that freezes while it warms, from a fifth of the run on, in which the others go where they never were
-    /// before. One that comes to rest, one that is heated in steps and one that turns back are alive.
+    /// A noiseless sensor that freezes while it warms is found.
+    /// Sensors that settle, are heated in steps or turn back are not.
     #[test]
     fn what_freezes_in_full_course_is_stuck() {
         let rounded = |v: f64| (v * 100.0).round() / 100.0;
@@ -331,8 +321,8 @@ mod tests {
         assert_eq!(said(&|i| 20.0 + 2.0 * (i / 40) as f64), []);
     }
 
-    /// A sensor that reads to and fro between two steps of a tenth where it lies between them, and the same all along where it does not:
-    /// how large its noise is nobody knows. Where its noise is larger than a step it is known, and standing still is no chance.
+    /// Toggling between two steps of 0.1 K does not tell the noise.
+    /// Larger noise shows that the constant record is stuck.
     #[test]
     fn to_and_fro_between_two_steps_is_no_noise_that_is_known() {
         let said = |sigma: f64| {
@@ -355,7 +345,7 @@ mod tests {
         assert_eq!((said(0.02), said(0.2)), (0, 1));
     }
 
-    /// A law that was learned in another record, and is wrong beside the run in this one, does not say that the sensor is stuck.
+    /// A regression that is wrong beside the run does not prove a stuck sensor.
     #[test]
     fn a_law_of_another_record_has_to_hold_beside_the_run() {
         let record = |name: &str, near: Vec<f64>, far: Vec<f64>| {
@@ -365,13 +355,13 @@ mod tests {
         };
         let ramp = |i: i32| 20.0 + 0.05 * f64::from(i);
         let other = record("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());
-        // In this one the second sensor hardly follows the first.
+        // In this record the second sensor hardly follows the first.
         let slow = |i: i32| 22.0 + (f64::from(i) / 30.0).floor() * 0.0625;
         let this = record("b", (0..100).map(ramp).collect(), (0..100).map(slow).collect());
         let c = this.columns[1].clone();
         let run = (30, 60);
         assert!(!by_the_others(&this, &c, run, &[&other]));
-        // Beside the run it does as the law says, and in it it stands still.
+        // Here the regression holds beside the run, and in the run the sensor is frozen.
         let stuck = |i: i32| ramp(if (30..60).contains(&i) { 30 } else { i });
         let this = record("c", (0..100).map(ramp).collect(), (0..100).map(stuck).collect());
         assert!(by_the_others(&this, &this.columns[1].clone(), run, &[&other]));

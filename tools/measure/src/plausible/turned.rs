@@ -1,28 +1,28 @@
-//! A record beside itself.
-//! Single runs whose direction is wrong, a sign that turns on the way, a clock that was put forward.
+//! Checks rows of one record against its other rows.
+//! Finds runs with a wrong direction, a sign or a unit that changes midway, exchanged columns and a clock put
+//! forward.
 
+use super::sensor_regression::sensor_regression;
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
-use super::told::told;
 use super::{Suspicion, What, motion, repeats};
 use crate::iso230::correlation;
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
-/// Fewer moves are no run.
+/// Fewest moves of a run.
 const RUN: usize = 5;
-/// The sign has turned where what is left of the error with the sign turned back is less than this share of what is left as it
-/// stands.
+/// Flipping the sign must reduce the residual below this share.
+/// The share is of squares over a record, and of the RMS for one cycle.
 const TURNED: f64 = 0.1;
-/// Nor has it where a step says nearly as much.
-/// What is left with the sign turned back is less than this share of what is left with the step taken off, both squared.
+/// Flipping the sign must also beat a step by this ratio of squared residuals.
 const NO_STEP: f64 = 0.5;
-/// Two sensors that exchange their places from one row to the next are at least so far apart, K.
+/// Smallest difference at which two sensors are seen to exchange places, K.
 const EXCHANGE_K: f64 = 1.5;
-/// So few rows are no part of a record in another unit.
-/// What is in it is smaller by about this.
+/// Fewest rows of a part in another unit.
 const PART: usize = 12;
+/// Ratios of the two parts that look like a factor of 1000.
 const A_THOUSAND: std::ops::RangeInclusive<f64> = 350.0..=3000.0;
-/// A clock's step is out of the ordinary from so many usual ones on.
+/// A time step above this multiple of the median step is a pause.
 const PAUSE: f64 = 20.0;
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
@@ -51,13 +51,13 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     counts_as_clock(record, out);
 }
 
-/// Rows from one on, or up to it, that are a thousand times smaller than the others: in their size, and in how they go from row to row.
+/// Detects a part of the rows whose size and bends are 1000 times smaller.
 fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let n = c.data.len();
     if n < 2 * PART {
         return;
     }
-    // Bends from row to row: neither a zero nor a drift is in them. A value that stands still says nothing.
+    // Bends contain neither zero nor drift. Constant values count as a tenth of the resolution.
     let least = quantum(&c.data).max(f64::MIN_POSITIVE);
     let bends: Vec<f64> = c.data.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()).collect();
     let sizes: Vec<f64> = bends.iter().map(|b| b.max(0.1 * least).ln()).collect();
@@ -77,7 +77,7 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
     let times = median(bends[..at - 2].to_vec()) / median(bends[at..].to_vec());
     let [rows, other] = if times > 1.0 { [at..n, 0..at] } else { [0..at, at..n] };
-    let size = |rows: std::ops::Range<usize>| median(c.data[rows].iter().map(|x| x.abs()).collect());
+    let size = |rows: std::ops::Range<usize>| median(c.data[rows].iter().map(|x| x.abs()));
     let (small, large) = (size(rows.clone()), size(other));
     if A_THOUSAND.contains(&times.max(1.0 / times)) && small > 0.0 && large > A_THOUSAND.start() * small {
         let rows: Vec<usize> = rows.collect();
@@ -87,8 +87,8 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Time and repeat in each other's place.
-/// What counts the repeats is no whole number, and the time stands still at whole seconds.
+/// Detects time and cycle in each other's column.
+/// The cycle has fractions and never decreases, and the time repeats whole numbers.
 fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
     let column = |role: &Role| record.columns.iter().find(|c| c.role == *role);
     let (Some(t), Some(n)) = (column(&Role::Time), column(&Role::Cycle)) else { return };
@@ -103,8 +103,7 @@ fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Two sensors of one record in each other's place from a row on.
-/// Both step at once, each to where the other was.
+/// Detects two sensors that exchange columns: each steps to where the other was.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
     let usual: Vec<f64> = sensors.iter().map(|c| spread(&steps(&c.data)).max(quantum(&c.data))).collect();
@@ -112,7 +111,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     for (k, q) in sensors.iter().enumerate() {
         for (i, p) in sensors[..k].iter().enumerate() {
             let most = usual[i].max(usual[k]);
-            // Each goes on where the other would be: by how much both moved before.
+            // Each continues where the other would be, by the last movement of both.
             let goes_on = |x: &Column, y: &Column, at: usize| {
                 let due = x.data[at - 1] + (x.data[at - 1] - x.data[at - 2]);
                 (y.data[at] - due).abs()
@@ -137,7 +136,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Stretches of rows that move one way and say the other, beside others that say what they do.
+/// Detects runs of rows whose direction column contradicts the movement.
 fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let (Some(p), Some(d)) =
         (record.data(&Role::Position(axis.clone())), record.column(&Role::Direction(axis.clone())))
@@ -169,9 +168,9 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     out.push(Suspicion::new(record, &d.name, What::Direction, &rows, text));
 }
 
-/// Which way an axis went at each row.
-/// As logged, or as its velocity says, or, around a circle, its positions: what follows late is to the other side on the way back. Nothing
-/// of a run that says none of it.
+/// Direction of an axis at each row; 0 if unknown.
+/// Taken from the direction column, else the velocity, else (on circles) the positions, because lag changes
+/// sign with the direction.
 fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
     if let Some(d) = record.data(&Role::Direction(axis.clone())) {
         return d.to_vec();
@@ -186,7 +185,7 @@ fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
     (0..p.len()).map(|i| sign(p[near(i).1] - p[near(i).0])).collect()
 }
 
-/// The row from which on an error has the other sign than at the same place and direction before.
+/// The row from which an error has the opposite sign at the same place.
 fn by_place(record: &Record, c: &Column) -> Option<usize> {
     let axis = c.role.axis()?;
     let p = record.data(&Role::Position(axis.clone()))?;
@@ -211,7 +210,7 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     if turned > TURNED * as_it_is {
         return None;
     }
-    // A step from below zero to above it does the same; but not with the sign of what depends on the place.
+    // A step across zero also looks like that, but it does not reverse the dependence on the place.
     let mean = |g: &Vec<usize>, before: bool| {
         let own: Vec<f64> = g.iter().filter(|i| (**i < at) == before).map(|i| c.data[*i]).collect();
         (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64)
@@ -221,8 +220,8 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     (a.len() >= 8 && correlation(&a, &b) < -0.85).then_some(at)
 }
 
-/// The approaches whose error has the other sign: one cycle beside the others.
-/// Not all from one side beside those from the other: a screw that is worn along its length gives that too.
+/// Rows of one cycle whose error has the opposite sign of the other cycles.
+/// One direction against the other is not compared: a screw worn along its length looks the same.
 fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
     let p = record.data(&Role::Position(axis.clone()))?;
@@ -241,14 +240,14 @@ fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     None
 }
 
-/// Values that are those of others with the other sign, and by far not with their own.
+/// Whether the values are the negative of the others, and far from equal.
 fn is_turned(own: &[f64], others: &[f64]) -> bool {
     let left = |sign: f64| own.iter().zip(others).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>();
     left(-1.0) < TURNED * TURNED * left(1.0) && correlation(own, others) < -0.95
 }
 
-/// The row, among some, from which on the other sign leaves least about the means of groups of rows. From one row to the next
-/// one row's sign changes, and with it one group's sum.
+/// The row in `rows` from which flipping the sign leaves the least scatter.
+/// Going one row on changes the sign of one value, and so the sum of one group.
 fn least_left(groups: &[Vec<usize>], data: &[f64], rows: std::ops::Range<usize>) -> Option<usize> {
     let mut group_of = vec![None; data.len()];
     let mut sums = vec![0.0; groups.len()];
@@ -258,7 +257,7 @@ fn least_left(groups: &[Vec<usize>], data: &[f64], rows: std::ops::Range<usize>)
             sums[g] += if *i < rows.start { data[*i] } else { -data[*i] };
         }
     }
-    // What the means explain: squares are the same with either sign.
+    // Sum of squares that the means explain; the total does not depend on the sign.
     let explains = |g: usize, sum: f64| sum * sum / groups[g].len().max(1) as f64;
     let mut explained: f64 = sums.iter().enumerate().map(|(g, sum)| explains(g, *sum)).sum();
     let mut best: Option<(f64, usize)> = None;
@@ -275,14 +274,14 @@ fn least_left(groups: &[Vec<usize>], data: &[f64], rows: std::ops::Range<usize>)
     best.map(|b| b.1)
 }
 
-/// The row from which on the error of a drift test has the other sign than the temperatures gave it before.
+/// The row from which the error of a drift test has the opposite sign.
 fn in_time(record: &Record, c: &Column) -> Option<usize> {
     let n = c.data.len();
     let names: Vec<&str> = record.names(&Role::Temperature).collect();
     if n < 40 || names.is_empty() {
         return None;
     }
-    // Where it turns the error steps from a value to its opposite.
+    // At such a row the error steps from a value to its opposite.
     let own = steps(&c.data);
     let usual = spread(&own);
     let steps_over = |k: usize| {
@@ -293,21 +292,20 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
     let candidates: Vec<usize> = (n / 20 + 3..n - n / 20 - 3).filter(|k| steps_over(*k)).collect();
     let left = |at: usize| {
         let data: Vec<f64> = c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { -v }).collect();
-        told(record, &data, &names).left
+        sensor_regression(record, &data, &names).left
     };
     let as_it_is = left(n);
     let (turned, at) = candidates.into_iter().map(|k| (left(k), k)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    // A step from a value to its opposite, with what goes on behind it as before, is counts that were lost.
+    // A step from a value to its opposite without a changed slope is lost counts.
     let step = median(c.data[at..at + 3].to_vec()) - median(c.data[at - 3..at].to_vec());
     let stepped: Vec<f64> =
         c.data.iter().enumerate().map(|(i, v)| if i < at { *v } else { v - step }).collect();
-    let stepped = told(record, &stepped, &names).left;
+    let stepped = sensor_regression(record, &stepped, &names).left;
     let squares = turned * turned;
     (squares < TURNED * as_it_is * as_it_is && squares < NO_STEP * stepped * stepped).then_some(at)
 }
 
-/// A pause in which nothing went on.
-/// Heat moves on over a pause, a clock that was put forward moves alone.
+/// Detects a clock put forward: a pause in which no temperature went on.
 fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 40)
     else {
@@ -317,7 +315,7 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let usual = median(own.clone());
     let pauses: Vec<usize> = (10..own.len().saturating_sub(10)).filter(|i| own[*i] > PAUSE * usual).collect();
     let [at] = pauses[..] else { return };
-    // Of every temperature: how fast it went before and behind, and how far over the pause.
+    // Per temperature: did it move over the pause, given equal slopes before and after?
     let went_on = |c: &Column| {
         let rate = |from: usize| (c.data[from + 9] - c.data[from]) / (t.data[from + 9] - t.data[from]);
         let (before, behind) = (rate(at - 9), rate(at + 1));
@@ -341,7 +339,7 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
 mod tests {
     use super::*;
 
-    /// Row by row, as it is defined.
+    /// The same as trying each row.
     #[test]
     fn the_row_where_a_sign_turns_leaves_least() {
         let groups: Vec<Vec<usize>> = (0..9).map(|g| (0..60).filter(|i| i * i % 9 == g).collect()).collect();

@@ -1,5 +1,4 @@
-//! Minutes or hours called seconds, inches called millimetres.
-//! Only where the record shows it by itself.
+//! Minutes or hours called seconds and inches called millimetres, in one record.
 
 use super::stats::{distinct, median, range};
 use super::{Suspicion, What};
@@ -7,12 +6,12 @@ use crate::iso230::{Round, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::VecDeque;
 
-/// No part of a machine tool warms through half of what it warms at all in less, s.
+/// Shortest time in which a body warms through half its range, s.
 /// A bearing's ring takes a minute.
 const HALF_WARM_S: f64 = 20.0;
-/// Faster than this it is hours that are called seconds, not minutes, s.
+/// Below this time the unit is hours rather than minutes, s.
 const HOURS_S: f64 = 0.7;
-/// Temperatures that move by less say nothing of time, K.
+/// Smallest range of a temperature that tells anything of time, K.
 const MOVES_K: f64 = 2.0;
 const MM_PER_INCH: f64 = 25.4;
 
@@ -26,14 +25,12 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     exchanged(record, out);
 }
 
-/// No scale is longer or shorter than this over the whole of its travel, ppm.
-/// The dictionary's bound of one.
+/// Largest scale error over the travel, ppm: the bound in the effect dictionary.
 const STEEPEST_PPM: f64 = 1000.0;
-/// No bar is shorter, mm.
+/// Shortest bar, mm.
 const SHORTEST_BAR_MM: f64 = 20.0;
 
-/// A bar's length in inches.
-/// Far too short, and round in millimetres once it is converted.
+/// Detects a bar's length in inches: too short, and whole centimetres if converted.
 fn bar(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return small_circle(record, out) };
     let mm = circle.radius_mm * MM_PER_INCH;
@@ -47,8 +44,8 @@ fn bar(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A circle that no bar is named of, in inches.
-/// Smaller than any but a grid plate's, of no round radius, and of whole centimetres once it is converted.
+/// Detects a circle in inches if the record names no bar.
+/// It is smaller than any bar's circle, has no round radius, and is whole centimetres once converted.
 fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
     let moving: Vec<&Column> = record
         .columns
@@ -70,16 +67,16 @@ fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// What an axis is off its place changes a circle's radius by no more than this share.
+/// Largest share by which an axis's position errors change a circle's radius.
 const OFF_RADIUS: f64 = 5e-4;
 
-/// Targets in inches.
-/// Whole millimetres once they are converted, or an error that runs along them steeper than any scale's.
+/// Detects targets in inches.
+/// They are whole millimetres once converted, or an error along them is steeper than any scale's.
 fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let Some(p) = record.column(&Role::Position(axis.clone())) else { return };
     let known = |s: &Suspicion| s.column == p.name && s.record == record.path.display().to_string();
     let travel = range(&p.data);
-    // Over a plate the other axis's squareness and rotation are in what a line leaves.
+    // On a plate the residual of the line also holds the other axis's squareness and rotation.
     let (fewest, left_share, shortest_mm) = match record.kind {
         Kind::Positioning => (5, 0.1, 5.0),
         Kind::Plate => (3, 0.3, 3.0),
@@ -110,18 +107,19 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
 }
 
-/// So many times what a line over the positions leaves, a line over the rows leaves no more where time does the same.
+/// Residual ratio (over rows / over positions) below which a slope may be drift.
 const AS_WELL: f64 = 1.5;
 
-/// Whether an error may run along with time as well as with the positions of an axis, beside which so much is left: over a plate
-/// one of the two goes across once, and the machine may have warmed the while.
+/// Whether an error may depend on time as well as on the position.
+/// On a plate one of the axes crosses only once, and the machine may warm meanwhile. `left` is the residual
+/// of the line over the positions.
 fn drifts(e: &[f64], left: f64) -> bool {
     let rows: Vec<f64> = (0..e.len()).map(|i| i as f64).collect();
     line(&rows, e).is_some_and(|(_, _, over_time)| over_time < AS_WELL * left)
 }
 
-/// A temperature and the error in each other's place.
-/// The error begins where the hall is, the sensor at a gauge's zero.
+/// Detects a temperature and an error in each other's column.
+/// The error begins at room temperature, and the sensor at the zero of a gauge.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     if record.kind != Kind::Drift || record.rows() < 20 {
         return;
@@ -146,7 +144,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Temperatures of a drift test that run far faster than heat does.
+/// Detects temperatures of a drift test that change faster than a machine warms.
 fn heat(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 20)
     else {
@@ -168,14 +166,14 @@ fn heat(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// Shortest time in which a sensor that runs smoothly goes through half its range; `None` where it does not move or
-/// jumps.
+/// Shortest time in which a smooth sensor goes through half its range, s.
+/// `None` if it moves by less than [`MOVES_K`] or jumps.
 fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
     let size = range(&c.data);
     if size < MOVES_K {
         return None;
     }
-    // From row to row it moves by little: no jump, no loose contact.
+    // Large steps are a jump or a loose contact.
     let steps: Vec<f64> = c.data.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
     if steps.iter().copied().fold(0.0, f64::max) > 0.2 * size {
         return None;
@@ -183,8 +181,8 @@ fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
     shortest_window(t, &c.data, size / 2.0)
 }
 
-/// Shortest time in which the values come to lie so far apart.
-/// Each row goes into the window once and out once: the rows that can still be its highest or its lowest wait in order.
+/// Shortest time in which the values differ by `apart`.
+/// Sliding window: each queue keeps the rows that can still be its highest or its lowest.
 fn shortest_window(t: &[f64], data: &[f64], apart: f64) -> Option<f64> {
     let mut shortest = f64::INFINITY;
     let (mut highest, mut lowest) = (VecDeque::<usize>::new(), VecDeque::<usize>::new());
@@ -213,7 +211,7 @@ fn shortest_window(t: &[f64], data: &[f64], apart: f64) -> Option<f64> {
     shortest.is_finite().then_some(shortest)
 }
 
-/// The circle that the positions run on beside the radius that the sidecar states.
+/// Checks the radius of the positions' circle against `radius_mm` of the sidecar.
 fn circle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return };
     let [Some(a), Some(b)] = circle.plane.each_ref().map(|axis| record.column(&Role::Position(axis.clone())))
@@ -243,7 +241,7 @@ fn circle(record: &Record, out: &mut Vec<Suspicion>) {
     }
 }
 
-/// A radius stated so far off that of the positions is of another circle.
+/// Relative deviation above which the radius is of another circle.
 const OTHER_RADIUS: f64 = 0.03;
 
 #[cfg(test)]
@@ -252,7 +250,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// What every pair of rows says, one by one.
+        /// The same as comparing every pair of rows.
         #[test]
         fn the_shortest_window_is_that_of_all_pairs(
             steps in prop::collection::vec((0_u8..4, -3_i8..=3), 1..60),

@@ -1,22 +1,20 @@
-//! How series are told apart without colour.
-//! A dash and a marker of their own, the same in the plot and in the legend.
+//! Dashes and markers that distinguish series without colour.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::RGBColor;
 
-/// Dash and gap of a line, px; a solid one has none.
+/// Dash and gap of a line, px; `None` is a solid line.
 const DASHES: [Option<(i32, i32)>; 4] = [None, Some((9, 4)), Some((3, 3)), Some((16, 5))];
 
-/// The dash of the series at a place.
+/// The dash of the series at an index.
 pub(super) fn dash(place: usize) -> Option<(i32, i32)> {
     DASHES[place % DASHES.len()]
 }
 
 type Drawn<DB> = Result<(), DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>>;
 
-/// Draws a marker about a place in pixels, in the shape that a place has.
-/// A disc, a triangle, a square, a cross.
+/// Draws the marker of a series' index at a pixel: disc, triangle, square or cross.
 pub(super) fn marker<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     place: usize,
@@ -32,7 +30,7 @@ pub(super) fn marker<DB: DrawingBackend>(
     }
 }
 
-/// Draws a sample of a line at a height, for the legend.
+/// Draws a sample of a line for the legend.
 pub(super) fn sample<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     place: usize,
@@ -47,7 +45,7 @@ pub(super) fn sample<DB: DrawingBackend>(
     Ok(())
 }
 
-/// Words at a place in pixels.
+/// Draws text at a pixel.
 pub(super) fn words<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     text: &str,

@@ -1,31 +1,31 @@
-//! Small deviations around a circle, enlarged.
-//! Round, with the scale of the deviations on it.
+//! Polar plot of small deviations around a circle, enlarged, with a scale.
 
 use super::{Series, look};
 use rtec_files::words::escaped;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
-/// Deviations from a circle, drawn around it.
+/// Deviations from a circle.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Polar {
-    /// What stands above it.
+    /// Title above the plot.
     pub title: String,
     /// The two axes of its plane; the angle runs from the first towards the second.
     pub axes: [String; 2],
-    /// The circle's radius, mm, where it is known.
+    /// The circle's radius, mm, if known.
     pub radius_mm: Option<f64>,
     /// Series of angle (rad) and deviation (µm).
     pub series: Vec<Series>,
 }
 
-/// Radius that stands for no deviation, and the most that a deviation takes of it, px.
+/// Radius of zero deviation, px.
 const BASE_PX: f64 = 150.0;
+/// Largest distance of a deviation from that radius, px.
 const MOST_PX: f64 = 80.0;
 const CENTRE_PX: (f64, f64) = (280.0, 300.0);
 const SIZE_PX: (u32, u32) = (800, 590);
 
-/// The next of 1, 2 and 5 times a power of ten that is not below.
+/// The next value of 1, 2 or 5 times a power of ten that is not below.
 pub(super) fn round_up(v: f64) -> f64 {
     let power = 10_f64.powf(v.max(1e-9).log10().floor());
     [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|n| *n >= v * (1.0 - 1e-9)).unwrap_or(power)
@@ -86,7 +86,7 @@ impl Polar {
             let mut last: Option<f64> = None;
             for (angle, um) in series.points.iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
                 let (x, y) = at(*angle, *um);
-                // A jump by more than a sixth of a turn is a gap.
+                // A jump of more than a sixth of a turn is a gap.
                 let near = |l: f64| {
                     let d = (angle - l).rem_euclid(TAU);
                     d.min(TAU - d) < TAU / 6.0
@@ -101,7 +101,7 @@ impl Polar {
                 "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\"{dash}/>"
             );
         }
-        // What a ring is worth, written outwards at 45°.
+        // Labels of the rings, at 45°.
         for ring in [-rings, 0, rings] {
             let um = f64::from(ring) * division_um;
             let name = if ring == 0 { "0".to_owned() } else { format!("{um:+}") };
@@ -139,7 +139,7 @@ impl Polar {
             &format!("one division is {division_um} µm"),
         );
         if let Some(radius_mm) = self.radius_mm {
-            // Deviations against the circle itself, which the base circle stands for.
+            // Enlargement relative to the base circle, which has the nominal radius.
             let times = px_per_um * 1000.0 * radius_mm / BASE_PX;
             line(out, None, &format!("radius {} mm,", crate::report::short(radius_mm)));
             line(out, None, "deviations enlarged");

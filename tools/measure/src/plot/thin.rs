@@ -1,25 +1,25 @@
-//! What of many points shows.
-//! Pixels are whole, so of a million points over some hundred columns most fall on others.
+//! Reduces many points to those that are visible.
+//! A million points over some hundred pixel columns mostly overlap.
 
 use std::collections::HashSet;
 
 type Point = (f64, f64);
 type Pixel = (i32, i32);
 
-/// A column of pixels, and the first, lowest, highest and last point in it.
-/// Number, point, height.
+/// A pixel column, and its first, lowest, highest and last point.
+/// Each is an index, a point and a pixel height.
 type Column = (i32, [(usize, Point, i32); 4]);
 
-/// Fewer are drawn as they are.
+/// Fewest points that are reduced.
 const MANY: usize = 2000;
 
-/// The points that can be drawn.
+/// The points with finite coordinates.
 pub(super) fn finite(points: &[Point]) -> impl Iterator<Item = Point> {
     points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite())
 }
 
 /// A subset of a line's points that touches the same pixels.
-/// Of consecutive points in one column of pixels it keeps the first, lowest, highest and last.
+/// Of consecutive points in one pixel column it keeps the first, lowest, highest and last.
 pub(super) fn line(points: &[Point], pixel: impl Fn(&Point) -> Pixel) -> Vec<Point> {
     if points.len() < MANY {
         return finite(points).collect();
@@ -52,7 +52,7 @@ pub(super) fn line(points: &[Point], pixel: impl Fn(&Point) -> Pixel) -> Vec<Poi
     kept.into_iter().map(|(_, point)| point).collect()
 }
 
-/// Dots, one for each pixel on which one lies.
+/// One dot per pixel.
 pub(super) fn dots(points: &[Point], pixel: impl Fn(&Point) -> Pixel) -> Vec<Point> {
     if points.len() < MANY {
         return finite(points).collect();
@@ -70,8 +70,8 @@ mod tests {
         (p.0.round() as i32, p.1.round() as i32)
     }
 
-    /// From pixel to pixel, what a line goes along in its columns.
-    /// Runs of one column with their lowest and highest pixel, and where each is entered and left.
+    /// The pixels of a line, by runs of one column.
+    /// Each run has its lowest and highest pixel, and where the line enters and leaves.
     fn traced(points: &[Point]) -> Vec<[i32; 5]> {
         let mut runs: Vec<[i32; 5]> = Vec::new();
         for (x, y) in finite(points).map(|p| whole(&p)) {
@@ -106,8 +106,7 @@ mod tests {
         }
     }
 
-    /// A million noisy points are some thousand in the picture.
-    /// A few hundred are all of them.
+    /// Few points are not reduced.
     #[test]
     fn few_points_stay_as_they_are() {
         let points: Vec<Point> = (0..1999).map(|i| (f64::from(i) / 100.0, f64::from(i * 7 % 31))).collect();

@@ -1,5 +1,5 @@
-//! Small displacements on a plane.
-//! Both axes to one scale, the displacements to another, both stated.
+//! Small displacements on a plane, as enlarged arrows.
+//! Both axes have one scale, the displacements another; both are stated.
 
 use super::Colour;
 use super::polar::round_up;
@@ -7,14 +7,14 @@ use rtec_files::words::escaped;
 use rtec_model::record::span;
 use std::fmt::Write as _;
 
-/// Displacements at places of a plane.
+/// Displacements at positions on a plane.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Vectors {
-    /// What stands above it.
+    /// Title above the plot.
     pub title: String,
     /// Names of both axes.
     pub axes: [String; 2],
-    /// Places, mm, with their displacement, µm.
+    /// Positions, mm, with their displacement, µm.
     pub at: Vec<([f64; 2], [f64; 2])>,
 }
 
@@ -28,7 +28,7 @@ impl Vectors {
         let bounds = |n: usize| span(self.at.iter().map(|(p, _)| p[n]).filter(|v| v.is_finite()));
         let (x, y) = (bounds(0), bounds(1));
         let span = (x[1] - x[0]).max(y[1] - y[0]).max(1e-6);
-        // As much as the longest arrow.
+        // Room for the longest arrow.
         let margin = 0.13 * span;
         let per_mm = PLOT_PX / (span + 2.0 * margin);
         let middle = [f64::midpoint(x[0], x[1]), f64::midpoint(y[0], y[1])];
@@ -36,7 +36,7 @@ impl Vectors {
             let half = PLOT_PX / 2.0;
             (LEFT_PX + half + (p[0] - middle[0]) * per_mm, TOP_PX + half - (p[1] - middle[1]) * per_mm)
         };
-        // The longest takes a tenth of the plot at most; a round figure, so that the drawing can be measured.
+        // The longest arrow is at most a tenth of the plot; the factor is round for measuring.
         let longest = self.at.iter().map(|(_, e)| e[0].hypot(e[1])).fold(0.0, f64::max).max(1e-6);
         let times = round_up(0.1 * PLOT_PX / longest * 1000.0 / per_mm / 2.5);
         let px_per_um = times * per_mm / 1000.0;
@@ -139,7 +139,7 @@ mod tests {
         for word in ["Plate", "x (mm)", "y (mm)", "this arrow is 5 µm", "longest: 10.0 µm"] {
             assert!(svg.contains(word), "{word}: {svg}");
         }
-        // Both axes to one scale, 460 px for 126 mm: 36.51 px for 10 µm are 1000 times as much.
+        // One scale for both axes: 460 px are 126 mm, so 36.51 px for 10 µm are 1000 times enlarged.
         assert!(svg.contains("1000 times") && svg.contains("l36.51 -0.00"), "{svg}");
     }
 }

@@ -2,41 +2,32 @@
 
 use super::{Report, Run, Table};
 use crate::ballbar::{Ballbar, Contour};
+use crate::export::number;
 use crate::history::History;
 use crate::iso230::{Budget, Conditions, Diagonals, Drift, Figures, Positioning, Returns, Straightness};
 use crate::plate::Plate;
-use crate::plot::{Chart, Colour, PlotError, Polar, Series, Style};
+use crate::plot::{Chart, Colour, Picture, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
 
-/// µm (or µrad) with two decimals, with one from 100 on; nothing is a dash.
+/// µm (or µrad) with two decimals, or one from 100 up; `None` is a dash.
 fn um(v: impl Into<Option<f64>>) -> String {
-    v.into().map_or_else(|| "–".to_owned(), |v| fixed(v, if v.abs() >= 99.95 { 1 } else { 2 }))
+    v.into().map_or_else(|| "–".to_owned(), |v| number(v, if v.abs() >= 99.95 { 1 } else { 2 }))
 }
 
-/// A number with so many decimals; what rounds to zero has no sign.
-fn fixed(v: f64, decimals: usize) -> String {
-    let text = format!("{v:.decimals$}");
-    if text.bytes().any(|b| (b'1'..=b'9').contains(&b)) {
-        text
-    } else {
-        text.trim_start_matches('-').to_owned()
-    }
-}
-
-/// A length in mm to 0.1 µm, without zeros at its end.
+/// A length in mm to 0.1 µm, without trailing zeros.
 pub(crate) fn short(v: f64) -> String {
-    fixed(v, 4).trim_end_matches('0').trim_end_matches('.').to_owned()
+    number(v, 4).trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
     of.map_or_else(
         || "–".to_owned(),
-        |[lo, hi]| format!("{} … {}", fixed(*lo, decimals), fixed(*hi, decimals)),
+        |[lo, hi]| format!("{} … {}", number(*lo, decimals), number(*hi, decimals)),
     )
 }
 
-/// Symbols of ISO 230-2 as the standard writes them, and what they are.
+/// Symbol of ISO 230-2 as the standard writes it, and its meaning.
 fn meaning(symbol: &str) -> (&'static str, &'static str) {
     match symbol {
         "A" => ("A", "accuracy of positioning, both ways"),
@@ -95,7 +86,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     let mut table = Table::new(&title, &head);
     for (symbol, v) in p.figures() {
         let (short, words) = meaning(symbol);
-        // Of a tilt it is the same figure, but not of a position.
+        // The figure of a tilt is not one of positioning.
         let words = if p.unit == "urad" { words.replace(" of positioning", "") } else { words.to_owned() };
         let mut row = vec![short.to_owned(), words, um(v)];
         if let Some(u) = &p.uncertainty {
@@ -183,7 +174,7 @@ pub fn straightness(
     Ok(report)
 }
 
-/// Contributors in one reading, then what follows for the figures.
+/// Contributors in one reading, then the figures' uncertainties.
 fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f64>)]) {
     let title = format!("Uncertainty budget{of} (GUM alone; no standard's budget)");
     let mut table = Table::new(&title, &["contributor or figure", "#U, k = 2 (µm)"]);
@@ -196,10 +187,10 @@ fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f6
     report.table(table);
 }
 
-/// Circular tests: contours, and what makes their deviations.
+/// Circular tests: contours, and causes of their deviations.
 ///
 /// # Errors
-/// None at present: a circle is always drawn.
+/// None at present: a circle can always be drawn.
 pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) -> Result<Report, PlotError> {
     let names: Vec<&str> = planes.iter().map(|b| b.plane.as_str()).collect();
     let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
@@ -223,7 +214,7 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         report.table(table);
         diagnosis(&mut report, b);
         for plot in circles(b) {
-            report.plot(plot)?;
+            report.plot(Picture::Polar(plot))?;
         }
         let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
         let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
@@ -261,7 +252,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     let mut add = |cause: &str, key: &str, v: Option<f64>, unit: &str, decimals: usize| {
         if let Some(v) = v {
             let shown = interval(d.interval_95.get(key), decimals);
-            table.row([cause.to_owned(), fixed(v, decimals), unit.to_owned(), shown, share(cause)]);
+            table.row([cause.to_owned(), number(v, decimals), unit.to_owned(), shown, share(cause)]);
         }
     };
     add("scale mismatch", "scale_mismatch_ppm", d.scale_mismatch_ppm, "ppm", 1);
@@ -292,7 +283,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     if let Some(n) = &d.not_separable {
         let cause = format!("{}, not separable one way at one feed", n.causes.join(" or "));
         let shown = interval(Some(&n.interval_95), 2);
-        table.row([cause, fixed(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
+        table.row([cause, number(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
     }
     report.table(table);
     let title = format!(
@@ -310,11 +301,11 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     report.table(table);
 }
 
-/// One plot for each feed.
+/// One plot per feed.
 fn circles(b: &Ballbar) -> Vec<Polar> {
     let mut feeds: BTreeMap<i64, Vec<&Contour>> = BTreeMap::new();
     for c in &b.contours {
-        // Feeds within some per cent are one.
+        // Feeds within about 10 % are one.
         let feed = c.feed_mm_per_min.map_or(0, |f| (f.max(1e-9).ln() * 10.0).round() as i64);
         feeds.entry(feed).or_default().push(c);
     }
@@ -338,7 +329,7 @@ fn circles(b: &Ballbar) -> Vec<Polar> {
     feeds.into_values().map(of).collect()
 }
 
-/// T2 before T10: the name without the number at its end, and that.
+/// Sort key that puts T2 before T10: the name without its number, and the number.
 fn natural(name: &str) -> (String, u64) {
     let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
     (stem.to_owned(), name[stem.len()..].parse().unwrap_or(0))
@@ -499,17 +490,17 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
 /// A plate of holes.
 ///
 /// # Errors
-/// None at present: arrows are always drawn.
+/// None at present: arrows can always be drawn.
 pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
-    // A scale within its own uncertainty is no temperature of the plate either.
+    // A scale within its uncertainty implies no temperature of the plate.
     if p.is_scale_beyond_chance() {
         report.warnings.push(p.remark.clone());
     }
     let (j, je, pe) = (&p.joint, &p.joint.standard_error, &p.standard_error);
     let none = || "–".to_owned();
     let row = |name: &str, value: f64, error: f64, decimals: usize, unit: &str| {
-        [name.to_owned(), fixed(value, decimals), fixed(error, decimals), unit.to_owned()]
+        [name.to_owned(), number(value, decimals), number(error, decimals), unit.to_owned()]
     };
     let angle = |name: &str, deg: f64, error: Option<f64>| match error {
         Some(error) => row(name, deg, error, 1, "°"),
@@ -560,7 +551,7 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         table.row(left(&format!("left over, holes of {diameter} mm"), *v));
     }
     report.table(table);
-    report.plot(p.plot(record))?;
+    report.plot(Picture::Vectors(p.plot(record)))?;
     Ok(report)
 }
 
@@ -628,7 +619,7 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
         let mut chart = Chart::new(&f.name, &format!("days since {from}"), &unit);
         if let Some(limit) = f.limit {
             for (name, sign) in [("limit", 1.0), ("", -1.0)] {
-                // The other side is shown where the figure goes there.
+                // The opposite limit is shown only if the figure has that sign.
                 if sign > 0.0 || points.iter().any(|p| p.1 < 0.0) {
                     let ends = vec![(0.0, sign * limit), (end, sign * limit)];
                     chart = chart.with(Series::new(name, Style::Line, ends).coloured(Colour::Grey));

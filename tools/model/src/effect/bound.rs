@@ -1,8 +1,9 @@
 //! An effect over a record, with its columns looked up once.
 //! Basis values, sums and slopes are computed column by column.
 
-use super::{Against, Effect, Input, Naming, Need, Out, STANDARD_DEGC, State, sign};
+use super::{Effect, Input, Naming, Need, Out, STANDARD_DEGC, State, sign};
 use crate::record::{Record, Role};
+use rtec_files::InputError;
 
 /// A sensor or channel that an effect names and a record does not have.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -14,6 +15,13 @@ pub struct Missing {
     pub what: String,
     /// The names of that role that the record has.
     pub has: String,
+}
+
+impl Missing {
+    /// The error for the record that does not have it.
+    pub fn of(&self, record: &Record) -> InputError {
+        InputError::whole(&record.path, self.to_string(), format!("a column of role {}", self.what))
+    }
 }
 
 /// Component number of a circle's radial error.
@@ -211,11 +219,8 @@ impl Effect {
                 Need::Delta => {
                     let Some(d) = &self.delta else { continue };
                     bound.sensor = Some(named(record.temperature(&d.sensor), &role, &d.sensor)?);
-                    match &d.against {
-                        Against::Sensor(m) => bound.minus = Some(named(record.temperature(m), &role, m)?),
-                        Against::Reference(degc) => bound.reference = *degc,
-                        Against::Standard => {}
-                    }
+                    bound.minus = d.minus().map(|m| named(record.temperature(m), &role, m)).transpose()?;
+                    bound.reference = d.reference_degc();
                     continue;
                 }
                 Need::Channel => {

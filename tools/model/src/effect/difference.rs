@@ -30,11 +30,20 @@ pub struct Difference {
 impl Difference {
     /// The sensors it reads: one or two.
     pub fn sensors(&self) -> impl Iterator<Item = &str> {
-        let minus = match &self.against {
-            Against::Sensor(minus) => Some(minus.as_str()),
-            _ => None,
-        };
-        std::iter::once(self.sensor.as_str()).chain(minus)
+        std::iter::once(self.sensor.as_str()).chain(self.minus())
+    }
+
+    /// The sensor subtracted, if it is a pair.
+    pub fn minus(&self) -> Option<&str> {
+        match &self.against {
+            Against::Sensor(minus) => Some(minus),
+            Against::Reference(_) | Against::Standard => None,
+        }
+    }
+
+    /// The fixed temperature subtracted, °C; of a pair the standard one.
+    pub fn reference_degc(&self) -> f64 {
+        if let Against::Reference(degc) = self.against { degc } else { STANDARD_DEGC }
     }
 
     /// The difference of two sensors.
@@ -44,7 +53,7 @@ impl Difference {
 
     /// Whether it is the difference of two sensors.
     pub fn is_pair(&self) -> bool {
-        matches!(self.against, Against::Sensor(_))
+        self.minus().is_some()
     }
 
     /// The difference in full, with the standard temperature.

@@ -143,7 +143,7 @@ pub(super) fn parameters() -> Vec<Parameter> {
             .telling_apart(),
         Parameter::linear("um", "um", 500.0)
             .typically(3.0)
-            .within([-10_000.0, 10_000.0], "a guideway or scale that is 10 mm off is another one")
+            .within([-10_000.0, 10_000.0], "no guideway or scale is 10 mm off")
             .array(),
     ]
 }

@@ -473,7 +473,7 @@ impl Effect {
         let mut id = self.in_order().name();
         if let Some(d) = &self.delta {
             let _ = write!(id, " {}", d.sensor);
-            if let Against::Sensor(minus) = &d.against {
+            if let Some(minus) = d.minus() {
                 let _ = write!(id, "-{minus}");
             }
         }

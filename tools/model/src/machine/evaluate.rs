@@ -171,10 +171,7 @@ impl<'m> Running<'m> {
             if acts.is_empty() || !self.machine.acts_in(listed, &reach) {
                 continue;
             }
-            let bound = effect.bind(record).map_err(|m| {
-                let expected = format!("a column of role {}", m.what);
-                InputError::whole(&record.path, m.to_string(), expected)
-            })?;
+            let bound = effect.bind(record).map_err(|m| m.of(record))?;
             states.resize(acts.len(), States::default());
             for ((role, component), states) in acts.into_iter().zip(states) {
                 let place = record.responses().position(|c| c.role == role);
@@ -191,9 +188,7 @@ impl<'m> Running<'m> {
                 taken_as_zero.extend(zero.map(|role| ("chain".to_owned(), role.to_string())));
             }
             for (column, (_, out)) in record.responses().zip(&mut columns) {
-                chain.add(record, &column.role, out).map_err(|m| {
-                    InputError::whole(&record.path, m.to_string(), format!("a column of role {}", m.what))
-                })?;
+                chain.add(record, &column.role, out).map_err(|m| m.of(record))?;
             }
         }
         Ok(Prediction { columns, taken_as_zero })

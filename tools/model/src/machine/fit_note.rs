@@ -1,6 +1,6 @@
 //! The record of a fit: its sources, dates, intervals and range of validity.
 
-use crate::effect::{Against, Difference, Effect, STANDARD_DEGC};
+use crate::effect::{Difference, Effect};
 use crate::record::{Kind, Record, Role};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -97,15 +97,12 @@ impl Validity {
     /// `None` if the record lacks one of its sensors.
     pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
         let u = record.temperature(&self.difference.sensor)?;
-        let minus: &dyn Fn(usize) -> f64 = match &self.difference.against {
-            Against::Sensor(m) => {
-                let m = record.temperature(m)?;
-                &move |row| m[row]
-            }
-            Against::Reference(degc) => &move |_| *degc,
-            Against::Standard => &|_| STANDARD_DEGC,
+        let minus = match self.difference.minus() {
+            Some(m) => Some(record.temperature(m)?),
+            None => None,
         };
-        Some(u.iter().enumerate().map(|(row, u)| u - minus(row)).collect())
+        let reference = self.difference.reference_degc();
+        Some(u.iter().enumerate().map(|(row, u)| u - minus.map_or(reference, |m| m[row])).collect())
     }
 
     /// The possible error of being this far outside the range, µm.

@@ -12,6 +12,7 @@ use rtec_files::stamp;
 use rtec_files::text::short;
 use rtec_files::toml::{Document, Entry, Table};
 use sha2::{Digest, Sha256};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use toml_edit::DocumentMut;
@@ -28,6 +29,28 @@ impl Machine {
     pub fn read(path: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)
+    }
+
+    /// As [`Machine::read`], with the files that the model consists of, its own first.
+    ///
+    /// # Errors
+    /// As [`Machine::read`].
+    pub fn read_with_files(path: &Path) -> Result<(Self, Vec<PathBuf>), InputError> {
+        let text = rtec_files::text::read(path)?;
+        let files = RefCell::new(vec![path.to_owned()]);
+        let machine = Self::parse_from(path, &text, Dictionary::default(), &|beside| {
+            files.borrow_mut().push(beside.to_owned());
+            rtec_files::text::read(beside)
+        })?;
+        Ok((machine, files.into_inner()))
+    }
+
+    /// As [`Machine::read`]; an ideal machine of this name without a file.
+    ///
+    /// # Errors
+    /// As [`Machine::read`].
+    pub fn read_or_ideal(path: Option<&Path>, name: &str) -> Result<Self, InputError> {
+        path.map_or_else(|| Ok(Self::ideal(name)), Self::read)
     }
 
     /// As [`Machine::read`], from text.

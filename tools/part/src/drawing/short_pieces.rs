@@ -1,6 +1,6 @@
 //! Pieces no longer than the tolerance: joined first, then cleaned.
 //!
-//! Cleaning leaves out vertices, but never the way between them.
+//! Cleaning leaves out vertices, but no part of the path between them.
 
 use super::{Cleaned, Piece, Places};
 use crate::contour::{FeatureKind, Segment};

@@ -3,7 +3,7 @@
 mod watch;
 
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::{pretty, say_pretty};
 use crate::say;
 use clap::Subcommand;
 use rtec_control::card::{self, Access, OpenError};
@@ -178,8 +178,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     let (parports, uio) = (devices("parport"), devices("uio"));
     if as_json {
         let here = json!({"gpio": chips, "pci": cards, "parport": parports, "uio": uio});
-        say(&pretty(&json!({"profiles": profiles, "here": here}))?);
-        return Ok(());
+        return say_pretty(&json!({"profiles": profiles, "here": here}));
     }
     let text = |value: &Value, key: &str| match &value[key] {
         Value::String(text) => text.clone(),
@@ -263,8 +262,7 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
             "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines,
             "setup": setup.collect::<Vec<_>>(), "counters": counters.collect::<Vec<_>>(),
         });
-        say(&pretty(&document)?);
-        return Ok(());
+        return say_pretty(&document);
     }
     println!("{}", p.name);
     println!("  source   {}", p.source);
@@ -317,7 +315,9 @@ fn described(profile: &Profile, place: Place) -> (&'static str, u8, bool) {
     (what, bit, inverted >> bit & 1 == 1)
 }
 
-fn no_lines(config: &Config) -> anyhow::Error {
+/// Error for a card whose lines cannot be read or switched.
+fn refused(config: &Config, error: OpenError) -> anyhow::Error {
+    let OpenError::NoLines(_) = error else { return unreachable(error) };
     let text = format!(
         "backend \"{}\" has no lines outside the daemon: there is nothing to probe; `rtecctl status` shows its axes, \
          `rtecctl card list` what [card] of rtec.toml may name",
@@ -362,19 +362,10 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Error for a card whose lines cannot be read or switched.
-fn refused(config: &Config, error: OpenError) -> anyhow::Error {
-    match error {
-        OpenError::NoLines(_) => no_lines(config),
-        other => unreachable(other),
-    }
-}
-
 fn probe(config: &Config, as_json: bool) -> anyhow::Result<()> {
     let reading = line_readings::read(config).map_err(|e| refused(config, e))?;
     if as_json {
-        say(&pretty(&reading)?);
-        return Ok(());
+        return say_pretty(&reading);
     }
     if let Some(card) = &reading.card {
         println!("{card}");

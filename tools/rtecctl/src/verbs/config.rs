@@ -31,7 +31,7 @@ enum ConfigAction {
         #[arg(long)]
         json: bool,
     },
-    /// Print the configuration that stands without a file, as a start for your own
+    /// Print the built-in configuration, as a start for your own
     Default,
 }
 

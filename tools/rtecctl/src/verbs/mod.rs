@@ -44,7 +44,14 @@ pub(crate) mod whoami;
 
 use clap::builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
 use nix::unistd::{AccessFlags, access};
+use rtec_files::InputError;
+use rtec_model::record::Record;
 use std::path::{Path, PathBuf};
+
+/// Reads run records.
+pub(crate) fn read_records(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
+    paths.iter().map(|p| rtec_measure::record::read(p)).collect()
+}
 
 /// Parser of an option that names a file to write.
 /// It checks before the work that the file can be written.

@@ -1,9 +1,9 @@
 //! `rtecctl park`: ends corrections, with the counts kept or withdrawn.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, ask, status, unexpected};
+use crate::daemon::{Daemon, ask, explained, status};
 use rtec_control::client::Client;
-use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Explained, Response};
+use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Explained};
 use std::time::{Duration, Instant};
 
 /// Freeze the corrections where they are and disarm; with --to-zero take them out first, step by step
@@ -126,13 +126,6 @@ fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
         return Err(Outcome::No(text).into());
     }
     Ok(())
-}
-
-fn explained(client: &mut Client) -> anyhow::Result<Vec<Explained>> {
-    match ask(client, &ClientRequest::Explain { axis: None })? {
-        Response::Explained { axes } => Ok(axes),
-        other => Err(unexpected(&other)),
-    }
 }
 
 fn inverted(now: &DaemonStatus) -> impl Iterator<Item = &AxisReport> {

@@ -2,17 +2,17 @@
 //! It names missing effects and writes a better model.
 
 use super::characterise::record::{Recorder, record};
-use crate::document::pretty;
+use super::read_records;
+use crate::document::{pretty, write};
 use crate::rounding::with_half;
 use crate::say;
 use anyhow::Context;
-use rtec_files::InputError;
+use rtec_files::{InputError, date};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{LAWS_FILE, Options, Reconciliation, Refined, SEED, html, reconcile, why};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 /// Find what the model of a machine lacks: name it, add it, show the gap shrink
 #[derive(Debug, clap::Args)]
@@ -68,9 +68,6 @@ fn level(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let read = |paths: &[PathBuf]| {
-        paths.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()
-    };
     let usage = |found: String, expected: &str| InputError::whole(Path::new("reconcile"), found, expected);
     if let (None, Some(option)) = (&args.live, args.recorder.given()) {
         return Err(usage(
@@ -93,9 +90,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         record(live, &args.recorder, true)?;
         runs.push(live.clone());
     }
-    let (train, holdout) = (read(&runs)?, read(&args.holdout)?);
+    let (train, holdout) = (read_records(&runs)?, read_records(&args.holdout)?);
     spares_inputs(args)?;
-    let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
+    let date = date::format(date::today());
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
     let answer = reconcile(&train, &holdout, &machine, &options)?;
@@ -155,14 +152,9 @@ fn tell(args: &Args, document: &Value, summary: &str, files: &[(&str, String)]) 
     let text = pretty(document)?;
     if let Some(dir) = &args.out {
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
-        let write = |name: &str, text: &str| {
-            let path = dir.join(name);
-            rtec_files::write::whole(&path, text.as_bytes())
-                .with_context(|| format!("writing {}", path.display()))
-        };
-        write("verdict.json", &text)?;
+        write(&dir.join("verdict.json"), &text)?;
         for (name, text) in files {
-            write(name, text)?;
+            write(&dir.join(name), text)?;
         }
     }
     if args.json {

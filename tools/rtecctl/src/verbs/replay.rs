@@ -212,21 +212,16 @@ fn distinct(mut words: Vec<String>) -> Vec<String> {
 
 /// The axis to replay, and whether its requests are flagged large.
 fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
-    let (axis, large) = match &args.config {
-        None => (AxisConfig::default(), true),
-        Some(file) => {
-            let config = Config::load(file)?;
-            let n = match &args.axis {
-                None => 0,
-                Some(name) => config.axis(name).ok_or_else(|| {
-                    let names: Vec<&str> = config.axes.iter().map(|a| a.name.as_str()).collect();
-                    InputError::whole(file, format!("no axis {name}"), names.join(" or "))
-                })?,
-            };
-            (config.axes[n].engine, false)
-        }
+    let Some(file) = &args.config else { return Ok((AxisConfig::default(), true)) };
+    let config = Config::load(file)?;
+    let n = match &args.axis {
+        None => 0,
+        Some(name) => config.axis(name).ok_or_else(|| {
+            let names: Vec<&str> = config.axes.iter().map(|a| a.name.as_str()).collect();
+            InputError::whole(file, format!("no axis {name}"), names.join(" or "))
+        })?,
     };
-    Ok((axis, large))
+    Ok((config.axes[n].engine, false))
 }
 
 /// A trace that reports its progress every two seconds.

@@ -59,8 +59,8 @@ struct LatencyArgs {
     priority: Option<u8>,
     /// The backend that the configuration must have; without a configuration a simulated card: registers in shared memory
     /// (`mapped`, the default) or wires in the process (`mock`)
-    #[arg(long, value_enum)]
-    backend: Option<Card>,
+    #[arg(long, value_parser = ["mock", "mapped", "gpio", "port"])]
+    backend: Option<String>,
     /// Measure the writes too: every axis's inverters are switched, again and again. THE MTC MUST BE OFF: its axes would move
     #[arg(long, requires = "config")]
     drive: bool,
@@ -73,25 +73,6 @@ struct LatencyArgs {
     /// Write the histogram, as cyclictest's --histfile does, to F and not to standard output
     #[arg(long, value_name = "F", value_parser = crate::verbs::output())]
     histfile: Option<PathBuf>,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Card {
-    Mock,
-    Mapped,
-    Gpio,
-    Port,
-}
-
-impl Card {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Mock => "mock",
-            Self::Mapped => "mapped",
-            Self::Gpio => "gpio",
-            Self::Port => "port",
-        }
-    }
 }
 
 /// The card that is measured.
@@ -191,23 +172,21 @@ impl OnCard for CardTest<'_> {
 fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
     let bad = |text: String| anyhow::Error::from(Outcome::Bad(text));
     let Some(file) = &args.config else {
-        return match args.backend {
-            None | Some(Card::Mapped) => Ok(Target::Simulated(Backend::Mapped)),
-            Some(Card::Mock) => Ok(Target::Simulated(Backend::Mock)),
+        return match args.backend.as_deref() {
+            None | Some("mapped") => Ok(Target::Simulated(Backend::Mapped)),
+            Some("mock") => Ok(Target::Simulated(Backend::Mock)),
             Some(card) => Err(bad(format!(
-                "--backend {} needs --config FILE: which card of this backend is to be measured stands there",
-                card.name()
+                "--backend {card} needs --config FILE: which card of this backend is to be measured stands there"
             ))),
         };
     };
     let config = Config::load(file)?;
     let configured = config.card.backend();
-    if let Some(asked) = args.backend.filter(|card| card.name() != configured) {
+    if let Some(asked) = args.backend.as_deref().filter(|card| *card != configured) {
         return Err(bad(format!(
-            "{} has card {}, and --backend {} asks for another: leave --backend out",
+            "{} has card {}, and --backend {asked} asks for another: leave --backend out",
             file.display(),
-            config.card.named(),
-            asked.name()
+            config.card.named()
         )));
     }
     match &config.card {

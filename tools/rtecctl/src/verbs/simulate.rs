@@ -146,14 +146,7 @@ fn text(summary: &Map<String, Value>) -> String {
         };
         let _ = writeln!(text, "{what}");
         for (name, value) in figures {
-            let value = match value {
-                Value::Object(of) => {
-                    let each = of.iter().map(|(key, v)| format!("{key} {}", shown(v)));
-                    each.collect::<Vec<_>>().join(", ")
-                }
-                one => shown(one),
-            };
-            let _ = writeln!(text, "  {:36} {value}", name.replace('_', " "));
+            let _ = writeln!(text, "  {:36} {}", name.replace('_', " "), shown(value));
         }
     }
     text

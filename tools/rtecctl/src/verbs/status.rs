@@ -1,7 +1,7 @@
 //! `rtecctl status`: what the corrector does, and if nothing, why.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, check, unreachable};
+use crate::daemon::{Daemon, explained, status};
 use crate::document::line;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
@@ -49,21 +49,19 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
     let mut out = std::io::stdout();
     let terminal = out.is_terminal();
     loop {
-        let response = check(client.ask(&ClientRequest::Status {}).map_err(unreachable)?)?;
-        if let Response::Status(status) = response {
-            // Home, then clear to the end: no flicker, and no rest of a longer view.
-            let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
-            let text = if daemon.json {
-                line(&status)?
-            } else {
-                let way = on_their_way(&mut client, &status);
-                format!("{clear}{}", table(&status, &way, Screen::here()))
-            };
-            let written = write!(out, "{text}").and_then(|()| out.flush());
-            match written {
-                Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
-                other => other?,
-            }
+        let status = status(&mut client)?;
+        // Home, then clear to the end: no flicker, and no rest of a longer view.
+        let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
+        let text = if daemon.json {
+            line(&status)?
+        } else {
+            let way = on_their_way(&mut client, &status);
+            format!("{clear}{}", table(&status, &way, Screen::here()))
+        };
+        let written = write!(out, "{text}").and_then(|()| out.flush());
+        match written {
+            Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
+            other => other?,
         }
         std::thread::sleep(every);
     }
@@ -78,10 +76,7 @@ fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> 
     if status.mode != "run" {
         return Vec::new();
     }
-    match client.ask(&ClientRequest::Explain { axis: None }) {
-        Ok(Response::Explained { axes }) => still_to_go(&axes),
-        _ => Vec::new(),
-    }
+    explained(client).map_or_else(|_| Vec::new(), |axes| still_to_go(&axes))
 }
 
 fn still_to_go(axes: &[Explained]) -> Vec<RampingAxis> {

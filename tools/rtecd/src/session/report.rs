@@ -153,7 +153,7 @@ impl Session {
         Some(HoldReport { by, at_s })
     }
 
-    fn latched_faults(&self, now: &Status) -> Vec<LatchedFault> {
+    pub(super) fn latched_faults(&self, now: &Status) -> Vec<LatchedFault> {
         let own = now.faults.iter().map(|f| (None, f));
         let axes = now.axes().iter().enumerate();
         let all = own.chain(axes.flat_map(|(n, s)| s.faults.iter().map(move |f| (Some(n), f))));

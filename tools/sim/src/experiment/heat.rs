@@ -10,7 +10,7 @@ use crate::path::AXES;
 use crate::sim::{Sim, SimError, Spec};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
-use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
+use rtec_model::effect::{Difference, STANDARD_DEGC};
 use rtec_model::machine::{FitNote, Validity};
 use rtec_model::record::{Axis, Kind, Record};
 use serde_json::{Map, Value, json};
@@ -79,12 +79,7 @@ fn placed(row: &Row, axis: &Axis) -> f64 {
 /// A temperature difference from the sensors' readings, K.
 fn difference(degc: &[f64], of: &Difference) -> f64 {
     let read = |name: &str| SENSORS.iter().position(|s| s.0 == name).map_or(STANDARD_DEGC, |k| degc[k]);
-    read(&of.sensor)
-        - match &of.against {
-            Against::Sensor(m) => read(m),
-            Against::Reference(degc) => *degc,
-            Against::Standard => STANDARD_DEGC,
-        }
+    read(&of.sensor) - of.minus().map_or(of.reference_degc(), read)
 }
 
 pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
@@ -278,8 +273,7 @@ pub(super) fn drilling(
 }
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
-/// Each axis has a table and a plot, and the largest deviation is given.
-/// They are of the holes as they were measured, as `rtec-papers` has them.
+/// Each axis has a table, a plot and its largest deviation. Holes are as measured, as in `rtec-papers`.
 fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
     let off_um = |record: &Record, p: usize| -> Vec<f64> {
         let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);

@@ -66,11 +66,11 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
     assert_eq!((rapid.completed, rapid.error_counts()), (0, 0));
     assert!(rapid.waited_for_gate > 0);
     for design in [AnyDesign::Original, AnyDesign::A] {
-        let (_, high) = safe_range(design, &computer, config, 1);
+        let (_, high) = safe_range(design, &computer, config, Pll::default(), 1);
         // A quarter of a cycle must hold 9 µs.
         assert!((27_000.0..27_800.0).contains(&high), "{design:?}: {high} Hz");
     }
-    let (_, high) = safe_range(AnyDesign::C, &computer, config, 1);
+    let (_, high) = safe_range(AnyDesign::C, &computer, config, Pll::default(), 1);
     assert!((35_000.0..35_720.0).contains(&high), "{high} Hz");
 }
 
@@ -235,7 +235,7 @@ fn more_than_fifteen_pulses_take_two_compensations() {
 /// That is twice the encoder's frequency (CMTI 2014, section 2.2.2).
 #[test]
 fn the_ecc_works_in_its_lock_range_only() {
-    let (low, high) = safe_range(AnyDesign::Ecc, &Computer::dsp(), AxisConfig::default(), 1);
+    let (low, high) = safe_range(AnyDesign::Ecc, &Computer::dsp(), AxisConfig::default(), Pll::default(), 1);
     assert!((1150.0..1153.0).contains(&low), "{low} Hz");
     assert!((62_400.0..=62_501.0).contains(&high), "{high} Hz");
     let computer = Computer::dsp();

@@ -7,10 +7,10 @@ use std::collections::VecDeque;
 /// An hour, s.
 const HOUR_S: f64 = 3600.0;
 
-/// One row: time, displacement, and which row of the temperatures' columns it is.
+/// A row: time, displacement, temperature columns, and row index in those columns.
 pub(super) type Row<'d> = (f64, f64, &'d [&'d [f64]], usize);
 
-/// The first look: what the second has to know of all rows before it.
+/// First pass: sums that the second pass needs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Sums {
     rows: usize,
@@ -18,8 +18,7 @@ pub(super) struct Sums {
     last_s: f64,
     t: f64,
     e: f64,
-    /// Sum and number of the readings of each sensor that are any.
-    /// One that is called bad is no number.
+    /// Sum and count of each sensor's valid readings; invalid ones are NaN.
     degc: Vec<(f64, usize)>,
 }
 
@@ -43,11 +42,11 @@ impl Sums {
     }
 }
 
-/// From the smallest to the largest.
+/// Smallest and largest value.
 #[derive(Debug, Clone, Copy)]
 struct Span([f64; 2]);
 
-/// Of no values.
+/// An empty range.
 impl Default for Span {
     fn default() -> Self {
         Self([f64::INFINITY, f64::NEG_INFINITY])
@@ -64,33 +63,34 @@ impl Span {
     }
 }
 
-/// Sums of the first and of the last hundredth of the rows.
+/// Sums over the first and the last 1 % of the rows.
 #[derive(Debug, Clone, Copy, Default)]
-struct EndSums {
+struct FirstLastSums {
     early: f64,
     late: f64,
 }
 
-/// A sensor beside the displacement.
+/// Sums of a sensor and its products with the displacement.
 #[derive(Debug, Clone, Default)]
 struct SensorSums {
     mean: f64,
-    /// Its readings.
+    /// Number of its readings.
     rows: usize,
     span: Span,
-    ends: EndSums,
-    /// Readings in the first and in the last hundredth of the rows, and the first and the last of all.
+    ends: FirstLastSums,
+    /// Readings in the first 1 % of the rows.
     early_rows: usize,
+    /// Readings in the last 1 % of the rows.
     late_rows: usize,
     first: Option<f64>,
     last: f64,
-    /// Sums of products about the means: with time, with itself, with the displacement.
+    /// Sums of products of deviations: with time, with itself, with the displacement.
     tv: f64,
     vv: f64,
     ve: f64,
-    /// Sums over its readings.
-    /// Time and displacement about their means over all rows, and their squares.
+    /// Time about its mean over all rows: sum and sum of squares over its readings.
     t: [f64; 2],
+    /// The same for the displacement.
     e: [f64; 2],
 }
 
@@ -140,22 +140,21 @@ impl SensorSums {
     }
 }
 
-/// The second look, at the same rows in the same order.
+/// Second pass over the same rows in the same order.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Look {
     of: Sums,
     seen: usize,
-    /// A hundredth of the rows.
+    /// Number of rows in 1 % of all, at least one.
     few: usize,
     mean_t: f64,
     mean_e: f64,
     first_hour: Span,
     all: Span,
     last_hour: Span,
-    ends: EndSums,
+    ends: FirstLastSums,
     tt: f64,
     te: f64,
-    ee: f64,
     /// The rows of the last hour.
     window: VecDeque<(f64, f64)>,
     max_rate_per_h: Option<f64>,
@@ -178,7 +177,7 @@ impl Look {
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
         let (early, late) = (self.seen < self.few, self.seen >= self.of.rows - self.few);
         self.seen += 1;
-        let at_ends = |ends: &mut EndSums, v: f64| {
+        let at_ends = |ends: &mut FirstLastSums, v: f64| {
             ends.early += if early { v } else { 0.0 };
             ends.late += if late { v } else { 0.0 };
         };
@@ -193,7 +192,6 @@ impl Look {
         let (about_t, about_e) = (t - self.mean_t, e - self.mean_e);
         self.tt += about_t * about_t;
         self.te += about_t * about_e;
-        self.ee += about_e * about_e;
         self.slide(t, e);
         for (sensor, v) in self.sensors.iter_mut().zip(degc) {
             sensor.see(v[row], [about_t, about_e], [early, late]);
@@ -216,11 +214,11 @@ impl Look {
         }
     }
 
-    /// What was seen; the sensors have these names.
+    /// The figures; `names` are those of the sensors.
     pub(super) fn figures<'n>(&self, names: impl Iterator<Item = &'n str>) -> Figures {
         let few = self.few as f64;
-        let change = |ends: EndSums| ends.late / few - ends.early / few;
-        // The slope of the straight line through the rows.
+        let change = |ends: FirstLastSums| ends.late / few - ends.early / few;
+        // Slope of the straight line through the rows.
         let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
         Figures {
             d_60: self.first_hour.range(),

@@ -1,5 +1,5 @@
-//! A drift test of any number of rows, in the memory of some.
-//! Its file is gone through three times.
+//! A drift test of any number of rows in bounded memory.
+//! It reads the file three times; leaving rows out takes three more.
 
 use super::figures::{Look, Row, Sums};
 use super::scatter::Scatter;
@@ -14,11 +14,10 @@ use rtec_model::record::{Column, Record, Role};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Rows that are held at a time where nothing asks for more.
+/// Rows in memory at a time.
 const PIECE_ROWS: usize = 4096;
 
-/// A drift test on file that has been gone through once.
-/// What the next look has to know of all its rows.
+/// A drift test on file after its first pass.
 pub struct LongDrift {
     path: PathBuf,
     pieces: RecordPieces,
@@ -29,18 +28,18 @@ pub struct LongDrift {
     errors: Vec<Outline>,
     degc: Vec<Outline>,
     usual: Usual,
-    /// Mistakes that its rows show, and rows left out of all figures, from 0.
+    /// Suspicions against its rows.
     doubts: Vec<Suspicion>,
+    /// Rows left out of all figures, from 0.
     left_out: BTreeSet<usize>,
 }
 
-/// Each sensor's temperature in the first rows.
-/// Relative to it an input's error code is recognised.
+/// Usual temperature of each sensor in the first rows, to recognise error codes.
 #[derive(Default)]
 struct Usual(Vec<f64>);
 
 impl Usual {
-    /// The readings of each temperature; no number where the sensor took none.
+    /// Readings of each temperature; NaN where the sensor took none.
     fn taken(&mut self, record: &Record) -> Vec<Vec<f64>> {
         let columns: Vec<&Column> = temperatures(&record.columns).collect();
         let possible = |v: f64| v > DEGC[0] && v < DEGC[1] && disconnected(v).is_none();
@@ -53,7 +52,7 @@ impl Usual {
             self.0 = columns.iter().map(middle).collect();
         }
         let of = |(c, usual): (&&Column, &f64)| {
-            // Kelvin and other units are out of the range as a whole: what they are is said, and they stay as they are.
+            // Kelvin and other units are out of range as a whole; they are reported and stay.
             let is_code = |v: f64| match disconnected(v) {
                 Some((_, certain)) => certain || (v - usual).abs() > UNUSUAL_K,
                 None => usual.is_finite() && !possible(v),
@@ -64,12 +63,12 @@ impl Usual {
     }
 }
 
-/// So far from usual is 85 or 0 °C a code.
+/// Distance from usual at which 85 or 0 °C is an error code, K.
 const UNUSUAL_K: f64 = 15.0;
 
 impl LongDrift {
     /// Reads a record of more than `more_than` rows; `None` for a shorter one.
-    /// Also `None` if an axis moves: its places are found among all rows at once.
+    /// Also `None` if an axis moves, because its positions are grouped over all rows.
     ///
     /// # Errors
     /// What [`crate::record::read`] finds.
@@ -107,15 +106,15 @@ impl LongDrift {
         Ok(head.map(|head| Self { path, pieces, head, rows, spans, errors, degc, usual, doubts, left_out }))
     }
 
-    /// Leaves the rows that these suspicions name out of all figures and plots.
+    /// Leaves the rows of these suspicions out of all figures and plots.
     /// As [`crate::plausible::in_figures`] does; it reads the file once.
     ///
     /// # Errors
-    /// The file is no longer what it was.
+    /// The file has changed.
     pub fn leave_out(&mut self, doubts: &[Suspicion]) -> Result<(), InputError> {
         doubts.clone_into(&mut self.doubts);
         self.left_out = rows_left_out(doubts).into_values().flatten().collect();
-        // A phase keeps its rows where that would leave it none.
+        // A phase that would lose all rows keeps them.
         for span in &self.spans {
             if span.rows.clone().all(|row| self.left_out.contains(&row)) {
                 self.left_out.retain(|row| !span.rows.contains(row));
@@ -138,26 +137,26 @@ impl LongDrift {
         Ok(())
     }
 
-    /// Its rows.
+    /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// The record with its first rows: its columns, its day and note.
+    /// The record with its first rows only.
     pub fn head(&self) -> &Record {
         &self.head
     }
 
-    /// From where to where each temperature goes, °C.
+    /// Lowest and highest value of each temperature, °C.
     pub fn ranges_degc(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
         temperatures(&self.head.columns).map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
     }
 
-    /// What [`super::drift`] says of the whole, to the last bit.
-    /// Goes through the file twice; `each` is given its rows, so many at a time.
+    /// The same result as [`super::drift`], to the last bit.
+    /// Reads the file twice; `each` gets its rows in pieces of `rows_at_once`.
     ///
     /// # Errors
-    /// The file is no longer what it was.
+    /// The file has changed.
     pub fn drift(
         &mut self,
         rows_at_once: usize,
@@ -206,8 +205,8 @@ impl LongDrift {
             .collect())
     }
 
-    /// Reads the file.
-    /// `each` gets its rows in pieces, `see` each row's phase, response and values.
+    /// Reads the file once.
+    /// `each` gets its rows in pieces; `see` gets each row's phase, response and values.
     fn walk(
         &mut self,
         rows_at_once: usize,
@@ -278,16 +277,16 @@ impl Moves {
     }
 }
 
-/// Blocks of rows that a line is drawn from at most: some to each column of pixels.
+/// Most blocks of a line: several per pixel column.
 const MOST_BLOCKS: usize = 1 << 13;
 
 /// A row's number, its time (s) and value.
 type Point = (usize, f64, f64);
 
-/// Of a block of rows the first, the lowest, the highest and the last.
+/// First, lowest, highest and last point of a block of rows.
 type Block = [Point; 4];
 
-/// A line of any number of points, drawn from four of each block of rows.
+/// A line of any number of points, kept as four points per block of rows.
 #[derive(Debug, Clone)]
 struct Outline {
     blocks: Vec<Block>,
@@ -303,7 +302,7 @@ impl Default for Outline {
 }
 
 impl Outline {
-    /// The next rows, the first of them of this number.
+    /// The next rows; `first` is the number of the first one.
     fn see(&mut self, first: usize, t: &[f64], v: &[f64]) {
         for (row, (t, v)) in t.iter().zip(v).enumerate().filter(|(_, (_, v))| v.is_finite()) {
             self.see_one((first + row, *t, *v));
@@ -317,7 +316,7 @@ impl Outline {
             return;
         }
         if self.blocks.len() == MOST_BLOCKS {
-            // Twice as many rows to a block from here on.
+            // Join pairs of blocks; from here on blocks have twice as many rows.
             let joined = |pair: &[Block]| {
                 let mut block = pair[0];
                 pair[1..].iter().for_each(|next| widen(&mut block, next));
@@ -330,7 +329,7 @@ impl Outline {
         self.rows = 1;
     }
 
-    /// Its points, over minutes from this time on.
+    /// Its points; minutes count from `start_s`.
     fn points(&self, start_s: f64) -> Vec<(f64, f64)> {
         let mut points: Vec<Point> = self.blocks.iter().flatten().copied().collect();
         points.sort_by_key(|(row, ..)| *row);
@@ -338,14 +337,14 @@ impl Outline {
         points.into_iter().map(|(_, t, v)| ((t - start_s) / 60.0, v)).collect()
     }
 
-    /// From the lowest value to the highest.
+    /// Lowest and highest value.
     fn range(&self) -> [f64; 2] {
         let wider = |[l, h]: [f64; 2], [_, low, high, _]: &Block| [l.min(low.2), h.max(high.2)];
         self.blocks.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
     }
 }
 
-/// A block with the rows of the next one.
+/// Adds the rows of the next block.
 fn widen([_, low, high, last]: &mut Block, [_, next_low, next_high, next_last]: &Block) {
     *last = *next_last;
     if next_low.2 < low.2 {
@@ -360,8 +359,7 @@ fn widen([_, low, high, last]: &mut Block, [_, next_low, next_high, next_last]: 
 mod tests {
     use super::*;
 
-    /// Of many more rows than blocks.
-    /// Few points, the first and the last of all, and of every column of pixels what lies in blocks that are in no other column.
+    /// The outline has few points, both ends, and each pixel column's extremes.
     #[test]
     fn an_outline_has_what_a_plot_shows() {
         let rows = 20 * MOST_BLOCKS + 77;

@@ -1,16 +1,17 @@
-//! What readings scatter by that follow one another while the machine drifts.
+//! Scatter of consecutive readings while the machine drifts.
 
 use crate::derive::{FEWEST, beyond_cubic};
 use crate::steps::step_of;
 
-/// Readings that are looked at for the step of their gauge.
+/// Readings that are used to find the gauge's resolution.
 const READINGS: usize = 4096;
 
 /// Scatter of one reading, row by row.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Scatter {
-    /// The last rows of a stretch: times, s, and readings.
+    /// Times of the last rows of a stretch, s.
     t: Vec<f64>,
+    /// Readings of those rows.
     e: Vec<f64>,
     squares: f64,
     count: usize,
@@ -18,7 +19,7 @@ pub(super) struct Scatter {
 }
 
 impl Scatter {
-    /// A new stretch begins: its rows are no neighbours of those before.
+    /// Begins a new stretch, whose rows are no neighbours of those before.
     pub(super) fn begin(&mut self) {
         self.t.clear();
         self.e.clear();
@@ -36,7 +37,7 @@ impl Scatter {
         self.t.push(t);
         self.e.push(e);
         if self.t.len() == FEWEST {
-            // Rows that share a coarse clock's time count as evenly spaced.
+            // Rows with equal times of a coarse clock count as evenly spaced.
             let rises = self.t.windows(2).all(|w| w[1] > w[0]);
             let t = if rises { &self.t[..] } else { &[0.0, 1.0, 2.0, 3.0, 4.0] };
             self.squares += beyond_cubic(t, &self.e).powi(2);
@@ -45,7 +46,7 @@ impl Scatter {
     }
 
     /// Standard deviation of one reading, in its unit.
-    /// By neighbouring rows, and no less than its gauge's step gives; zero where neither shows.
+    /// From neighbouring rows, and at least that of rounding; 0 if neither shows.
     pub(super) fn of_a_reading(&self) -> f64 {
         let rounding = step_of(&self.first).unwrap_or(0.0) / 12.0_f64.sqrt();
         (self.squares / self.count.max(1) as f64).sqrt().max(rounding)

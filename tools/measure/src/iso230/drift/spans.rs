@@ -1,16 +1,15 @@
-//! The phases of a drift test: stretches of rows in which heat is made in one way.
+//! Phases of a drift test: stretches of rows with one source of heat.
 
 use super::{Figures, Phase};
 use rtec_model::record::{Column, Role};
 use std::ops::Range;
 
-/// Shorter than this is no phase of its own, s.
-/// Nor what is shorter than a twentieth of the test.
+/// Shortest phase, s, or a twentieth of the test if that is less.
 const SHORTEST_S: f64 = 900.0;
 /// The spindle turns from this speed on, rpm.
 pub(super) const TURNS_RPM: f64 = 0.5;
 
-/// What makes heat at a row.
+/// The source of heat at a row.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum State {
     Rest,
@@ -25,13 +24,13 @@ pub(super) struct Span {
     pub(super) rows: Range<usize>,
     /// Time of its first row, s.
     pub(super) start_s: f64,
-    /// Slowest and fastest that the spindle turned, rpm.
+    /// Lowest and highest spindle speed, rpm.
     speed_rpm: [f64; 2],
-    /// Heat was made before it.
+    /// Whether an earlier phase made heat.
     after_heat: bool,
 }
 
-/// The states of rows one after another.
+/// Phases so far, from rows in order.
 #[derive(Debug, Default)]
 pub(super) struct Spans {
     spans: Vec<Span>,
@@ -39,7 +38,7 @@ pub(super) struct Spans {
 }
 
 impl Spans {
-    /// The next row.
+    /// Adds the next row.
     pub(super) fn see(&mut self, state: State, t_s: f64, rpm: f64) {
         let row = self.spans.last().map_or(0, |s| s.rows.end);
         self.last_s = t_s;
@@ -58,7 +57,7 @@ impl Spans {
         }
     }
 
-    /// The phases of the test: pauses belong to what they interrupt.
+    /// The phases of the test; short pauses belong to the phase that they interrupt.
     pub(super) fn phases(self) -> Vec<Span> {
         let Self { mut spans, last_s } = self;
         let Some(start_s) = spans.first().map(|s| s.start_s) else { return spans };
@@ -102,7 +101,7 @@ impl Span {
         self.speed_rpm = [self.speed_rpm[0].min(slowest), self.speed_rpm[1].max(fastest)];
     }
 
-    /// What it is, of a record with these columns: in one word and in some.
+    /// Name of the phase in one word and in several.
     pub(super) fn name(&self, columns: &[Column]) -> (&'static str, String) {
         match &self.state {
             State::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
@@ -121,7 +120,7 @@ impl Span {
         }
     }
 
-    /// The phase with what a displacement did in it.
+    /// The phase with the figures of a displacement.
     pub(super) fn phase(
         &self,
         columns: &[Column],

@@ -1,8 +1,7 @@
-//! What all approaches of a positioning run have in common over time.
-//! A drift, or a step.
+//! Drift or step that all approaches of a positioning run share over time.
 //!
-//! Both are told by likelihood: what leaves least, with Schwarz's price for each parameter. A drift is a straight line or a warm-up
-//! over time, each with a part that grows along the axis. A step has a size and a place.
+//! Candidates are compared by likelihood with Schwarz's criterion. A drift over time is a straight line or a
+//! warm-up, each optionally growing along the axis, or a parabola. A step has a size and a row.
 
 use super::{Run, Target, largest, mean_of, targets};
 use crate::iso230::is_alike;
@@ -10,14 +9,14 @@ use rtec_model::record::Role;
 use serde::{Serialize, Serializer};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-/// Chance is ruled out where it gives as much in one of a hundred runs.
+/// A change is reported below this probability of chance.
 const CHANCE: f64 = 0.01;
 /// Time constants of a warm-up that are tried, as shares of the run.
 const WARM_UPS: [f64; 6] = [0.05, 0.1, 0.2, 0.4, 0.8, 1.6];
-/// So many rows at least on either side of a step: fewer are bad approaches.
+/// Fewest rows on either side of a step; fewer are bad approaches.
 const STEP_SIDE: usize = 2;
 
-/// The figures that are given without a drift or a step too.
+/// Figures that are also given without a drift or a step.
 pub(super) const UNCHANGED: [&str; 5] = ["R", "R_up", "R_down", "B", "B_mean"];
 
 /// The figures of [`UNCHANGED`] without a drift or a step.
@@ -26,11 +25,11 @@ type Unchanged = [Option<f64>; 5];
 /// A drift of all targets together, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Trend {
-    /// From the first row to the last, in the middle of the travel.
+    /// Change from the first row to the last, at the middle of the travel.
     pub drift: f64,
-    /// Probability of so much drift by chance.
+    /// Probability of a drift of this size by chance.
     pub p_value: f64,
-    /// `R`, `R_up`, `R_down`, `B` and `B_mean` about it, where they exist.
+    /// `R`, `R_up`, `R_down`, `B` and `B_mean` without it, where they exist.
     #[serde(flatten, serialize_with = "about_drift")]
     pub without: Unchanged,
 }
@@ -38,17 +37,17 @@ pub struct Trend {
 /// A step of all targets together, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Step {
-    /// The first row behind it, from 1, as it stands in the file.
+    /// The first row after it, from 1, in the file.
     pub row: usize,
-    /// The cycle in which it is.
+    /// The cycle of that row.
     pub cycle: usize,
     /// Its size.
     pub step: f64,
     /// Standard error of its size.
     pub standard_error: f64,
-    /// Probability of so large a step at any row by chance.
+    /// Probability of a step of this size at any row by chance.
     pub p_value: f64,
-    /// `R`, `R_up`, `R_down`, `B` and `B_mean` on either side of it, where they exist.
+    /// `R`, `R_up`, `R_down`, `B` and `B_mean` without it, where they exist.
     #[serde(flatten, serialize_with = "about_step")]
     pub without: Unchanged,
 }
@@ -65,35 +64,35 @@ fn about_step<S: Serializer>(without: &Unchanged, to: S) -> Result<S::Ok, S::Err
     )
 }
 
-/// What the approaches have in common over time.
+/// A change over time that all approaches share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Change {
     Drift(Trend),
     Step(Step),
 }
 
-/// A shape over the rows that may explain what repeats differ by.
+/// A shape over the rows that may explain the differences of repeats.
 struct Shape {
     /// One column, or a second one that grows along the axis.
     columns: Vec<Vec<f64>>,
-    /// Parameters beside the columns' factors: a time constant, a place.
+    /// Number of non-linear parameters: a time constant, a row.
     sought: usize,
-    /// So many values of those were tried.
+    /// Number of values of those that were tried.
     tried: usize,
     /// The row at which it steps.
     step_at: Option<usize>,
-    /// Its second column is the square of its first: it turns back.
+    /// Whether it is a parabola: its second column is the square of its first.
     bends: bool,
 }
 
-/// A shape fitted: its factors, and what is left (sum of squares).
+/// A fitted shape: its factors and the residual sum of squares.
 struct Fitted {
     shape: Shape,
     factors: Vec<f64>,
     left: f64,
     /// Variance of the first factor for noise of variance 1.
     unit_variance: f64,
-    /// What leaves neighbours alike on both sides of a step is no step.
+    /// Whether neighbouring residuals are alike: then it is no step.
     is_alike: bool,
 }
 
@@ -102,7 +101,7 @@ impl Fitted {
         self.shape.columns.len() + self.shape.sought
     }
 
-    /// What a person reads of a drift that turns back.
+    /// A message about a drift that turns back.
     fn bend_note(&self, time: &[f64], unit: &str, without: &str, number: impl Fn(usize) -> usize) -> String {
         let [slope, bend] = [self.factors[0], self.factors[1]];
         let turn = (-0.5 * slope / bend).clamp(0.0, 1.0);
@@ -121,7 +120,7 @@ impl Fitted {
         )
     }
 
-    /// Schwarz's criterion over so many rows: the smaller, the better.
+    /// Schwarz's criterion for this number of rows; less is better.
     fn criterion(&self, rows: f64, least: f64) -> f64 {
         rows * self.left.max(least).ln() + self.parameters() as f64 * rows.ln()
     }
@@ -138,7 +137,7 @@ struct Repeats {
 }
 
 impl Repeats {
-    /// Each value from the mean of its group; 0 where it has none.
+    /// Each value less the mean of its group; 0 for rows without a group.
     fn within(&self, values: &[f64]) -> Vec<f64> {
         let mut all = vec![0.0; self.rows];
         for group in &self.groups {
@@ -150,8 +149,8 @@ impl Repeats {
         all
     }
 
-    /// By least squares of what the repeats differ by (`y`).
-    /// None where its columns say nothing, or the same.
+    /// Least-squares fit to the differences of repeats (`y`).
+    /// `None` if a column is zero or the columns are equal.
     fn fit(&self, shape: Shape, y: &[f64]) -> Option<Fitted> {
         let columns: Vec<Vec<f64>> = shape.columns.iter().map(|c| self.within(c)).collect();
         let square = |k: usize| dot(&columns[k], &columns[k]);
@@ -178,7 +177,7 @@ impl Repeats {
         Some(Fitted { shape, factors, left, unit_variance, is_alike })
     }
 
-    /// Whether rows that follow each other are more alike than by chance.
+    /// Whether consecutive residuals are more alike than chance makes them.
     fn is_alike(&self, residual: &[f64]) -> bool {
         let mut rows: Vec<usize> = self.groups.iter().flatten().copied().collect();
         rows.sort_unstable();
@@ -188,7 +187,7 @@ impl Repeats {
         squares > 0.0 && is_alike(pairs / squares, own.len())
     }
 
-    /// The row from which on a step explains most of `y`.
+    /// The step that explains most of `y`.
     fn best_step(&self, y: &[f64]) -> Option<Shape> {
         let mut group_of = vec![None; self.rows];
         for (g, rows) in self.groups.iter().enumerate() {
@@ -196,7 +195,7 @@ impl Repeats {
                 group_of[*row] = Some(g);
             }
         }
-        // Rows behind the step in each group: what they add to the square of the step's column and to its product with y.
+        // Rows after the step, per group: their change of the column's square and of its product with y.
         let mut behind = vec![0_usize; self.groups.len()];
         let (mut square, mut product, mut used) = (0.0, 0.0, 0);
         let (mut best, mut tried) = (None, 0);
@@ -226,9 +225,9 @@ impl Repeats {
 
 impl Run<'_> {
     /// The common drift or step of all approaches; R, B and mean B without it.
-    /// It is reported if chance gives as much in less than one of a hundred runs. `with` are the figures of
-    /// [`UNCHANGED`] that hold it. It is removed row by row, because within a cycle the downward approaches come
-    /// later than the upward ones.
+    /// It is reported if chance gives it in less than one of a hundred runs. `with` are the figures of
+    /// [`UNCHANGED`] including it. It is removed row by row, because within a cycle the downward approaches
+    /// come later than the upward ones.
     pub(super) fn change(&mut self, with: [Option<f64>; 5], unit: &str) -> Option<Change> {
         let n = self.error.len();
         let rows: Vec<f64> = (0..n).map(|row| row as f64).collect();
@@ -244,7 +243,7 @@ impl Run<'_> {
         let y = repeats.within(&self.error);
         let shapes = self.shapes(time, [middle, reach], repeats.best_step(&y));
         let before = dot(&y, &y);
-        // A gauge's step leaves a twelfth of its square in each reading, also where most read the same.
+        // Rounding to a step q leaves a variance of at least q²/12 per reading.
         let rounding = crate::steps::step_of(&self.error).map_or(0.0, |q| q * q / 12.0);
         let least = (1e-12 * before).max(used as f64 * rounding).max(f64::MIN_POSITIVE);
         let better = |f: &Fitted| f.criterion(used as f64, least);
@@ -263,7 +262,7 @@ impl Run<'_> {
         let explained =
             |row: usize| best.shape.columns.iter().zip(&best.factors).map(|(c, f)| c[row] * f).sum::<f64>();
         let reduced: Vec<f64> = (0..n).map(|row| self.error[row] - explained(row)).collect();
-        // The parameters took freedom from what is left.
+        // The parameters reduced the degrees of freedom.
         let lost = ((used - repeats.groups.len()) as f64 / freedom).sqrt();
         let about = |t: &Target| {
             let [up, down] = [t.s_up? * lost, t.s_down? * lost];
@@ -278,7 +277,7 @@ impl Run<'_> {
         let one_way = [one_way(|t| t.s_up), one_way(|t| t.s_down)];
         let values = [repeatability, one_way[0], one_way[1], reversal, mean_of(&reversals)];
         let figures = UNCHANGED.into_iter().zip(values).zip(with);
-        // Of an axis that is approached from both sides R stands for both.
+        // With approaches from both sides R includes R_up and R_down.
         let figures = figures.filter(|((symbol, _), _)| !symbol.starts_with("R_") || repeatability.is_none());
         let without: Vec<String> = figures
             .filter_map(|((symbol, without), with)| {
@@ -316,7 +315,7 @@ impl Run<'_> {
         })
     }
 
-    /// The shapes over time that may explain what repeats differ by.
+    /// Shapes over time that may explain the differences of repeats.
     /// `middle` and `reach` are those of the positions, mm.
     fn shapes(&self, time: &[f64], [middle, reach]: [f64; 2], step: Option<Shape>) -> Vec<Shape> {
         let span = time[time.len() - 1] - time[0];
@@ -331,7 +330,7 @@ impl Run<'_> {
         };
         let mut shapes = vec![over_time(&|m| m, 0, 1)];
         shapes.extend(WARM_UPS.map(warm_up));
-        // A drift that turns back, as of a hall that warms and cools.
+        // A drift that turns back, as in a hall that warms and cools.
         let moment: Vec<f64> = time.iter().map(|t| (t - time[0]) / span).collect();
         let columns = vec![moment.clone(), moment.iter().map(|m| m * m).collect()];
         shapes.push(Shape { columns, sought: 0, tried: 1, step_at: None, bends: true });
@@ -352,8 +351,7 @@ impl Run<'_> {
         Repeats { groups, rows: self.error.len() }
     }
 
-    /// The cycle of a row.
-    /// The record's own number, or which approach to its target from its side it is.
+    /// Cycle of a row: the record's own, or its approach's number at target and side.
     fn cycle(&self, repeats: &Repeats, row: usize) -> usize {
         if let Some(own) = self.record.data(&Role::Cycle) {
             return own[row].round().max(0.0) as usize;

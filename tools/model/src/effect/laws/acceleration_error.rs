@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "feed sweep with the same path at several accelerations".into(),
         parameters: vec![
             Parameter::linear("um_per_m_s2", "um/(m/s2)", 100.0).typically(3.0)
-                .within([-10_000.0, 10_000.0], "10 µm per mm/s²: a drive train that soft rings at 1.6 Hz"),
+                .within([-10_000.0, 10_000.0], "10 µm per mm/s²: so soft a drive train would resonate at 1.6 Hz"),
         ],
         needs: vec![Need::Acceleration],
         // Around a circle at constant speed the acceleration is proportional to the position, as of a scale.

@@ -21,7 +21,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             // rounding.
             Parameter::linear("gain", "um/1", 1e12).within(
                 [-1e12, 1e12],
-                "a picometre of the channel's unit is then a micrometre of error: another unit, not a machine",
+                "1e-12 of the channel's unit would make a micrometre of error: the unit is wrong",
             ),
         ],
         needs: vec![Need::Channel],

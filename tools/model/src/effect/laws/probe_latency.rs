@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "one surface probed at several speeds, both ways".into(),
         parameters: vec![
             Parameter::linear("us", "us", 20000.0).typically(300.0)
-                .within([-1e6, 1e6], "a second: no trigger of a probe is that late"),
+                .within([-1e6, 1e6], "no trigger of a probe is late by a second"),
         ],
         needs: vec![Need::Velocity],
         owner: Owner::Probe,

@@ -11,9 +11,7 @@ fn record(kind: Kind, rows: usize, responses: &[&str]) -> Record {
     let axis = |n: &str| Axis::new(n).unwrap();
     let mut columns = Vec::new();
     let mut add = |name: &str, role: Role, of: &dyn Fn(f64) -> f64| {
-        let unit = role.unit().unwrap_or("1").to_owned();
-        let data = (0..rows).map(|i| of(i as f64)).collect();
-        columns.push(Column { name: name.to_owned(), role, unit, data });
+        columns.push(Column::new(name, role, (0..rows).map(|i| of(i as f64)).collect()));
     };
     add("t", Role::Time, &|i| 7.0 * i + (i % 3.0));
     add("x", Role::Position(axis("x")), &|i| 40.0 * (i / 6.0).sin());

@@ -72,10 +72,7 @@ fn give(args: &Args, text: &str, document: &impl serde::Serialize) -> anyhow::Re
 /// The runs that distinguish an effect from its rivals, with each run's purpose.
 fn telling(args: &Args, verdict: &Path, axes: &[PlanAxis]) -> anyhow::Result<()> {
     plan::check(axes, args.max_rpm, args.ballbar_mm)?;
-    let machine = match &args.model {
-        Some(file) => Machine::read(file)?,
-        None => Machine::ideal(&args.machine),
-    };
+    let machine = Machine::read_or_ideal(args.model.as_deref(), &args.machine)?;
     let found = next_runs(&Open::read(verdict, machine.dictionary())?, &machine, axes);
     give(args, &said(&args.machine, &found), &found)
 }

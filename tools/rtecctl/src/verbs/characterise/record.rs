@@ -9,6 +9,7 @@ use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus};
 use rtec_files::InputError;
 use rtec_files::keys::{Section, SourceFile};
+use rtec_files::text::open_regular;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role, check};
 use rtec_sensors::bank::Bank;
@@ -100,7 +101,7 @@ impl Recorder {
             let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
             let (name, role) =
                 parsed.ok_or_else(|| usage(format!("--columns {text}"), "NAME=ROLE, as gz=error.z"))?;
-            let column = column(name, role);
+            let column = Column::new(name, role, Vec::new());
             if column.role.is_rotary(&column.unit) {
                 return Err(usage(format!("--columns {text}: of a rotary axis"), LINEAR));
             }
@@ -159,7 +160,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if keeps {
         let csv = rtec_measure::record::read_log(&args.out)?.file;
         let files = [args.out.clone(), args.out.with_file_name(csv)];
-        let open = [daemon::open(&files[0])?, daemon::open(&files[1])?];
+        let open = [open_regular(&files[0])?, open_regular(&files[1])?];
         let files = files.map(|f| daemon::absolute(&f)).to_vec();
         let written = || format!("the record is in {}, and not in the daemon's spool", args.out.display());
         daemon.ask_with(&ClientRequest::Keep { files }, &open).with_context(written)?;
@@ -179,12 +180,12 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
         return Err(usage(found, "a period of at least 1 ms and a duration of at least a period").into());
     }
     let ended = on_signal()?;
-    let mut columns = vec![column("t", Role::Time)];
+    let mut columns = vec![Column::new("t", Role::Time, Vec::new())];
     let sensors = read_sensors(args.sensors.as_deref())?;
     let mut bank = Bank::new(sensors, &args.root, rtec_measure::record::read_log)?;
-    columns.extend(bank.sensors().iter().map(|w| column(&w.config().name, Role::Temperature)));
-    let own = columns.len();
-    let mut corrector = args.corrector(with_response)?;
+    columns
+        .extend(bank.sensors().iter().map(|w| Column::new(&w.config().name, Role::Temperature, Vec::new())));
+    let (own, mut corrector) = (columns.len(), args.corrector(with_response)?);
     if let Some(c) = &corrector {
         columns.extend(c.columns(&columns)?);
     }
@@ -198,8 +199,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut last: Vec<Option<f64>> = vec![None; columns.len()];
     let mut came_s = vec![0.0; columns.len()];
     let (mut taken, mut left_out, mut incomplete, mut shown_s) = (0_u64, 0_u64, 0_u64, 0.0);
-    let (mut said, mut lost) = (String::new(), false);
-    let mut looked = 0;
+    let (mut said, mut lost, mut looked) = (String::new(), false, 0);
     for row in 0..rows {
         let due = row as f64 * period;
         if !wait_until(start, due, &ended) {
@@ -270,7 +270,8 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     }
     say_missing(left_out, incomplete, looked);
     // Every value was checked when it came.
-    let mut record = dated(args.circle.apply(Record::of_checked(out, kind, columns))?, begun);
+    let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
+    record.date = Some(begun);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     suspicions::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
@@ -298,12 +299,6 @@ fn say_missing(left_out: u64, incomplete: u64, rows: u64) {
     if incomplete > 0 {
         eprintln!("warning: {incomplete} of {rows} rows are missing: not everything had a new reading");
     }
-}
-
-/// Adds the day on which the run began.
-fn dated(mut record: Record, day: String) -> Record {
-    record.date = Some(day);
-    record
 }
 
 /// Reports lines of the feed that cannot be read.
@@ -430,11 +425,11 @@ impl DaemonTotals {
             let text = format!("position.{}", a.name);
             let role =
                 Role::parse(&text).with_context(|| format!("the daemon's axis {} as {text}", a.name))?;
-            out.push(column(&text, role));
+            out.push(Column::new(&text, role, Vec::new()));
         }
         let new = |name: &str| !there.iter().any(|c| c.name == name);
         let sensors = self.status.sensors.iter().filter(|s| new(&s.sensor));
-        out.extend(sensors.map(|s| column(&s.sensor, Role::Temperature)));
+        out.extend(sensors.map(|s| Column::new(&s.sensor, Role::Temperature, Vec::new())));
         Ok(out)
     }
 
@@ -457,11 +452,6 @@ impl DaemonTotals {
             None => Some(0.0),
         }
     }
-}
-
-fn column(name: &str, role: Role) -> Column {
-    let unit = role.unit().unwrap_or("1").to_owned();
-    Column { name: name.to_owned(), role, unit, data: Vec::new() }
 }
 
 /// Waits; `false` if a signal came first.

@@ -1,9 +1,8 @@
 //! `rtecctl model fit-chain`: fits a chain's polynomials to records, by component.
 
 use super::fit::draw;
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::rounding::with_bounds;
-use crate::say;
 use crate::verbs::suspicions;
 use rtec_files::InputError;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
@@ -62,8 +61,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         draw(path, &charts.collect::<Vec<_>>())?;
     }
     if args.json {
-        say(&pretty(&report)?);
-        return Ok(());
+        return say_pretty(&report);
     }
     for t in &report.terms {
         let name = format!("{}.{}", t.joint, t.component);

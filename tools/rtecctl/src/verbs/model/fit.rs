@@ -1,17 +1,15 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors and fit growth.
 //! The model is judged on data that it has not seen.
 
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::rounding::with_bounds;
-use crate::say;
-use crate::verbs::suspicions;
+use crate::verbs::{read_records, suspicions};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_fit::thermal::{self, Fitted, Report};
 use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine};
-use rtec_model::record::Record;
 use std::path::{Path, PathBuf};
 
 /// What both verbs take
@@ -88,18 +86,21 @@ impl Common {
     fn asked(&self) -> anyhow::Result<Asked> {
         Ok(Asked {
             sensors: self.sensors.clone(),
-            environment: self.environment.clone(),
-            folds: usize::from(self.folds),
-            lag: !self.no_lag,
-            square: !self.no_square,
-            speed: !self.no_speed,
-            base: self.base.as_deref().map(Machine::read).transpose()?,
+            options: thermal::Options {
+                environment: self.environment.clone(),
+                folds: usize::from(self.folds),
+                lag: !self.no_lag,
+                square: !self.no_square,
+                speed: !self.no_speed,
+                base: self.base.as_deref().map(Machine::read).transpose()?,
+                ..thermal::Options::default()
+            },
             ..Asked::default()
         })
     }
 
     fn fit(&self, holdout: &[PathBuf], asked: &Asked) -> anyhow::Result<Fit> {
-        let (train, holdout) = (read(&self.records)?, read(holdout)?);
+        let (train, holdout) = (read_records(&self.records)?, read_records(holdout)?);
         let done = workflow::fit(train, holdout, asked, &mut suspicions::say)?;
         if let Some(path) = &self.plot {
             draw(path, &done.reports.iter().map(Report::chart).collect::<Vec<_>>())?;
@@ -112,7 +113,7 @@ pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
     let asked = Asked { date: Some(0), ..args.common.asked()? };
     let done = args.common.fit(&[], &asked)?;
     if args.common.json {
-        return print_json(&done.selection()?);
+        return say_pretty(&done.selection()?);
     }
     for r in &done.reports {
         print_selection(r);
@@ -127,12 +128,9 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
             InputError::whole(Path::new("--date"), format!("`{text}`"), "a day as YYYY-MM-DD")
         })?),
     };
-    let asked = Asked {
-        date: day,
-        valid_days: i64::from(args.valid_days),
-        despite_suspicions: args.despite_suspicions,
-        ..args.common.asked()?
-    };
+    let despite_suspicions = args.despite_suspicions;
+    let mut asked = Asked { date: day, despite_suspicions, ..args.common.asked()? };
+    asked.options.valid_days = i64::from(args.valid_days);
     if !args.effects.is_empty() {
         return named(args, &asked);
     }
@@ -142,7 +140,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     }
     done.machine.write(&args.out)?;
     if args.common.json {
-        return print_json(&done.document()?);
+        return say_pretty(&done.document()?);
     }
     for r in &done.reports {
         print_selection(r);
@@ -193,11 +191,12 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 
 /// Fits the effects that the user names, by least squares.
 fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
-    let done = workflow::fit_named(read(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
+    let done =
+        workflow::fit_named(read_records(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
     let (machine, report) = (&done.machine, &done.report);
     if let Some(path) = &args.common.plot {
         let ideal = Machine::ideal("");
-        let base = asked.base.as_ref().unwrap_or(&ideal);
+        let base = asked.options.base.as_ref().unwrap_or(&ideal);
         let mut charts = Vec::new();
         for record in &done.records {
             let (before, after) = (base.beyond(record)?, machine.beyond(record)?);
@@ -208,7 +207,7 @@ fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
     }
     machine.write(&args.out)?;
     if args.common.json {
-        return print_json(&done.document()?);
+        return say_pretty(&done.document()?);
     }
     print_effects(&report.effects);
     for (response, [before, after]) in &report.rms_um {
@@ -237,10 +236,6 @@ fn print_effects(effects: &[Fitted]) {
     }
 }
 
-fn read(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
-    paths.iter().map(|p| rtec_measure::record::read(p)).collect()
-}
-
 /// Writes the first chart to the file, each other one to a numbered file.
 pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
     let number = |i: usize| if i == 0 { String::new() } else { format!("{}", i + 1) };
@@ -265,11 +260,6 @@ pub(crate) fn draw_beside<'c>(
         let names: Vec<String> = drawn.iter().map(|d| d.display().to_string()).collect();
         eprintln!("rtecctl: drawn: {}", names.join(", "));
     }
-    Ok(())
-}
-
-fn print_json(document: &serde_json::Value) -> anyhow::Result<()> {
-    say(&pretty(document)?);
     Ok(())
 }
 

@@ -1,14 +1,13 @@
 //! `rtecctl model load` and `unload`: choose the model that the daemon runs.
 
 use crate::Outcome;
-use crate::daemon::{Daemon, absolute, check, open, unexpected, unreachable};
+use crate::daemon::{Daemon, absolute, check, unexpected, unreachable};
 use crate::document::line;
 use crate::say;
 use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
 use rtec_files::InputError;
-use rtec_model::effect::Dictionary;
+use rtec_files::text::open_regular;
 use rtec_model::machine::Machine;
-use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::IsTerminal;
@@ -37,7 +36,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let own = args.file.as_deref().map(of_model).transpose()?.unwrap_or_default();
     let mut client = args.daemon.connect()?;
     let names: Vec<String> = own.files.iter().map(|f| f.display().to_string()).collect();
-    let open = || own.files.iter().map(|f| open(f)).collect::<Result<Vec<File>, _>>();
+    let open = || own.files.iter().map(|f| open_regular(f)).collect::<Result<Vec<File>, _>>();
     let (take, files) = (None, names.clone());
     let shown = ClientRequest::ModelLoad { file: file.clone(), take, expired: false, files };
     let shown = client.ask_with(&shown, &open()?).map_err(unreachable)?;
@@ -74,14 +73,8 @@ struct ModelFiles {
 /// The files of a model that this user names; the daemon receives them open.
 /// A missing file, or one with a mistake, is reported here.
 fn of_model(file: &Path) -> Result<ModelFiles, InputError> {
-    let path = PathBuf::from(absolute(file));
-    let text = rtec_files::text::read(&path)?;
-    let files = RefCell::new(vec![path.clone()]);
-    let machine = Machine::parse_from(&path, &text, Dictionary::default(), &|beside| {
-        files.borrow_mut().push(beside.to_owned());
-        rtec_files::text::read(beside)
-    })?;
-    Ok(ModelFiles { warnings: machine.changed_sources(), files: files.into_inner() })
+    let (machine, files) = Machine::read_with_files(Path::new(&absolute(file)))?;
+    Ok(ModelFiles { warnings: machine.changed_sources(), files })
 }
 
 pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {

@@ -1,6 +1,6 @@
 //! `rtecctl model show` and `compare`: contents and differences of models.
 
-use crate::document::pretty;
+use crate::document::{pretty, say_pretty};
 use crate::rounding::alike;
 use crate::say;
 use crate::verbs::suspicions;
@@ -60,8 +60,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
     if args.json {
-        say(&pretty(&machine.to_json())?);
-        return Ok(());
+        return say_pretty(&machine.to_json());
     }
     println!("{}", machine.name());
     if machine.listed().is_empty() && machine.chain().is_none() {
@@ -214,8 +213,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     }
     if args.json {
         let document = json!({"differences": rows, "predictions": predictions});
-        say(&pretty(&document)?);
-        return Ok(());
+        return say_pretty(&document);
     }
     if rows.is_empty() {
         println!("the same effects with the same parameters");

@@ -3,9 +3,9 @@
 
 use super::fit::{draw, draw_beside};
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::{pretty, say_pretty};
 use crate::say;
-use crate::verbs::suspicions;
+use crate::verbs::{read_records, suspicions};
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_files::date;
@@ -17,7 +17,7 @@ use rtec_model::record::Role;
 use serde_json::Value;
 use std::path::PathBuf;
 
-/// Judge a model on records: what is left, how often its interval holds, where it is asked too much
+/// Test a model on records: what is left, how often its interval holds, where it is used outside its range
 #[derive(Debug, clap::Args)]
 pub(crate) struct ValidateArgs {
     /// The machine model
@@ -59,8 +59,7 @@ pub(crate) struct RehearseArgs {
 
 pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
-    let records =
-        args.records.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
+    let records = read_records(&args.records)?;
     let found = validate::validate(&machine, &records, &mut suspicions::said)?;
     if let Some(path) = &args.plot {
         draw(path, &found.charts)?;
@@ -109,10 +108,7 @@ fn print_judged(v: &Value) {
 
 pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     let new = Machine::read(&args.machine)?;
-    let present = match &args.against {
-        Some(path) => Machine::read(path)?,
-        None => Machine::ideal("no model"),
-    };
+    let present = Machine::read_or_ideal(args.against.as_deref(), "no model")?;
     let shift = plausible::only_good(rtec_measure::record::read_log(&args.record)?, &mut suspicions::said);
     let options = match &args.config {
         Some(file) => options(&Config::load(file)?),
@@ -152,8 +148,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
         draw_beside(path, charts.iter().map(|(axis, chart)| (axis.clone(), chart)), [900, 480])?;
     }
     if args.json {
-        say(&pretty(&found)?);
-        return Ok(());
+        return say_pretty(&found);
     }
     for a in &found.axes {
         println!(

@@ -53,10 +53,7 @@ impl BenchArgs {
         if !(self.begin_s.is_finite() && (0.0..=1e6).contains(&self.begin_s)) {
             return Err(usage("--begin-s", self.begin_s.to_string(), "a time in s, 0 to 1 000 000"));
         }
-        let machine = match &self.true_machine {
-            Some(file) => Machine::read(file)?,
-            None => Machine::ideal("ideal lathe"),
-        };
+        let machine = Machine::read_or_ideal(self.true_machine.as_deref(), "ideal lathe")?;
         Ok(Setup {
             machine,
             begin_s: self.begin_s,

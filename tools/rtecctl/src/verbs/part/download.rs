@@ -31,6 +31,11 @@ pub(crate) struct DownloadArgs {
 const PATIENCE: Duration = Duration::from_secs(10);
 
 impl DownloadArgs {
+    /// Whether LinuxCNC is to open the program.
+    pub(crate) fn asked(&self) -> bool {
+        self.download.is_some()
+    }
+
     /// Writes the program into the controller's folder, and opens it on request.
     ///
     /// # Errors
@@ -126,12 +131,5 @@ impl Client {
 pub(crate) fn warn_of_dialect(asked: bool, dialect: &str) {
     if asked && Path::new(dialect).file_stem().is_none_or(|d| d != "linuxcnc") {
         eprintln!("rtecctl: the program is in the dialect {dialect}; LinuxCNC reads --dialect linuxcnc");
-    }
-}
-
-impl DownloadArgs {
-    /// Whether LinuxCNC is to open the program.
-    pub(crate) fn asked(&self) -> bool {
-        self.download.is_some()
     }
 }

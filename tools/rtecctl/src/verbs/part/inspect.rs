@@ -4,7 +4,8 @@ use super::points::positive;
 use super::{print, usage, write_all};
 use crate::Outcome;
 use crate::document::pretty;
-use rtec_part::comparison_page::inspection_page;
+use rtec_model::record::span;
+use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::errors::{ErrorReport, Nominal, Probed};
 use std::path::{Path, PathBuf};
 
@@ -46,11 +47,7 @@ const OTHER_SIZE: f64 = 0.1;
 
 /// The part of an arc that was probed before but not after, if above a tenth.
 fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
-    let ends = |r: &ErrorReport| {
-        r.errors.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], e| {
-            [lo.min(e.angle_rad), hi.max(e.angle_rad)]
-        })
-    };
+    let ends = |r: &ErrorReport| span(r.errors.iter().map(|e| e.angle_rad));
     let ([lo, hi], [from, to]) = (ends(before), ends(after));
     let slack = 0.1 * (hi - lo);
     (from > lo + slack || to < hi - slack)
@@ -137,7 +134,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ));
     }
     if let Some(folder) = &args.out {
-        let (page, log) = (inspection_page(&before, &after, &decisions), decisions.join("\n") + "\n");
+        let page = side_by_side(&before, &after) + &logged(&decisions);
+        let log = decisions.join("\n") + "\n";
         write_all(folder, &[("inspection.html", page.as_bytes()), ("decisions.log", log.as_bytes())])?;
     }
     if args.json {

@@ -3,8 +3,9 @@
 
 use super::table::CutArgs;
 use super::usage;
-use crate::daemon::{Daemon, absolute, open};
+use crate::daemon::{Daemon, absolute};
 use rtec_control::protocol::{ClientRequest, PartTable};
+use rtec_files::text::open_regular;
 use rtec_part::cor::FeatureErrors;
 use std::path::PathBuf;
 
@@ -57,7 +58,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
         origin_mm: [origin.z, origin.x],
         lead_ms: args.lead_ms,
     };
-    let files = [open(&args.errors)?];
+    let files = [open_regular(&args.errors)?];
     args.daemon.ask_with(&ClientRequest::TableLoad(table), &files)?;
     if !args.daemon.json {
         println!(

@@ -1,12 +1,12 @@
-//! What some sensors say of another one, or of an error, learned from one run and asked of another.
+//! Regression of one sensor (or error) on other sensors, applied to another run.
 
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::record::{Record, Role};
 
-/// Lags of what a warm body passes on, s.
+/// Time constants of heat that one body passes to another, s.
 const LAGS_S: [f64; 2] = [600.0, 2400.0];
 
-/// The record with each of these sensors once more behind each lag, and all their names.
+/// The record with lagged copies of these sensors, and all their names.
 pub(super) fn with_lags(record: &Record, names: &[&str]) -> (Record, Vec<String>) {
     let mut wide = record.clone();
     let mut all: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
@@ -25,7 +25,7 @@ pub(super) fn with_lags(record: &Record, names: &[&str]) -> (Record, Vec<String>
     (wide, all)
 }
 
-/// Through a first-order lag, in equilibrium at the first row.
+/// First-order lag, in equilibrium at the first row.
 fn lagged(v: &[f64], t: &[f64], tau_s: f64) -> Vec<f64> {
     let mut x = v.first().copied().unwrap_or(0.0);
     let step = |i: usize| if i == 0 { 0.0 } else { t[i] - t[i - 1] };
@@ -37,11 +37,11 @@ fn lagged(v: &[f64], t: &[f64], tau_s: f64) -> Vec<f64> {
         .collect()
 }
 
-/// What sensors of a record say of another one, or of an error.
+/// Linear regression of a sensor or an error on sensors of a record.
 pub(super) struct SensorRegression {
     constant: f64,
     slopes: Vec<f64>,
-    /// Standard deviation of what is left where it was learned.
+    /// Standard deviation of the residuals of the fit.
     pub(super) left: f64,
 }
 
@@ -55,7 +55,7 @@ impl SensorRegression {
     }
 }
 
-pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegression {
+pub(super) fn sensor_regression(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegression {
     let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
     let n = y.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
@@ -63,7 +63,7 @@ pub(super) fn told(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegressio
     let my = mean(y);
     let about: Vec<Vec<f64>> =
         columns.iter().zip(&means).map(|(c, m)| c.iter().map(|v| v - m).collect()).collect();
-    // A prior as wide as a hundred usual slopes: sensors that warm together share their part rather than fight over it.
+    // Ridge prior of a hundred usual slopes: collinear sensors share the coefficient.
     let squares: f64 = about.iter().map(|c| dot(c, c)).sum();
     let sd = (1e-4 * squares / columns.len().max(1) as f64 + 1e-9).sqrt().recip();
     let mut rest: Vec<f64> = y.iter().map(|v| v - my).collect();

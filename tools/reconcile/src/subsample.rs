@@ -12,7 +12,7 @@ pub(crate) const MOST_ROWS: usize = 20_000;
 pub(crate) fn bounded(train: &[Record]) -> Cow<'_, [Record]> {
     match at_least_every(train) {
         1 => Cow::Borrowed(train),
-        every => train.iter().map(|r| r.select(&drawn(r.rows(), every))).collect(),
+        every => train.iter().map(|r| r.select(&subsample(r.rows(), every))).collect(),
     }
 }
 
@@ -25,7 +25,7 @@ pub(crate) fn at_least_every(records: &[Record]) -> usize {
 
 /// Draws one row from each stretch of `every` rows.
 /// A fixed sequence chooses the place in the stretch: evenly spaced rows may all belong to one target or one direction.
-fn drawn(rows: usize, every: usize) -> Vec<usize> {
+fn subsample(rows: usize, every: usize) -> Vec<usize> {
     (0..rows)
         .step_by(every)
         .map(|from| {
@@ -37,20 +37,20 @@ fn drawn(rows: usize, every: usize) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
-    use super::drawn;
+    use super::subsample;
 
     /// One row from each stretch in order, at varying places, for any length.
     #[test]
     fn rows_are_drawn_one_of_each_stretch() {
         for (rows, every) in [(1, 1), (7, 2), (8, 2), (1000, 8), (40_001, 4)] {
-            let of = drawn(rows, every);
+            let of = subsample(rows, every);
             assert_eq!(of.len(), rows.div_ceil(every));
             assert!(
                 of.iter().enumerate().all(|(n, row)| row / every == n && *row < rows),
                 "{rows} by {every}"
             );
         }
-        let places = drawn(80_000, 8).into_iter().fold([0; 8], |mut of, row| {
+        let places = subsample(80_000, 8).into_iter().fold([0; 8], |mut of, row| {
             of[row % 8] += 1;
             of
         });

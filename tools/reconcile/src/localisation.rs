@@ -13,10 +13,10 @@ use rtec_least_squares::dot;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role, span};
-use serde_json::{Value, json};
+use serde::Serialize;
 
 /// Structure of a response against one variable.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub struct Place {
     /// The response.
     pub response: String,
@@ -37,21 +37,6 @@ pub struct Place {
 }
 
 impl Place {
-    /// The entry of `where` in a verdict.
-    #[must_use]
-    pub fn to_json(&self) -> Value {
-        json!({
-            "response": self.response,
-            "against": self.against,
-            "statistic": self.statistic,
-            "p_value": self.p_value,
-            "q_value": self.q_value,
-            "profile": self.profile,
-            "period": self.period,
-            "near_turns": self.near_turns,
-        })
-    }
-
     /// The variable, with a wave's period: `position.x, period 10.0 mm`.
     #[must_use]
     pub fn against(&self) -> String {
@@ -391,7 +376,7 @@ fn since_turn(record: &Record, axis: &Axis) -> Option<Vec<f64>> {
     let at = record.data(&Role::Position(axis.clone()))?;
     let direction =
         [Role::Direction(axis.clone()), Role::Velocity(axis.clone())].iter().find_map(|r| record.data(r))?;
-    let (low, high) = at.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
+    let [low, high] = span(at);
     let (mut sign, mut turned_at, mut turns) = (0.0, None, 0);
     let mut last = at.first().copied()?;
     let mut travel = Vec::with_capacity(at.len());
@@ -588,13 +573,8 @@ fn places_of(x: &[f64]) -> Option<Vec<Vec<usize>>> {
     let mut order: Vec<usize> = (0..x.len()).collect();
     order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
     let range = x[*order.last()?] - x[order[0]];
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    for i in order {
-        match groups.last_mut() {
-            Some(g) if x[i] - x[g[g.len() - 1]] <= SAME_PLACE * range => g.push(i),
-            _ => groups.push(vec![i]),
-        }
-    }
+    let near = |a: &usize, b: &usize| x[*b] - x[*a] <= SAME_PLACE * range;
+    let groups: Vec<Vec<usize>> = order.chunk_by(near).map(<[usize]>::to_vec).collect();
     (groups.len() > 1 && groups.iter().all(|g| g.len() >= ROWS_OF_PLACE)).then_some(groups)
 }
 
@@ -621,6 +601,7 @@ fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
 mod tests {
     use super::*;
     use crate::testing::{noise, record};
+    use rtec_model::record::Column;
 
     #[test]
     fn an_error_along_the_position_is_found_there() {
@@ -660,7 +641,7 @@ mod tests {
                 let mut run = record(1200, |i| dice[i as usize] + size * rows[i as usize].2);
                 run.columns[1].data = rows.iter().map(|r| r.0).collect();
                 let dir = rows.iter().map(|r| r.1).collect();
-                run.columns.push(crate::testing::column("dir", Role::Direction(crate::testing::axis()), dir));
+                run.columns.push(Column::new("dir", Role::Direction(crate::testing::axis()), dir));
                 places(&[run], &Machine::ideal("m"))
             };
             let found = of(1.0);
@@ -696,7 +677,7 @@ mod tests {
                 })
                 .collect();
             let mut run = record(200, |i| walk[i as usize]);
-            run.columns.push(crate::testing::column("z", Role::Channel, other));
+            run.columns.push(Column::new("z", Role::Channel, other));
             let records = [run];
             let found = places(&records, &Machine::ideal("m"));
             let z = found.iter().find(|p| p.against == "channel.z").unwrap();
