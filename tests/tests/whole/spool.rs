@@ -162,8 +162,8 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     until("the note", || daemon.log().contains("spool is no folder"));
     daemon.expect(0, &["home"]);
     probed(&daemon, 1);
-    until("the event", || told(&daemon, "record_lost").len() == 1);
-    let text = told(&daemon, "record_lost").remove(0);
+    until("the event", || told(&daemon, "record_not_kept").len() == 1);
+    let text = told(&daemon, "record_not_kept").remove(0);
     assert!(text.contains("trips is not kept") && text.contains("is no folder"), "{text}");
     until("the log", || daemon.log().contains(&text));
     until("the record of commands", || daemon.expect(0, &["log"]).contains("trips is not kept"));
@@ -178,7 +178,7 @@ fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
     };
     disk.fill();
     probed(&daemon, 1);
-    until("the event", || told(&daemon, "record_lost").len() == 2);
+    until("the event", || told(&daemon, "record_not_kept").len() == 2);
     let full = recorded(directory.path(), "drift.run.toml");
     let said = String::from_utf8_lossy(&full.stderr).into_owned();
     assert_eq!(full.status.code(), Some(1), "{said}");

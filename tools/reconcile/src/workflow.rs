@@ -126,7 +126,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     let mut left_out = [doubts.left_out, held_out].concat();
     let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);
     if at_least_every(&train) > 1 {
-        left_out.push(format!("{MOST_ROWS} rows at most are used: every {every}th of {rows}"));
+        left_out.push(format!("{MOST_ROWS} rows at most are used: one of each {every} of {rows}"));
     }
     let mut said = doubts.said;
     said.extend(strangers.into_iter().map(|(_, s)| s));

@@ -158,7 +158,7 @@ impl Audit {
     /// Records an event of the machine that somebody may ask for later.
     pub(crate) fn happened(&mut self, happened: &EventReport, after: Totals) {
         let EventReport { axis, kind, text, .. } = happened;
-        let asked_for_later = ["mode", "fault", "homed", "control_stale", "stood_still", "record_lost"];
+        let asked_for_later = ["mode", "fault", "homed", "control_stale", "stood_still", "record_not_kept"];
         if asked_for_later.contains(&kind.as_str()) {
             let entry = Entry { axis: axis.clone(), text: text.clone(), after, ..Entry::now(kind) };
             if kind == "mode" && !self.may(u32::MAX, Kind::Mode) {

@@ -381,7 +381,7 @@ fn work<C: Card + Send + 'static>(
     let (ended, mut control) = running.stop();
     session.drain(&mut control, log);
     session.keep_the_rest(LOG_PATIENCE, log);
-    let told = ["record_lost", "state_file_lost", "fault"];
+    let told = ["record_not_kept", "state_file_lost", "fault"];
     for happened in session.take_happened().iter().filter(|h| told.contains(&h.kind.as_str())) {
         audit.happened(happened, session.totals(&mut control));
     }

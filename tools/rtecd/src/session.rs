@@ -387,7 +387,7 @@ impl Session {
     fn tell_kept(&mut self, kept: Kept, t_ns: u64, log: &mut Log) {
         let (level, kind, text) = match kept {
             Ok(file) => (Level::Info, "record_kept", format!("record {}", file.display())),
-            Err(why) => (Level::Warning, "record_lost", why),
+            Err(why) => (Level::Warning, "record_not_kept", why),
         };
         log.event(level, kind, &text);
         self.tell_own(t_ns, kind, text);
