@@ -382,7 +382,8 @@ impl<'p> Search<'p> {
             .collect()
     }
 
-    /// Whether a member that only accompanies waves has its wave, in the set or in the model.
+    /// Whether a member that only accompanies waves has its wave.
+    /// The wave is in the set or in the model.
     fn is_accompanied(&self, set: &Set, member: &Member) -> bool {
         let (Scan::Beside { law, known }, Some(own)) =
             (&self.family(member.family).scan, member.cause.effect())

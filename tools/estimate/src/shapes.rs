@@ -447,7 +447,8 @@ fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// A separate level in each cycle of each record: what was clamped or homed anew before it.
+/// A separate level in each cycle of each record.
+/// It was clamped or homed again before the cycle.
 fn cycle_by_cycle(r: &Response<'_>, out: &mut Vec<Shaped>) {
     let Some(cycle) = r.role(&Role::Cycle) else { return };
     let mut groups: BTreeMap<(usize, i64), Vec<usize>> = BTreeMap::new();

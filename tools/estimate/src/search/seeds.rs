@@ -403,7 +403,8 @@ impl Search<'_> {
         Some(Seed { family: number, cause, weight: seed.weight, score: seed.score })
     }
 
-    /// One wave of changing size instead of a wave and another one, or a shape, along the same axis.
+    /// One wave of changing size instead of a wave and another one.
+    /// The other one may be a shape along the same axis.
     /// Waves close to each other beat, and look like one that comes and goes.
     pub(super) fn one_wave_for_two(&self, set: &Set) -> Set {
         let mut best = set.clone();

@@ -61,7 +61,7 @@ fn a_saw_over_time_is_missing() {
     }
 }
 
-/// Clamped or homed anew before each cycle, a line has another level in each.
+/// A line that is homed again before each cycle has another level in each.
 #[test]
 fn what_differs_from_cycle_to_cycle_is_no_lost_count() {
     let line = |name: &str, seed: u64, cycles: usize| {
@@ -86,7 +86,7 @@ fn what_differs_from_cycle_to_cycle_is_no_lost_count() {
     }
 }
 
-/// Two circles during which the ballbar vibrates, each at a frequency of its own, stronger and weaker.
+/// Two circles with a vibration that comes and goes, each at its own frequency.
 #[test]
 fn a_vibration_of_each_run_is_no_map() {
     let bar = |name: &str, seed: u64, rows_per_wave: f64, way: f64| {
@@ -132,7 +132,7 @@ fn a_wave_of_changing_size_is_not_two_waves() {
     }
 }
 
-/// A part that resonates at one speed of the spindle: no line in the speed with a bump beside it.
+/// A part that resonates at one speed of the spindle is no line in the speed.
 #[test]
 fn a_resonance_is_one_error_without_a_name() {
     for seed in repetitions(1..4) {
