@@ -260,7 +260,7 @@ pub const QUOTED: &[Quoted] = &[
     quoted(
         SHOP,
         "40 cases a class",
-        &["35 of 40", "37 of 40", "31 of 40", "27 of 40", "96 ± 2 %", "92 ± 2 %"],
+        &["38 of 40", "37 of 40", "35 of 40", "30 of 40", "95 ± 2 %", "92 ± 2 %"],
         &[FIGURES],
     ),
     quoted(

@@ -16,6 +16,8 @@ use rtec_model::record::{Axis, Role};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
+/// A function of one variable that a named effect has.
+type Curve = fn(f64) -> f64;
 /// A shape with its columns, each at one standard deviation.
 pub type Shaped = (Shape, Vec<Vec<f64>>);
 
@@ -148,18 +150,13 @@ impl<'r> Response<'r> {
     /// A smooth function of a variable.
     /// It is without its constant, and without its straight line if a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
-        let line: &[fn(f64) -> f64] = if line { &[|x| x] } else { &[] };
+        let line: &[Curve] = if line { &[|x| x] } else { &[] };
         self.smooth_without(v, kernel, line)
     }
 
     /// A smooth function of a variable.
     /// It is without its constant, and without these functions, which have names.
-    fn smooth_without(
-        &self,
-        v: &[f64],
-        kernel: &dyn Fn(f64) -> Kernel,
-        named: &[fn(f64) -> f64],
-    ) -> Vec<Vec<f64>> {
+    fn smooth_without(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, named: &[Curve]) -> Vec<Vec<f64>> {
         let values: Vec<f64> = self.own.iter().map(|i| v[*i]).collect();
         let knots = knots(&values, KNOTS);
         if knots.len() < 4 || self.own.len() < SHAPE_FEWEST_ROWS {
@@ -225,7 +222,7 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
     for (label, data) in r.scalars() {
         for length in LENGTHS {
             // Named effects explain a line in temperature, speed or load, but not in time. Friction has several names.
-            let forms: &[&[fn(f64) -> f64]] = match label.as_str() {
+            let forms: &[&[Curve]] = match label.as_str() {
                 l if l == "time" || l.starts_with("cycle") => &[&[]],
                 l if l.starts_with("velocity") => &[&[|v| v, sign, f64::abs]],
                 // Its line may be part of it: a resonance is not a line with a bump.
@@ -462,7 +459,9 @@ fn cycle_by_cycle(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
     let columns = groups.into_values().map(|rows| {
         let mut own = vec![0.0; r.rows.n];
-        rows.into_iter().for_each(|i| own[i] = CONTRIBUTION);
+        for i in rows {
+            own[i] = CONTRIBUTION;
+        }
         own
     });
     out.push((r.shape(&["cycle"], "differs from cycle to cycle"), columns.collect()));
@@ -497,7 +496,9 @@ pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<
     // However often its size bends, it bends as much.
     for d in &mut found {
         let size = (dot(d, d) / d.len() as f64).sqrt();
-        d.iter_mut().for_each(|x| *x /= size);
+        for x in d {
+            *x /= size;
+        }
     }
     let mut out = Vec::new();
     for b in basis {

@@ -654,7 +654,11 @@ mod tests {
         let (f, half) = &r.effects[0];
         assert_eq!((r.verdict, f.effect.name().as_str()), (Verdict::Named, "scale.x"), "{}", r.to_json());
         assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
-        assert!(r.every >= 4 && r.left_out.iter().any(|l| l.contains("every 4th of")), "{:?}", r.left_out);
+        assert!(
+            r.every >= 4 && r.left_out.iter().any(|l| l.contains("one of each 4 of")),
+            "{:?}",
+            r.left_out
+        );
         assert_eq!(r.traces[0].over.values.len(), rows);
     }
 
