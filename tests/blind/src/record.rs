@@ -45,9 +45,10 @@ const fn at_most(what: &'static str, asked: f64, newest: (usize, usize)) -> Figu
     Figure { what, asked, at_least: false, newest }
 }
 
-/// Binomial standard error of a share of `of` cases, %.
-fn error(percent: f64, of: usize) -> f64 {
-    let share = percent / 100.0;
+/// Binomial standard error of a share of cases, %.
+/// It is that of half a case more on each side, so that all of a hundred are not certain.
+fn error((yes, of): (usize, usize)) -> f64 {
+    let share = (yes as f64 + 0.5) / (of as f64 + 1.0);
     100.0 * (share * (1.0 - share) / of.max(1) as f64).sqrt()
 }
 
@@ -91,7 +92,7 @@ impl Figure {
     #[must_use]
     pub fn quoted(&self) -> String {
         let percent = 100.0 * self.newest.0 as f64 / self.newest.1.max(1) as f64;
-        format!("{} ({percent:.0} ± {:.0} %)", self.counts(), error(percent, self.newest.1))
+        format!("{} ({percent:.0} ± {:.0} %)", self.counts(), error(self.newest))
     }
 
     /// The requirement as the guide quotes it: `≥ 98 %`.
