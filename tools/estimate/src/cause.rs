@@ -3,7 +3,7 @@
 
 use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
 use crate::rows::Rows;
-use crate::setup::{first_after_turn, unplaced_columns};
+use crate::setup::{first_after_turn, unknown_centre_columns};
 use rtec_least_squares::dot;
 use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
 use rtec_model::record::Role;
@@ -111,7 +111,7 @@ impl Cause {
                 };
                 let mut columns: Vec<Vec<f64>> = directions.iter().map(of).collect();
                 let sizes = vec![size; effect.coefficient_count()];
-                columns.extend(unplaced_columns(rows, effect, &sizes).into_iter().map(|c| c.1));
+                columns.extend(unknown_centre_columns(rows, effect, &sizes).into_iter().map(|c| c.1));
                 columns
             }
             Self::Effect { effect, free, reference } => {
@@ -141,7 +141,7 @@ impl Cause {
                     }
                     columns.push(level);
                 }
-                columns.extend(unplaced_columns(rows, effect, &sizes(effect)).into_iter().map(|c| c.1));
+                columns.extend(unknown_centre_columns(rows, effect, &sizes(effect)).into_iter().map(|c| c.1));
                 columns
             }
         }

@@ -235,7 +235,7 @@ fn settled<T>(
     let rows = problem.rows;
     let mut noise = first;
     let mut members = start;
-    let anew = members.is_none();
+    let regrow = members.is_none();
     let mut exchanged = false;
     for round in 0..ROUNDS {
         families.bank.whiten(rows, &noise);
@@ -243,7 +243,7 @@ fn settled<T>(
         // Under another noise a value may be impossible.
         let start = members.take().map(|m| search.of(m)).filter(|s| search.possible(s));
         let start = start.unwrap_or_else(|| search.nothing());
-        let set = search.best(&start, anew && round == 0);
+        let set = search.best(&start, regrow && round == 0);
         if !goes_on(&search, &set) {
             return then(&search, &set);
         }

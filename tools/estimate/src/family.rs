@@ -11,7 +11,7 @@ use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::Along;
 use rtec_model::effect::{
-    Dictionary, Difference, Effect, Heat, Need, Point, Quantity, Refine, Search as How,
+    Dictionary, Difference, Effect, GridHypothesis, Heat, Need, Quantity, Refine, Search as How,
 };
 use rtec_model::record::{Axis, Record, Role};
 use std::sync::Arc;
@@ -251,7 +251,7 @@ impl Families {
             let mut points = Vec::new();
             let grid = effect.grid(rows);
             let even = -(grid.len() as f64).ln();
-            for Point { effect, .. } in grid {
+            for GridHypothesis { effect, .. } in grid {
                 let weight = even + implausible(&effect);
                 if weight == f64::NEG_INFINITY {
                     continue;
@@ -289,7 +289,7 @@ impl Families {
             }
             let points = effect.grid(rows);
             let weight = -(own.len() as f64).ln();
-            for Point { effect, price } in points {
+            for GridHypothesis { effect, price } in points {
                 let free = effect.coefficient_count();
                 let weight = weight + implausible(&effect);
                 grid.push((weight - price, Cause::Effect { effect, free, reference: false }));

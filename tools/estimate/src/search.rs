@@ -434,8 +434,8 @@ impl<'p> Search<'p> {
     }
 
     /// The same set with one of its members moved to the end.
-    /// Its non-linear parameters are refined and its level is chosen anew, given all others, if that is likelier.
-    fn anew(&self, set: &Set, member: usize) -> Set {
+    /// Its non-linear parameters are refined and its level is chosen again, given all others, if that is likelier.
+    fn refined_last(&self, set: &Set, member: usize) -> Set {
         let without = self.without(set, member);
         let mut seed = set.members[member].seed();
         let before = self.weight_at(seed.family, seed.cause.effect());

@@ -375,7 +375,7 @@ pub fn weights(rows: &Rows<'_>) -> Vec<f64> {
 /// There a wave has its own phase, and any other effect its own lobes. `sizes`: one per coefficient. Returns
 /// record and column, at one standard deviation.
 #[must_use]
-pub fn unplaced_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<(usize, Vec<f64>)> {
+pub fn unknown_centre_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -> Vec<(usize, Vec<f64>)> {
     let mut out = Vec::new();
     for s in errors(rows) {
         let record = rows.record(s);
@@ -442,7 +442,7 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
             Some(i) => vec![effect.scalar(i).abs(); effect.coefficient_count()],
             None => effect.coefficients().iter().map(|c| c.abs()).collect(),
         };
-        for (record, column) in unplaced_columns(rows, effect, &sizes) {
+        for (record, column) in unknown_centre_columns(rows, effect, &sizes) {
             // Equal lobes of several effects are merged into one term, whose variance is their sum.
             let same = |t: &&mut Term| {
                 t.what == What::Unplaced && t.record == record && proportional(&t.column, &column)

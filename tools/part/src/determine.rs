@@ -205,7 +205,7 @@ const NEARER: f64 = 20.0;
 
 /// The radius of the circle through the points with half of their X.
 /// It is returned if the points as given are on no circle, because a lathe shows diameters.
-fn by_half_of_x(points: &[Zx]) -> Option<f64> {
+fn radius_if_x_is_diameter(points: &[Zx]) -> Option<f64> {
     let halved: Vec<Zx> = points.iter().map(|p| Zx::new(p.z, 0.5 * p.x)).collect();
     let fit = |points: &[Zx]| fit::two_step(FitShape::Circle, points).ok();
     let by_half = fit(&halved)?;
@@ -218,7 +218,7 @@ fn by_half_of_x(points: &[Zx]) -> Option<f64> {
 /// Refuses points of a circle whose X is a diameter.
 fn refuse_diameters(args: &ErrorRequest, points: &[Zx]) -> Result<(), InputError> {
     if let Some(nominal) = args.radius_mm
-        && let Some(radius) = by_half_of_x(points).filter(|r| ONE_SIZE.contains(&(r / nominal)))
+        && let Some(radius) = radius_if_x_is_diameter(points).filter(|r| ONE_SIZE.contains(&(r / nominal)))
     {
         let found = format!(
             "points that lie on a circle of {radius:.3} mm by half of their X, and on none as they are"

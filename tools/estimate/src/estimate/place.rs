@@ -17,11 +17,11 @@ pub(super) struct Place {
 }
 
 /// A candidate for a member: family, label, effect, log mass.
-pub(super) type Stand = (usize, String, Option<Effect>, f64);
+pub(super) type Candidate = (usize, String, Option<Effect>, f64);
 
 /// Adds the maps that are equivalent at these rows.
 /// Each gets the mass of its prior relative to the member's.
-pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all: &mut Vec<Stand>) {
+pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all: &mut Vec<Candidate>) {
     let families = &search.families.list;
     for seed in search.maps_alike(&search.of_last(set, member)) {
         let score = set.score + seed.score - families[set.members[member].family].prior;
@@ -35,13 +35,13 @@ pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all:
 
 /// Adds the refined alternatives to a member.
 /// Returns the likeliest set with one of them that is likelier than the given set.
-fn stands(
+fn add_refined(
     search: &Search<'_>,
     set: &Set,
     without: &Set,
     own: &Member,
     seeds: &[Seed],
-    all: &mut Vec<Stand>,
+    all: &mut Vec<Candidate>,
 ) -> Option<Set> {
     let families = &search.families.list;
     let mut better: Option<Set> = None;
@@ -73,7 +73,7 @@ fn stands(
     }
     for seed in search.alike(own) {
         let refined = search.refined(&without.factor, &seed);
-        let seen = |a: &Stand| {
+        let seen = |a: &Candidate| {
             a.0 == seed.family
                 && a.2.as_ref().zip(refined.cause.effect()).is_some_and(|(a, b)| same_period(a, b))
         };
@@ -96,14 +96,15 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     let families = &search.families.list;
     let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
     // Family, label, effect, log mass.
-    let mut all: Vec<Stand> = vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
+    let mut all: Vec<Candidate> =
+        vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
     let top = seeds.first().map_or(0.0, |s| s.score).max(set.score - without.score);
     let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
-    let better = stands(search, set, &without, own, &seeds[..far], &mut all);
+    let better = add_refined(search, set, &without, own, &seeds[..far], &mut all);
     add_alike_maps(search, set, member, &mut all);
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(masses.iter().copied());
-    let of = |yes: &dyn Fn(&Stand) -> bool| {
+    let of = |yes: &dyn Fn(&Candidate) -> bool| {
         let own: Vec<f64> = all.iter().filter(|a| yes(a)).map(|a| a.3).collect();
         (log_sum(own) - total).exp()
     };

@@ -127,8 +127,8 @@ impl Search<'_> {
             }
         }
         // In tune both may be larger than each was alone.
-        let leveled = self.anew(&set, n - 2);
-        self.anew(&leveled, n - 2)
+        let leveled = self.refined_last(&set, n - 2);
+        self.refined_last(&leveled, n - 2)
     }
 
     /// Whether all members have names.
@@ -148,11 +148,11 @@ impl Search<'_> {
     }
 
     /// The best set that can be reached from a set.
-    /// With `anew`, several sets first grow from it in parallel.
+    /// With `regrow`, several sets first grow from it in parallel.
     #[must_use]
-    pub fn best(&self, start: &Set, anew: bool) -> Set {
+    pub fn best(&self, start: &Set, regrow: bool) -> Set {
         let mut best = start.clone();
-        let mut beam = if anew { vec![start.clone()] } else { Vec::new() };
+        let mut beam = if regrow { vec![start.clone()] } else { Vec::new() };
         let mut idle = 0;
         while idle < 2 && !beam.is_empty() {
             let mut next: Vec<Set> =

@@ -25,7 +25,7 @@ pub trait Extent {
 
 /// A grid point.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Point {
+pub struct GridHypothesis {
     /// The effect with its non-linear parameters set.
     pub effect: Effect,
     /// Price of the search, nats.
@@ -33,7 +33,7 @@ pub struct Point {
     pub price: f64,
 }
 
-impl Point {
+impl GridHypothesis {
     /// The single point of a law without non-linear parameters.
     pub fn only(effect: &Effect) -> Vec<Self> {
         vec![Self { effect: effect.clone(), price: 0.0 }]
@@ -70,7 +70,7 @@ impl Effect {
     }
 
     /// The law's grid points in records of this extent.
-    pub fn grid(&self, records: &dyn Extent) -> Vec<Point> {
+    pub fn grid(&self, records: &dyn Extent) -> Vec<GridHypothesis> {
         self.law().grid(self, records)
     }
 }

@@ -1,7 +1,7 @@
 //! A smooth function of one position: linear between knots, constant beyond.
 
 use super::{
-    Bound, Description, Effect, Extent, Input, Law, Out, Parameter, Point, Search, State, ValueError,
+    Bound, Description, Effect, Extent, GridHypothesis, Input, Law, Out, Parameter, Search, State, ValueError,
 };
 
 /// A function of one axis's position, linear between knots.
@@ -79,7 +79,7 @@ impl Law for BrokenLine {
     ///
     /// They cover the whole travel and each record's own part. If there are few places, one set has a knot at
     /// every place.
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let axis = &effect.axes()[self.along];
         let places = records.places_mm(axis);
         let parts = records.stretches_mm(axis);
@@ -95,7 +95,7 @@ impl Law for BrokenLine {
         }
         let level = |knots: Vec<f64>| {
             let values: Vec<f64> = knots.iter().copied().chain(knots.iter().map(|_| 0.0)).collect();
-            Some(Point { effect: effect.with_values(&values)?, price })
+            Some(GridHypothesis { effect: effect.with_values(&values)?, price })
         };
         all.into_iter().filter_map(level).collect()
     }

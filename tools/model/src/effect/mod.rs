@@ -48,7 +48,7 @@ pub use description::{
 pub use dictionary::Dictionary;
 pub(crate) use difference::read_difference;
 pub use difference::{Against, Difference, STANDARD_DEGC};
-pub use grid::{Extent, Point};
+pub use grid::{Extent, GridHypothesis};
 pub use lag::{Lag, Lags};
 
 use crate::record::{Axis, Kind, Record, Role};
@@ -184,8 +184,8 @@ pub trait Law: fmt::Debug + Send + Sync {
 
     /// Grid points of the law's non-linear parameters, each with its price.
     /// They suit records of this extent. The default serves laws that have no such parameter.
-    fn grid(&self, effect: &Effect, _records: &dyn Extent) -> Vec<Point> {
-        Point::only(effect)
+    fn grid(&self, effect: &Effect, _records: &dyn Extent) -> Vec<GridHypothesis> {
+        GridHypothesis::only(effect)
     }
 
     /// Basis values over the rows of a record, column by column.

@@ -3,7 +3,7 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, Point, Refine, Search, State,
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
 };
 use std::sync::Arc;
 
@@ -53,9 +53,9 @@ impl Law for Sag {
         out[FREE] = -3.0 * effect.scalar(UM) * reach.powi(2) / 100.0;
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let places = records.places_mm(&effect.axes()[1]);
         let free = places.iter().copied().step_by((places.len() / 10).max(1));
-        Point::along(effect, FREE, free, 10f64.ln())
+        GridHypothesis::along(effect, FREE, free, 10f64.ln())
     }
 }

@@ -2,7 +2,7 @@
 //! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Refine, Search,
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Refine, Search,
     Searched, State,
 };
 use std::f64::consts::{PI, TAU};
@@ -72,7 +72,7 @@ impl Law for FormBump {
     }
 
     /// Widths in a geometric series; for each, centres a quarter of the width apart.
-    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<GridHypothesis> {
         let mut points = Vec::new();
         let mut width = 0.15;
         while width < 4.0 {
@@ -81,7 +81,7 @@ impl Law for FormBump {
             for i in 0..places {
                 let centre = TAU * i as f64 / places as f64;
                 let at = effect.with(&[(CENTRE, centre), (WIDTH, width)]);
-                points.extend(at.map(|effect| Point { effect, price }));
+                points.extend(at.map(|effect| GridHypothesis { effect, price }));
             }
             width *= 1.4;
         }

@@ -1,7 +1,7 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
 };
 use std::sync::Arc;
 
@@ -56,10 +56,10 @@ impl Law for LostCounts {
     }
 
     /// About 160 moments; the search continues between them from row to row.
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let all = records.moments_s();
         let price = (all.len().max(2) as f64).ln();
         let step = (all.len() / 160).max(1);
-        Point::along(effect, AT, all.into_iter().step_by(step), price)
+        GridHypothesis::along(effect, AT, all.into_iter().step_by(step), price)
     }
 }

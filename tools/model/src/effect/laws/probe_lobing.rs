@@ -2,7 +2,7 @@
 
 use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, Point, Search, Searched,
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Search, Searched,
     State, ValueError,
 };
 use std::sync::Arc;
@@ -80,10 +80,10 @@ impl Law for Lobing {
     }
 
     /// A single lobe can also be an eccentric set-up: it is allowed at a price.
-    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<GridHypothesis> {
         let told_apart = 11f64.ln();
-        let mut points = Point::along(effect, LOBES, [1.0], 1.0 + told_apart);
-        points.extend(Point::along(effect, LOBES, (2..=12).map(f64::from), told_apart));
+        let mut points = GridHypothesis::along(effect, LOBES, [1.0], 1.0 + told_apart);
+        points.extend(GridHypothesis::along(effect, LOBES, (2..=12).map(f64::from), told_apart));
         points
     }
 }

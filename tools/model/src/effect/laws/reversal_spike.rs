@@ -2,7 +2,7 @@
 //! It fades with the travel since the change.
 
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+    Description, Effect, Extent, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
 };
 use std::sync::Arc;
 
@@ -83,12 +83,12 @@ impl Law for ReversalSpike {
         out[LENGTH] = effect.scalar(UM) * out[UM] * d / (length * length);
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let places = records.places_mm(&effect.axes()[0]);
         let span = places.last().zip(places.first()).map_or(0.0, |(last, first)| last - first);
         if span <= 0.0 {
             return Vec::new();
         }
-        Point::along(effect, LENGTH, (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
+        GridHypothesis::along(effect, LENGTH, (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
     }
 }

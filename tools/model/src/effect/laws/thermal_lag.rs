@@ -2,7 +2,7 @@
 
 use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
-    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search,
+    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search,
     State,
 };
 use std::sync::Arc;
@@ -93,10 +93,10 @@ impl Law for ThermalLag {
     }
 
     /// Pairs of sensors are many, so they get every other time constant only.
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();
         let every = if effect.delta.as_ref().is_some_and(super::super::Difference::is_pair) { 2 } else { 1 };
-        Point::along(effect, TAU, all.into_iter().step_by(every), price)
+        GridHypothesis::along(effect, TAU, all.into_iter().step_by(every), price)
     }
 }

@@ -1,7 +1,7 @@
 //! `warm_up.A`: a drift from the start, without a logged cause.
 
 use crate::effect::{
-    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, Point, Refine, Search, State,
+    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
 };
 use std::sync::Arc;
 
@@ -63,9 +63,9 @@ impl Law for WarmUp {
         out[TAU] = -effect.scalar(UM) * e * t / (tau * tau);
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<Point> {
+    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();
-        Point::along(effect, TAU, all, price)
+        GridHypothesis::along(effect, TAU, all, price)
     }
 }

@@ -116,7 +116,7 @@ pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
         return say_pretty(&done.selection()?);
     }
     for r in &done.reports {
-        print_selection(r);
+        print_sensor_selection(r);
     }
     Ok(())
 }
@@ -143,7 +143,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
         return say_pretty(&done.document()?);
     }
     for r in &done.reports {
-        print_selection(r);
+        print_sensor_selection(r);
         print_effects(&r.effects);
         let list = |v: &[f64]| v.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(" ");
         println!(
@@ -263,7 +263,7 @@ pub(crate) fn draw_beside<'c>(
     Ok(())
 }
 
-fn print_selection(r: &Report) {
+fn print_sensor_selection(r: &Report) {
     println!("{}", r.response);
     if let Some(e) = &r.environment {
         println!("environment: {e} ({})", r.environment_by);
