@@ -92,6 +92,7 @@ pub const MOST_SENSORS: usize = 6;
 /// A run that pauses more often than this is a run in steps.
 pub const MOST_PAUSES: usize = 12;
 /// Fewest cycles that may each have their own level.
+/// Two levels are one step in time.
 pub const FEWEST_CYCLES: usize = 3;
 /// Largest number of positions that may each have their own error.
 pub const MOST_PLACES: usize = 150;

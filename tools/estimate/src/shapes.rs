@@ -147,6 +147,18 @@ impl<'r> Response<'r> {
         out
     }
 
+    /// A separate level in each group of rows.
+    fn levels(&self, groups: impl Iterator<Item = Vec<usize>>) -> Vec<Vec<f64>> {
+        let level = |rows: Vec<usize>| {
+            let mut own = vec![0.0; self.rows.n];
+            for i in rows {
+                own[i] = CONTRIBUTION;
+            }
+            own
+        };
+        groups.map(level).collect()
+    }
+
     /// A smooth function of a variable.
     /// It is without its constant, and without its straight line if a name explains that.
     fn smooth(&self, v: &[f64], kernel: &dyn Fn(f64) -> Kernel, line: bool) -> Vec<Vec<f64>> {
@@ -431,16 +443,10 @@ fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
         if places.is_empty() || groups.len() < 6 || groups.len() > MOST_PLACES || 10 * once > r.own.len() {
             continue;
         }
-        let columns = groups.into_values().map(|g| {
-            let mut own = vec![0.0; r.rows.n];
-            for i in g {
-                own[i] = CONTRIBUTION;
-            }
-            own
-        });
+        let columns = r.levels(groups.into_values());
         let against: Vec<&str> =
             labels.iter().map(String::as_str).chain(way.iter().map(|d| d.0.as_str())).collect();
-        out.push((r.shape(&against, "repeats at each place"), columns.collect()));
+        out.push((r.shape(&against, "repeats at each place"), columns));
     }
 }
 
@@ -457,14 +463,7 @@ fn cycle_by_cycle(r: &Response<'_>, out: &mut Vec<Shaped>) {
     if groups.len() < FEWEST_CYCLES || groups.len() > MOST_PLACES || 2 * groups.len() > r.own.len() {
         return;
     }
-    let columns = groups.into_values().map(|rows| {
-        let mut own = vec![0.0; r.rows.n];
-        for i in rows {
-            own[i] = CONTRIBUTION;
-        }
-        own
-    });
-    out.push((r.shape(&["cycle"], "differs from cycle to cycle"), columns.collect()));
+    out.push((r.shape(&["cycle"], "differs from cycle to cycle"), r.levels(groups.into_values())));
 }
 
 fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {

@@ -5,8 +5,8 @@
 //! about the circle's centre. The bar reads `e_a·cos θ + e_b·sin θ` of their errors `e_a` and `e_b` (ISO
 //! 230-4; guide, "Run records").
 
-use crate::record::median;
 use crate::role::{Axis, Column, Role};
+use crate::values::median;
 use std::f64::consts::{PI, TAU};
 
 /// The circle of a run with a radial error.

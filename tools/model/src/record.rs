@@ -7,11 +7,11 @@ use crate::limits;
 use rtec_files::InputError;
 use rtec_files::text::{open_regular, unreadable};
 use sha2::{Digest, Sha256};
-use std::borrow::Borrow;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 pub use crate::role::{Axis, Column, Kind, LINEAR, Role};
+pub use crate::values::{median, span};
 
 /// One run: its columns in the CSV's order, rows in order of acquisition.
 #[derive(Debug, Clone, PartialEq)]
@@ -378,22 +378,6 @@ fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
         Some(c) => c.data.clone(),
         None => (0..columns[0].data.len()).map(|row| row as f64).collect(),
     }
-}
-
-/// Smallest and largest of these values; `[∞, −∞]` of none.
-pub fn span(values: impl IntoIterator<Item: Borrow<f64>>) -> [f64; 2] {
-    let wider = |[low, high]: [f64; 2], v: f64| [low.min(v), high.max(v)];
-    values.into_iter().map(|v| *v.borrow()).fold([f64::INFINITY, f64::NEG_INFINITY], wider)
-}
-
-/// The median, the upper one of an even number; 0 of no values.
-pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
-    let mut v: Vec<f64> = values.into_iter().collect();
-    if v.is_empty() {
-        return 0.0;
-    }
-    let n = v.len();
-    *v.select_nth_unstable_by(n / 2, f64::total_cmp).1
 }
 
 /// Harmonics of a gauge's saw: the error of the sum is a hundredth of a step.
