@@ -180,16 +180,12 @@ pub trait Card {
 
 /// Reason why a card could not be read or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum CardError {
     /// A recording, or a simulation, has come to its end.
     #[error("the recording has ended")]
     Ended,
     /// The system refused.
     #[error("{op}: {}", std::io::Error::from_raw_os_error(*errno))]
-    Io {
-        /// The operation that failed, as a verb with its object.
-        op: &'static str,
-        /// The system's error number.
-        errno: i32,
-    },
+    Io { op: &'static str, errno: i32 },
 }

@@ -112,78 +112,34 @@ pub struct GpioSetup {
 
 /// Reason why lines could not be requested.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum GpioError {
     /// No such chip, or one that may not be opened.
     #[error("GPIO chip {chip}: {source}; found {found}")]
-    Chip {
-        /// The chip as it was named.
-        chip: String,
-        /// The system's answer, with its error number.
-        source: io::Error,
-        /// The chips that exist.
-        found: String,
-    },
+    Chip { chip: String, source: io::Error, found: String },
     /// The chip, or any chip, has no such line.
     #[error("there is no line {line} on {place}; `rtecctl card probe` lists what is there")]
-    NoLine {
-        /// The chip, or the chips, that were searched.
-        place: String,
-        /// The line as it was named.
-        line: LineId,
-    },
+    NoLine { place: String, line: LineId },
     /// Two lines have this name.
     #[error("line {line} is on {first} and on {second}: name the chip too")]
-    Ambiguous {
-        /// The line as it was named.
-        line: LineId,
-        /// A chip that has it.
-        first: String,
-        /// Another chip that has it.
-        second: String,
-    },
+    Ambiguous { line: LineId, first: String, second: String },
     /// Another consumer, a process or a kernel driver, has taken the line.
     #[error("line {line} of {chip} is taken by \"{consumer}\": free it there, or use another line")]
-    Taken {
-        /// The chip's path.
-        chip: String,
-        /// The line as it was named.
-        line: LineId,
-        /// Name of the line's holder.
-        consumer: String,
-    },
+    Taken { chip: String, line: LineId, consumer: String },
     /// Lines whose edges must be numbered together are on two chips.
     #[error(
         "line {line} is on {chip}, the others of its axis are on {other}: A, B and their read-back need one chip"
     )]
-    Apart {
-        /// The line as it was named.
-        line: LineId,
-        /// The chip that this line is on.
-        chip: String,
-        /// The chip of the others.
-        other: String,
-    },
+    Apart { line: LineId, chip: String, other: String },
     /// A kept descriptor does not hold the outputs that are wanted.
     #[error(
         "the kept line request holds {found}, the configuration wants {wanted}: start with the configuration it was \
          made for, or switch the MTC off and remove it from the service manager's store"
     )]
-    Kept {
-        /// Chip and lines that it holds.
-        found: String,
-        /// Chips and lines that are wanted.
-        wanted: String,
-    },
+    Kept { found: String, wanted: String },
     /// The system refused.
     #[error("{op} {chip}: {source}")]
-    Io {
-        /// The operation that failed, as a verb with its object.
-        op: &'static str,
-        /// The chip's path.
-        chip: String,
-        /// The system's answer, with its error number.
-        source: io::Error,
-    },
+    Io { op: &'static str, chip: String, source: io::Error },
 }
 
 /// A line found: its chip and offset.

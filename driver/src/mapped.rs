@@ -15,43 +15,23 @@ use std::ptr::NonNull;
 
 /// Reason why registers could not be mapped.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum MapError {
     /// The file could not be opened, measured or mapped.
     #[error("{op} {}: {source}", path.display())]
-    Io {
-        /// The operation that failed, as a verb with its object.
-        op: &'static str,
-        /// The file that was to be opened, measured or mapped.
-        path: PathBuf,
-        /// The system's answer, with its error number.
-        source: std::io::Error,
-    },
+    Io { op: &'static str, path: PathBuf, source: std::io::Error },
     /// The file holds fewer bytes than the profile's registers need.
     #[error(
         "{}: found {found} bytes, expected at least {expected} for the registers of profile \"{profile}\"; \
          is this the right file or BAR?", path.display()
     )]
-    TooSmall {
-        /// The file that is too small.
-        path: PathBuf,
-        /// Its size in bytes.
-        found: u64,
-        /// Size that the profile needs, bytes.
-        expected: u64,
-        /// The profile's name.
-        profile: String,
-    },
+    TooSmall { path: PathBuf, found: u64, expected: u64, profile: String },
     /// A device whose length is stated nowhere.
     #[error(
         "{}: found a device without map {map}, expected a file of registers, a PCI resource in sysfs, or a UIO device \
          with that map (/sys/class/uio)", path.display()
     )]
-    NoSize {
-        /// The device whose registers were to be mapped.
-        path: PathBuf,
-        /// The map that was looked for.
-        map: u8,
-    },
+    NoSize { path: PathBuf, map: u8 },
     /// The card is not what the profile describes.
     #[error(transparent)]
     SetUp(#[from] SetUpError),

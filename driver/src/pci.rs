@@ -53,65 +53,33 @@ impl fmt::Display for PciId {
 
 /// Reason why a PCI function cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum PciError {
     /// It is not on the bus.
     #[error("no PCI card {0}: `rtecctl card list` shows which cards are there")]
     Absent(PciId),
     /// There is more than one.
     #[error("{} PCI cards {id}, at {}: name one by its address", addresses.len(), addresses.join(" and "))]
-    Several {
-        /// The vendor and device that were searched.
-        id: PciId,
-        /// Their addresses on the bus.
-        addresses: Vec<String>,
-    },
+    Several { id: PciId, addresses: Vec<String> },
     /// The BAR is not what the profile states.
     #[error("PCI card {address}, BAR {bar}: found {found}, expected {expected}")]
-    Bar {
-        /// The card's place.
-        address: String,
-        /// Number of the BAR, 0 to 5.
-        bar: u8,
-        /// The BAR's space and size as found, or its absence.
-        found: String,
-        /// The space and size that the profile needs.
-        expected: String,
-    },
+    Bar { address: String, bar: u8, found: String, expected: String },
     /// The card's command register keeps it from answering.
     #[error(
         "PCI card {address}: command register {command:#06x} leaves {space} access off: nobody has enabled the card \
          (rtecd does), or the firmware gave it no addresses"
     )]
-    Off {
-        /// The card's place.
-        address: String,
-        /// The command register.
-        command: u16,
-        /// `memory` or `I/O`.
-        space: &'static str,
-    },
+    Off { address: String, command: u16, space: &'static str },
     /// A driver of the kernel works with the card.
     #[error(
         "PCI card {address} is in the hands of the kernel's driver {driver}: use that driver's device (/dev/parportN, \
          /dev/uioN, a GPIO chip), or free the card: cd /sys/bus/pci/devices/{address} && echo pci-stub > driver_override && \
          echo {address} > driver/unbind"
     )]
-    Held {
-        /// The card's place.
-        address: String,
-        /// The name of the kernel's driver.
-        driver: String,
-    },
+    Held { address: String, driver: String },
     /// The system refused.
     #[error("{op} {}: {source}", path.display())]
-    Io {
-        /// The operation that failed, as a verb with its object.
-        op: &'static str,
-        /// The file in sysfs that could not be read or written.
-        path: PathBuf,
-        /// The system's answer, with its error number.
-        source: io::Error,
-    },
+    Io { op: &'static str, path: PathBuf, source: io::Error },
 }
 
 /// A base address register.

@@ -14,32 +14,17 @@ use std::path::{Path, PathBuf};
 
 /// Reason why ports could not be opened.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum PortError {
     /// The kernel does not let this process touch them.
     #[error(
         "I/O ports {base:#x} to {last:#x}: {source}; it takes CAP_SYS_RAWIO, a kernel without lockdown, and a processor \
          that has port I/O"
     )]
-    Refused {
-        /// Address of the first I/O port.
-        base: u16,
-        /// Address of the last I/O port.
-        last: usize,
-        /// The system's answer, with its error number.
-        source: io::Error,
-    },
+    Refused { base: u16, last: usize, source: io::Error },
     /// The parallel port could not be opened or claimed.
     #[error("{op} {}: {source}{hint}", path.display())]
-    Parport {
-        /// The operation that failed, as a verb with its object.
-        op: &'static str,
-        /// The parallel port's character device.
-        path: PathBuf,
-        /// The system's answer, with its error number.
-        source: io::Error,
-        /// Advice on what to do.
-        hint: &'static str,
-    },
+    Parport { op: &'static str, path: PathBuf, source: io::Error, hint: &'static str },
 }
 
 /// I/O ports by the instructions `in` and `out`, without system calls.

@@ -22,6 +22,7 @@ pub trait Bus {
 
 /// Reason why a card cannot be used as its profile states.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum SetUpError {
     /// A register cannot be read or written.
     #[error(transparent)]
@@ -31,28 +32,10 @@ pub enum SetUpError {
         "register {offset:#x} reads {found:#x}, expected {value:#x} (set up) or {after_reset:#x} (after a reset): is this \
          the card of profile \"{profile}\"? Nothing was written"
     )]
-    Unexpected {
-        /// Byte offset of the register.
-        offset: usize,
-        /// Value found.
-        found: u32,
-        /// Value after set-up.
-        value: u32,
-        /// Value after a reset.
-        after_reset: u32,
-        /// The profile's name.
-        profile: String,
-    },
+    Unexpected { offset: usize, found: u32, value: u32, after_reset: u32, profile: String },
     /// A register did not take its value.
     #[error("register {offset:#x} reads {found:#x} after {value:#x} was written to it")]
-    NotTaken {
-        /// Byte offset of the register.
-        offset: usize,
-        /// Value found.
-        found: u32,
-        /// Value written.
-        value: u32,
-    },
+    NotTaken { offset: usize, found: u32, value: u32 },
 }
 
 /// One register's part of the 64-bit word that the engine sees.

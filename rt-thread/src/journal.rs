@@ -218,46 +218,27 @@ impl Before {
 
 /// Why a state file cannot be used. An error leaves the file unchanged.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum JournalError {
     /// The file cannot be opened, sized or mapped.
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's answer.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// Another process uses the file.
     #[error("{}: another rtecd works with it; expected one daemon per state file ([control] state_file)", path.display())]
-    Taken {
-        /// The file.
-        path: PathBuf,
-    },
+    Taken { path: PathBuf },
     /// The file is no state file, or one of another version.
     #[error(
         "{}: found {found}, expected a state file of this version; with the MTC off and all inverters off remove it, start \
          again and home", path.display()
     )]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// What was found instead.
-        found: String,
-    },
+    Foreign { path: PathBuf, found: String },
     /// The file is the state of another machine, card or wiring.
     #[error(
         "{}: it belongs to {theirs}, and this is {ours}; a machine needs a state file of its own ([control] state_file). If \
          this one has really become that: with the MTC off and all inverters off remove it, start again and home",
         path.display()
     )]
-    Other {
-        /// The file.
-        path: PathBuf,
-        /// The identity in the file.
-        theirs: String,
-        /// The identity of this process.
-        ours: String,
-    },
+    Other { path: PathBuf, theirs: String, ours: String },
 }
 
 /// The mapped file.

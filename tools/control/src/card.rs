@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 
 /// Reason why a card could not be opened.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum OpenError {
     /// The GPIO lines cannot be requested.
     #[error(transparent)]
@@ -38,14 +39,7 @@ pub enum OpenError {
         "register {offset:#x} reads {found:#x}, expected {value:#x}: the card has not been set up since its reset, and only \
          reading does not set it up. Start the daemon once, or use --drive with the MTC off"
     )]
-    NotSetUp {
-        /// Byte offset of the register.
-        offset: usize,
-        /// Value found.
-        found: u32,
-        /// Value after set-up.
-        value: u32,
-    },
+    NotSetUp { offset: usize, found: u32, value: u32 },
     /// A simulated machine or a recording.
     #[error("backend \"{0}\" has no lines outside the daemon")]
     NoLines(&'static str),

@@ -13,27 +13,14 @@ pub type LockGuard = Flock<File>;
 
 /// Reason why a lock could not be taken.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum LockError {
-    /// Another process holds it.
+    /// Another process holds it: `by` is ` (process 123)`, or empty if it is not known.
     #[error("another rtecd{by} holds the {what} {}", path.display())]
-    Taken {
-        /// The process, if it is known: ` (process 123)`.
-        by: String,
-        /// Kind of lock: `lock` (the socket's lock file) or `card`.
-        what: &'static str,
-        /// The locked file.
-        path: PathBuf,
-    },
+    Taken { by: String, what: &'static str, path: PathBuf },
     /// The system refused the lock for another reason than its holder.
     #[error("{what} {}: {source}", path.display())]
-    Io {
-        /// Kind of lock: `lock` (the socket's lock file) or `card`.
-        what: &'static str,
-        /// The locked file.
-        path: PathBuf,
-        /// The system's answer.
-        source: io::Error,
-    },
+    Io { what: &'static str, path: PathBuf, source: io::Error },
 }
 
 fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<LockGuard, LockError> {

@@ -112,6 +112,7 @@ impl ShippingResult {
 
 /// Why sending ended early. Records that were not sent stay in the spool.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
 pub enum ShipError {
     /// The machine's name cannot be a folder of the store.
     #[error(
@@ -120,22 +121,10 @@ pub enum ShipError {
     Name(String),
     /// The spool cannot be read, or a sent record cannot be moved.
     #[error("{path}: {error}")]
-    Spool {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's answer.
-        error: io::Error,
-    },
+    Spool { path: PathBuf, error: io::Error },
     /// The store cannot be reached, or lost a file.
     #[error("the store: {key}: {error}; {left} records wait in the spool")]
-    Store {
-        /// Key of the file.
-        key: String,
-        /// The store's answer.
-        error: io::Error,
-        /// Number of records that wait, with this one.
-        left: usize,
-    },
+    Store { key: String, error: io::Error, left: usize },
 }
 
 /// Limits of a spool on its disk.
