@@ -20,7 +20,6 @@ pub struct AxisLines {
 impl AxisLines {
     /// The layout of the mock and shared-memory test cards.
     /// Axis `n` has inputs A, B, A', B' from bit 4n and outputs from bit 2n.
-    #[must_use]
     pub const fn standard(n: u8, read_back: bool) -> Self {
         let back = if read_back { Some((4 * n + 2, 4 * n + 3)) } else { None };
         Self { a: 4 * n, b: 4 * n + 1, invert_a: 2 * n, invert_b: 2 * n + 1, read_back: back }
@@ -28,27 +27,23 @@ impl AxisLines {
 
     /// The scale's state in an input word.
     #[inline]
-    #[must_use]
     pub const fn scale(&self, inputs: u64) -> State {
         State::from_bits((inputs >> self.a & 1 | (inputs >> self.b & 1) << 1) as u8)
     }
 
     /// The inverters in an output word: bit 0 inverts A, bit 1 inverts B.
     #[inline]
-    #[must_use]
     pub const fn inverters(&self, outputs: u64) -> u8 {
         (outputs >> self.invert_a & 1 | (outputs >> self.invert_b & 1) << 1) as u8
     }
 
     /// A' and B' in an input word, if wired back.
     #[inline]
-    #[must_use]
     pub fn back(&self, inputs: u64) -> Option<State> {
         self.read_back.map(|(a, b)| State::from_bits((inputs >> a & 1 | (inputs >> b & 1) << 1) as u8))
     }
 
     /// Mask of A and B (and A', B') in the input word.
-    #[must_use]
     pub const fn input_mask(&self) -> u64 {
         let back = match self.read_back {
             Some((a, b)) => 1 << a | 1 << b,
@@ -73,7 +68,6 @@ pub struct MachineLines {
 
 impl MachineLines {
     /// The layout of the mock and shared-memory test cards.
-    #[must_use]
     pub const fn standard() -> Self {
         Self { probe: Some(28), disable: Some(29), mtc_ready: None, hold: Some(28) }
     }
@@ -109,7 +103,6 @@ pub struct Sample {
 impl Sample {
     /// A look that reads every line, as a polled card does.
     #[inline]
-    #[must_use]
     pub const fn level(t_ns: u64, inputs: u64) -> Self {
         let (complete, more, fresh) = (0, false, u64::MAX);
         Self { t_ns, inputs, edge_ns: None, complete, more, fresh, trouble: None, waited_ns: 0 }
@@ -117,7 +110,6 @@ impl Sample {
 
     /// Sample of a card that stamps and shows every change, with `edge_ns` as its time.
     #[inline]
-    #[must_use]
     pub const fn stamped(t_ns: u64, inputs: u64, edge_ns: Option<u64>) -> Self {
         Self { edge_ns, complete: u64::MAX, ..Self::level(t_ns, inputs) }
     }

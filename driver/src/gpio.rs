@@ -233,7 +233,6 @@ fn find(line: &GpioLine) -> Result<Found, GpioError> {
 }
 
 /// The chips that can be opened: name, label, number of lines.
-#[must_use]
 pub fn chips() -> Vec<(String, String, u32)> {
     let all = gpiocdev::chip::chips().unwrap_or_default();
     let chips = all.iter().filter_map(|path| Chip::from_path(path).ok());

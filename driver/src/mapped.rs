@@ -121,7 +121,6 @@ impl Registers {
     /// # Panics
     /// When the offset is outside the mapping or not aligned to the width; a checked [`Profile`] never is.
     #[inline]
-    #[must_use]
     pub fn read(&self, offset: usize, width: Width) -> u32 {
         // SAFETY: `at` has checked that the register lies inside the live mapping and is aligned.
         unsafe {

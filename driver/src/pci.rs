@@ -27,7 +27,6 @@ pub enum PciId {
 
 impl PciId {
     /// `1af4:1110` or `0000:00:04.0`.
-    #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         if let Some((vendor, device)) = crate::profile::pci_id(text) {
             return Some(Self::Card(vendor, device));
@@ -107,7 +106,6 @@ pub struct Function {
 
 /// All functions on the bus, in the order of their addresses.
 /// Empty on a machine without a PCI bus.
-#[must_use]
 pub fn functions() -> Vec<Function> {
     functions_in(Path::new(SYSFS))
 }

@@ -16,7 +16,6 @@ pub enum Width {
 
 impl Width {
     /// Bits in the register.
-    #[must_use]
     pub const fn bits(self) -> u32 {
         match self {
             Self::Bits8 => 8,
@@ -26,7 +25,6 @@ impl Width {
     }
 
     /// All ones.
-    #[must_use]
     pub const fn mask(self) -> u64 {
         (1 << self.bits()) - 1
     }
@@ -149,7 +147,6 @@ pub struct Profile {
 }
 
 /// Vendor and device as `lspci -n` writes them, `1af4:1110`.
-#[must_use]
 pub fn pci_id(text: &str) -> Option<(u16, u16)> {
     let (vendor, device) = text.split_once(':')?;
     let word = |digits: &str| {
@@ -162,7 +159,6 @@ pub fn pci_id(text: &str) -> Option<(u16, u16)> {
 impl Profile {
     /// The profile of the shared-memory test card.
     /// 32 inputs `in0`… are at byte 0, 32 outputs `out0`… at byte 4.
-    #[must_use]
     pub fn shared_memory() -> Self {
         let register = |offset| vec![Register { offset, width: Width::Bits32 }];
         let inputs = (0..32).map(|bit| (format!("in{bit}"), Place::Input(bit)));
@@ -192,7 +188,6 @@ impl Profile {
     }
 
     /// Size that a mapping needs, bytes.
-    #[must_use]
     pub fn size(&self) -> usize {
         self.registers().map(|r| r.offset + r.width.bits() as usize / 8).max().unwrap_or(0)
     }

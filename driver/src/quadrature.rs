@@ -30,37 +30,31 @@ impl Signal {
 
 impl State {
     /// The state with these levels.
-    #[must_use]
     pub const fn new(a: bool, b: bool) -> Self {
         Self(a as u8 | (b as u8) << 1)
     }
 
     /// The state from bit 0 (A) and bit 1 (B); higher bits are ignored.
-    #[must_use]
     pub const fn from_bits(bits: u8) -> Self {
         Self(bits & 3)
     }
 
     /// Bit 0 is A, bit 1 is B.
-    #[must_use]
     pub const fn bits(self) -> u8 {
         self.0
     }
 
     /// Level of A.
-    #[must_use]
     pub const fn a(self) -> bool {
         self.0 & 1 != 0
     }
 
     /// Level of B.
-    #[must_use]
     pub const fn b(self) -> bool {
         self.0 & 2 != 0
     }
 
     /// Whether A = B, which decides what is inverted first (NISTIR 4832, Design C).
-    #[must_use]
     pub const fn equal(self) -> bool {
         self.0 == 0 || self.0 == 3
     }
@@ -80,14 +74,12 @@ impl State {
 
     /// Mask of the signals that differ: bit 0 is A, bit 1 is B.
     #[inline]
-    #[must_use]
     pub const fn changed(self, other: Self) -> u8 {
         self.0 ^ other.0
     }
 
     /// Counts of the transition to `next`: −1, 0 or +1.
     /// `None` when both signals changed.
-    #[must_use]
     #[inline]
     pub const fn step_to(self, next: Self) -> Option<i8> {
         match self.changed(next) {
@@ -100,20 +92,17 @@ impl State {
     /// Counts of the transition to a state in which exactly one signal differs.
     /// The step is +1 if the present A differs from the previous B.
     #[inline]
-    #[must_use]
     pub const fn step_to_neighbour(self, next: Self) -> i8 {
         2 * ((next.0 ^ self.0 >> 1) & 1) as i8 - 1
     }
 
     /// Counts of inverting `signal` in this state.
     /// A gives +1 when A = B and −1 otherwise. B gives the opposite.
-    #[must_use]
     pub const fn step_of(self, signal: Signal) -> i8 {
         self.step_to_neighbour(self.flipped(signal))
     }
 
     /// The signal that changes from here to `next`, a neighbouring state.
-    #[must_use]
     pub const fn signal_to(self, next: Self) -> Signal {
         if (self.0 ^ next.0) & 1 != 0 { Signal::A } else { Signal::B }
     }
@@ -125,7 +114,6 @@ impl State {
     }
 
     /// The signal whose change moves one count in the given direction from here.
-    #[must_use]
     pub const fn signal_towards(self, positive: bool) -> Signal {
         if self.equal() == positive { Signal::A } else { Signal::B }
     }
@@ -142,7 +130,6 @@ pub struct Decoder {
 
 impl Decoder {
     /// A decoder at zero, in the given state.
-    #[must_use]
     pub const fn new(state: State) -> Self {
         Self { state, count: 0, illegal: 0 }
     }
@@ -170,19 +157,16 @@ impl Decoder {
     }
 
     /// Counts since the start.
-    #[must_use]
     pub const fn count(&self) -> i64 {
         self.count
     }
 
     /// The present state.
-    #[must_use]
     pub const fn state(&self) -> State {
         self.state
     }
 
     /// Transitions in which both signals changed.
-    #[must_use]
     pub const fn illegal(&self) -> u64 {
         self.illegal
     }

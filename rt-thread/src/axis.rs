@@ -89,7 +89,6 @@ impl AxisConfig {
     ///
     /// Time needed: detection + the MTC's separation after the edge + the inversions, each with its write and the
     /// separation behind it + guard.
-    #[must_use]
     pub fn gate(&self) -> Option<Gate> {
         Gate::new(GateInput {
             max_accel_counts_s2: self.max_accel_counts_s2,

@@ -279,7 +279,6 @@ impl Engine {
     }
 
     /// No axis has an insertion under way: its two inverters are equal.
-    #[must_use]
     pub fn at_rest(&self) -> bool {
         self.axes.iter().all(AxisEngine::idle)
     }
@@ -318,7 +317,6 @@ impl Engine {
     }
 
     /// Histograms of the loop's times, readable at any time from any thread.
-    #[must_use]
     pub fn timing(&self) -> Timing {
         self.timing.clone()
     }
@@ -801,26 +799,22 @@ impl Engine {
     }
 
     /// Time of the last look on the card's clock, ns.
-    #[must_use]
     pub const fn now_ns(&self) -> u64 {
         self.look_ns
     }
 
     /// Mode of the engine.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
     }
 
     /// Real inverters of an axis and the total in the MTC's count, for a restart.
     /// Bit 0 is A, bit 1 is B. The total is odd halfway through an insertion.
-    #[must_use]
     pub fn in_effect(&self, axis: usize) -> Option<(u8, i64)> {
         self.axes.get(axis).map(AxisEngine::in_effect)
     }
 
     /// Status of the whole corrector at this moment.
-    #[must_use]
     pub fn status(&self) -> Status {
         let blocked = match self.mode {
             Mode::Run | Mode::Shadow | Mode::Disabled if self.stale => Some(GateState::ControlStale),

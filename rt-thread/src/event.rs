@@ -148,7 +148,6 @@ impl Fault {
     ];
 
     /// Whether the fault puts the axis's count in doubt, so that it must be homed.
-    #[must_use]
     pub const fn loses_home(self) -> bool {
         !matches!(self, Self::StillNotBelieved | Self::ErrorLimit | Self::StateFileLost)
     }
@@ -171,13 +170,11 @@ impl Faults {
     }
 
     /// Whether the set holds at least one fault.
-    #[must_use]
     pub const fn any(self) -> bool {
         self.0 != 0
     }
 
     /// Whether the set holds this fault.
-    #[must_use]
     pub const fn has(self, fault: Fault) -> bool {
         self.0 & 1 << fault as u8 != 0
     }
@@ -341,7 +338,6 @@ pub struct Capture {
 impl Capture {
     /// Position at the trip, and half the width of its uncertainty, both in counts.
     /// The position is interpolated between the two neighbouring edges at constant speed.
-    #[must_use]
     pub fn position_counts(&self) -> (f64, f64) {
         let (p0, t0) = self.before;
         let (lo, hi) = (self.trip_ns.0 as f64, self.trip_ns.1 as f64);
@@ -484,14 +480,12 @@ pub struct Status {
 
 impl Status {
     /// The axes in use, in the order of the configuration.
-    #[must_use]
     pub fn axes(&self) -> &[AxisStatus] {
         &self.axes[..usize::from(self.axes_used)]
     }
 
     /// Whether every axis's ledger balances.
     /// An axis in the middle of an insertion is left out.
-    #[must_use]
     pub fn balanced(&self) -> bool {
         self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)
     }

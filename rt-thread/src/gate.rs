@@ -44,7 +44,6 @@ pub struct GateInput {
 impl Gate {
     /// A gate, or `None` where no period of this axis is long enough.
     /// Then the acceleration limit contradicts the time needed.
-    #[must_use]
     pub fn new(input: GateInput) -> Option<Self> {
         let need = input.need_ns as f64;
         let a = input.max_accel_counts_s2 * 1e-18;
@@ -69,13 +68,11 @@ impl Gate {
     }
 
     /// The shortest last period at which an insertion may begin, ns.
-    #[must_use]
     pub const fn min_period_ns(&self) -> u64 {
         self.min_period_ns
     }
 
     /// Worst-case time from the edge that opens an insertion until its end, ns.
-    #[must_use]
     pub const fn need_ns(&self) -> u64 {
         self.need_ns
     }
@@ -90,7 +87,6 @@ impl Gate {
 
     /// Time after an edge in which no other can come, ns.
     /// The period before the edge was at least `period_ns`.
-    #[must_use]
     pub fn quiet_ns(&self, period_ns: u64) -> u64 {
         let travel_ns = self.travel_ns(period_ns, 1.0);
         (if travel_ns < self.turn_back_ns { travel_ns } else { self.turn_back_ns }) as i64 as u64
@@ -99,7 +95,6 @@ impl Gate {
     /// Whether an edge in the same direction breaks the acceleration limit.
     /// It came `after_ns` after an edge with the given period before it. The condition is vτ + aτ²/2 < 1 with v = 1/T +
     /// aT/2, multiplied by T.
-    #[must_use]
     #[inline]
     pub fn too_soon(&self, period_ns: u64, after_ns: u64) -> bool {
         // An edge no sooner than the period before is always within the limit.
@@ -112,14 +107,12 @@ impl Gate {
     }
 
     /// The shortest time in which the axis can turn back over its last edge, ns.
-    #[must_use]
     pub const fn turn_back_ns(&self) -> u64 {
         self.turn_back_whole_ns
     }
 
     /// The shortest time in which the axis can travel `counts`, ns.
     /// It starts at an edge with the given period before it.
-    #[must_use]
     pub fn travel_ns(&self, period_ns: u64, counts: f64) -> f64 {
         travel_ns(self.speed_counts_ns(period_ns), self.accel_counts_ns2, counts)
     }

@@ -42,7 +42,6 @@ struct Shared {
 }
 
 /// A new, empty histogram: the half that writes and the half that reads.
-#[must_use]
 #[allow(clippy::large_stack_arrays)] // 18 kB, once, before the thread starts; in place, a look finds its bucket without a pointer.
 pub fn histogram() -> (Recorder, Reader) {
     let shared = Arc::new(Shared {
@@ -101,7 +100,6 @@ impl Reader {
     /// A copy of the histogram at this moment.
     /// While the writer runs, the copy may miss values recorded meanwhile. It never holds a value that was not
     /// recorded.
-    #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         let s = &*self.shared;
         let counts: Box<[u64]> = s.counts.iter().map(|count| count.load(Relaxed)).collect();
@@ -134,31 +132,26 @@ impl Default for Snapshot {
 
 impl Snapshot {
     /// Number of values.
-    #[must_use]
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
     /// Smallest value in ns, exact; 0 when there is none.
-    #[must_use]
     pub fn min(&self) -> u64 {
         if self.samples == 0 { 0 } else { self.min }
     }
 
     /// Largest value in ns, exact; 0 when there is none.
-    #[must_use]
     pub fn max(&self) -> u64 {
         self.max
     }
 
     /// Sum of all values in ns, exact (wraps after 584 years).
-    #[must_use]
     pub fn sum(&self) -> u64 {
         self.sum
     }
 
     /// Mean in ns; 0 when there is none.
-    #[must_use]
     pub fn mean(&self) -> f64 {
         if self.samples == 0 { 0.0 } else { self.sum as f64 / self.samples as f64 }
     }
@@ -166,7 +159,6 @@ impl Snapshot {
     /// The value in ns that a fraction `q` of all values does not exceed.
     /// `q` is 0 to 1, and the rank is the nearest. The result is never below the true value, and never above it by more
     /// than [`RELATIVE_ERROR`]. It is 0 when there are no values.
-    #[must_use]
     pub fn quantile(&self, q: f64) -> u64 {
         let rank = ((q * self.samples as f64).ceil() as u64).clamp(1, self.samples.max(1));
         let mut seen = 0;
@@ -180,25 +172,21 @@ impl Snapshot {
     }
 
     /// The median, see [`Self::quantile`].
-    #[must_use]
     pub fn p50(&self) -> u64 {
         self.quantile(0.5)
     }
 
     /// The 99 % quantile, see [`Self::quantile`].
-    #[must_use]
     pub fn p99(&self) -> u64 {
         self.quantile(0.99)
     }
 
     /// The 99.9 % quantile, see [`Self::quantile`].
-    #[must_use]
     pub fn p999(&self) -> u64 {
         self.quantile(0.999)
     }
 
     /// The 99.99 % quantile, see [`Self::quantile`].
-    #[must_use]
     pub fn p9999(&self) -> u64 {
         self.quantile(0.9999)
     }
@@ -216,7 +204,6 @@ impl Snapshot {
 
     /// The values in `rows` linear buckets of `width_ns`, and the number beyond them.
     /// Plotting scripts need this form. The values of a bucket are spread evenly over the rows that it overlaps.
-    #[must_use]
     pub fn linear(&self, width_ns: u64, rows: usize) -> (Vec<u64>, u64) {
         let mut linear = vec![0; rows];
         let mut placed = 0;

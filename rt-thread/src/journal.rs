@@ -152,13 +152,11 @@ pub struct Times([[Option<u64>; ROW_WORDS]; ROWS]);
 impl Times {
     /// When a fault was latched, ns; `None` where that is not known.
     /// Without an axis it is a fault of the machine as a whole.
-    #[must_use]
     pub fn latched_ns(&self, axis: Option<usize>, fault: Fault) -> Option<u64> {
         self.0.get(axis.unwrap_or(MACHINE))?[fault as usize]
     }
 
     /// When feed hold was asked for, ns.
-    #[must_use]
     pub const fn held_ns(&self) -> Option<u64> {
         self.0[MACHINE][HOLD_AT]
     }
@@ -208,7 +206,6 @@ impl Before {
     /// Whether the reason of feed hold, or its state, is unknown.
     /// Then the machine's record is lost, or names neither a user nor a fault. The fault of an axis is recorded before
     /// the hold that it causes, and cleared after it.
-    #[must_use]
     pub fn hold_unexplained(&self) -> bool {
         let faulted = self.records.iter().any(|found| found[0].is_some_and(|r| r.faults.any()));
         let unasked = |m: MachineRecord| m.hold_output && m.held.is_none() && !m.faults.any() && !faulted;
@@ -729,7 +726,6 @@ impl Drop for Journal {
 
 /// The newest record that agrees with the inverters as read back.
 /// Latched faults and the MTC's state come from the newest record, whether or not its write was made.
-#[must_use]
 pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRecord> {
     let StateRecord { faults, mtc_known, .. } = found.into_iter().flatten().next()?;
     let agrees = found.into_iter().flatten().find(|r| r.inverters == inverters)?;

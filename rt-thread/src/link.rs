@@ -74,7 +74,6 @@ impl std::fmt::Debug for RtEnd {
 pub struct Full(pub Request);
 
 /// A new link whose first status is `status`.
-#[must_use]
 pub fn link(status: Status) -> (ControlEnd, RtEnd) {
     let (request_in, request_out) = HeapRb::new(REQUESTS).split();
     let (event_in, event_out) = HeapRb::new(EVENTS).split();
@@ -100,7 +99,6 @@ impl ControlEnd {
     }
 
     /// Number of requests that the real-time thread has not taken yet.
-    #[must_use]
     pub fn pending(&self) -> usize {
         self.requests.occupied_len()
     }
@@ -129,7 +127,6 @@ impl ControlEnd {
 
     /// Whether the real-time thread has ended.
     /// The last status and all events can then be read.
-    #[must_use]
     pub fn ended(&self) -> bool {
         self.shared.ended.load(Ordering::Acquire)
     }
@@ -144,7 +141,6 @@ impl RtEnd {
 
     /// Whether no request is on its way.
     #[inline]
-    #[must_use]
     pub fn all_taken(&self) -> bool {
         self.requests.is_empty()
     }
@@ -163,14 +159,12 @@ impl RtEnd {
 
     /// A number that rises while the control side is alive.
     #[inline]
-    #[must_use]
     pub fn beats(&self) -> u64 {
         self.shared.beats.load(Ordering::Relaxed)
     }
 
     /// Whether the control side has asked for the end.
     #[inline]
-    #[must_use]
     pub fn stopped(&self) -> bool {
         self.shared.stop.load(Ordering::Acquire)
     }

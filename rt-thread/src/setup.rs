@@ -139,7 +139,6 @@ pub struct Report {
 
 impl Report {
     /// Whether every setting that a real card needs is in effect.
-    #[must_use]
     pub fn can_arm(&self) -> bool {
         self.missing().next().is_none()
     }
@@ -150,7 +149,6 @@ impl Report {
     }
 
     /// The finding of that name.
-    #[must_use]
     pub fn finding(&self, name: &str) -> Option<&Finding> {
         self.findings.iter().find(|f| f.name == name)
     }
@@ -167,26 +165,22 @@ pub struct System {
 
 impl System {
     /// The running system.
-    #[must_use]
     pub fn live() -> Self {
         Self { root: PathBuf::from("/"), live: true }
     }
 
     /// A directory that holds `proc`, `sys` and `dev` as a system would show them.
-    #[must_use]
     pub fn at(root: &Path) -> Self {
         Self { root: root.to_owned(), live: false }
     }
 
     /// Number of CPUs online, whichever of them the calling thread may use.
     /// 0 where the kernel does not report it.
-    #[must_use]
     pub fn cpus_online(&self) -> usize {
         self.read("sys/devices/system/cpu/online").map_or(0, |text| cpu_list(&text).len())
     }
 
     /// The CPU for a polling thread: the first isolated one, else the last one online.
-    #[must_use]
     pub fn default_cpu(&self) -> usize {
         let list = |path| self.read(path).map(|text| cpu_list(&text)).unwrap_or_default();
         let isolated = list("sys/devices/system/cpu/isolated");
@@ -196,7 +190,6 @@ impl System {
 
     /// Inspects the settings of this machine for a real-time thread on `cpu`.
     /// It changes nothing.
-    #[must_use]
     pub fn inspect(&self, cpu: usize, priority: u8) -> Report {
         Report {
             kernel: self.read("proc/sys/kernel/osrelease").unwrap_or_else(|_| "unknown".into()),
@@ -239,7 +232,6 @@ impl System {
     }
 
     /// Path of a file below the root.
-    #[must_use]
     pub fn path(&self, path: impl AsRef<Path>) -> PathBuf {
         self.root.join(path)
     }
@@ -265,7 +257,6 @@ impl System {
 
     /// The CPUs left for everything else, as a list that the kernel understands.
     /// Empty with one CPU only.
-    #[must_use]
     pub fn housekeeping(&self, cpu: usize) -> String {
         let others: Vec<String> =
             self.online().into_iter().filter(|c| *c != cpu).map(|c| c.to_string()).collect();
@@ -424,7 +415,6 @@ impl System {
     }
 
     /// The CPUs that an interrupt lands on.
-    #[must_use]
     pub fn irq_cpus(&self, number: u32) -> Option<String> {
         let list = |name| self.read(format!("proc/irq/{number}/{name}")).ok().filter(|text| !text.is_empty());
         list("effective_affinity_list").or_else(|| list("smp_affinity_list"))
@@ -808,7 +798,6 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
 
 /// Parses a CPU list such as `0-2,5`.
 /// Other words are skipped: `(null)`, or flags as in `isolcpus=domain,1`.
-#[must_use]
 pub fn cpu_list(text: &str) -> Vec<usize> {
     text.trim()
         .split(',')

@@ -71,13 +71,11 @@ impl StateFile {
     }
 
     /// Path of the state file.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// How the file was lost, if it is no longer the one that is written.
-    #[must_use]
     pub fn lost(&self) -> Option<Lost> {
         let Ok(found) = std::fs::symlink_metadata(&self.path) else { return Some(Lost::Removed) };
         if identity(&found) != self.mapped {
