@@ -177,15 +177,13 @@ impl System {
     /// Number of CPUs online, whichever of them the calling thread may use.
     /// 0 where the kernel does not report it.
     pub fn cpus_online(&self) -> usize {
-        self.read("sys/devices/system/cpu/online").map_or(0, |text| cpu_list(&text).len())
+        self.online().len()
     }
 
     /// The CPU for a polling thread: the first isolated one, else the last one online.
     pub fn default_cpu(&self) -> usize {
-        let list = |path| self.read(path).map(|text| cpu_list(&text)).unwrap_or_default();
-        let isolated = list("sys/devices/system/cpu/isolated");
-        let online = list("sys/devices/system/cpu/online");
-        isolated.first().or(online.last()).copied().unwrap_or(0)
+        let isolated = self.cpus("sys/devices/system/cpu/isolated");
+        isolated.first().or(self.online().last()).copied().unwrap_or(0)
     }
 
     /// Inspects the settings of this machine for a real-time thread on `cpu`.
@@ -210,22 +208,8 @@ impl System {
                 self.clocksource(),
                 self.transparent_hugepage(),
                 self.swap(),
-                self.limit(
-                    "memlock_limit",
-                    "Max locked memory",
-                    "unlimited",
-                    u64::MAX,
-                    CAP_IPC_LOCK,
-                    "memlock",
-                ),
-                self.limit(
-                    "rtprio_limit",
-                    "Max realtime priority",
-                    &format!("at least {priority}"),
-                    u64::from(priority),
-                    CAP_SYS_NICE,
-                    "rtprio",
-                ),
+                self.memlock_limit(),
+                self.rtprio_limit(priority),
                 self.hypervisor(),
             ],
         }
@@ -251,8 +235,12 @@ impl System {
         self.root.join(path).exists()
     }
 
+    fn cpus(&self, path: &str) -> Vec<usize> {
+        self.read(path).map(|text| cpu_list(&text)).unwrap_or_default()
+    }
+
     fn online(&self) -> Vec<usize> {
-        self.read("sys/devices/system/cpu/online").map(|text| cpu_list(&text)).unwrap_or_default()
+        self.cpus("sys/devices/system/cpu/online")
     }
 
     /// The CPUs left for everything else, as a list that the kernel understands.
@@ -289,18 +277,37 @@ impl System {
         wanted.split_whitespace().filter(|word| !there(word)).collect::<Vec<_>>().join(" ")
     }
 
-    fn rt_throttling(&self) -> Finding {
-        const NAME: &str = "rt_throttling";
-        const REMEDY: &str = "sysctl kernel.sched_rt_runtime_us=-1: a polling thread loses up to 50 ms of every second otherwise";
-        match self.read("proc/sys/kernel/sched_rt_runtime_us") {
-            Ok(got) => {
-                let off = got == "-1";
-                Finding::new(NAME, "-1", got, off)
+    /// The finding that a file shows: `judge` returns what it says, and whether that is wanted.
+    /// `absent` is the same for a kernel without the file.
+    fn shown_by(
+        &self,
+        (name, wanted): (&'static str, &str),
+        path: &str,
+        absent: Option<(&str, bool)>,
+        judge: impl FnOnce(&str) -> (String, bool),
+    ) -> Finding {
+        let error = match self.read(path) {
+            Ok(text) => {
+                let (got, ok) = judge(&text);
+                return Finding::new(name, wanted, got, ok);
             }
-            Err(error) => Finding::unknown(NAME, "-1", error),
+            Err(error) => error,
+        };
+        match absent.filter(|_| error.errno == libc::ENOENT) {
+            Some((got, ok)) => Finding::new(name, wanted, got, ok),
+            None => Finding::unknown(name, wanted, error),
         }
-        .needed()
-        .remedy(REMEDY)
+    }
+
+    /// As [`Self::shown_by`], where the file's whole text must be the wanted one.
+    fn equals(&self, name: &'static str, wanted: &str, path: &str, absent: Option<(&str, bool)>) -> Finding {
+        self.shown_by((name, wanted), path, absent, |text| (text.to_owned(), text == wanted))
+    }
+
+    fn rt_throttling(&self) -> Finding {
+        self.equals("rt_throttling", "-1", "proc/sys/kernel/sched_rt_runtime_us", None).needed().remedy(
+            "sysctl kernel.sched_rt_runtime_us=-1: a polling thread loses up to 50 ms of every second otherwise",
+        )
     }
 
     /// Finding of the deadline server of Linux 6.12 and later.
@@ -317,14 +324,8 @@ impl System {
         let remedy = format!(
             "echo 0 > /{path}: with any ordinary task on CPU {cpu} a polling thread loses 50 ms of every second otherwise"
         );
-        match self.read(&path) {
-            Ok(got) => {
-                let off = got == "0";
-                Finding::new(NAME, "0", got, off).needed()
-            }
-            Err(error) => Finding::unknown(NAME, "0", error),
-        }
-        .remedy(remedy)
+        let finding = self.equals(NAME, "0", &path, None);
+        if finding.errno.is_none() { finding.needed() } else { finding }.remedy(remedy)
     }
 
     fn preempt_rt(&self) -> Finding {
@@ -341,17 +342,12 @@ impl System {
     }
 
     fn cpu_in_list(&self, name: &'static str, parameter: &str, path: &str, cpu: usize) -> Finding {
-        let wanted = format!("CPU {cpu}");
-        match self.read(path) {
-            Ok(text) => {
-                let ok = cpu_list(&text).contains(&cpu);
-                Finding::new(name, wanted, if text.is_empty() { "none" } else { &text }, ok)
-            }
-            // Kernels without the feature do not show the file.
-            Err(error) if error.errno == libc::ENOENT => Finding::new(name, wanted, "none", false),
-            Err(error) => Finding::unknown(name, wanted, error),
-        }
-        .remedy(format!("boot with {parameter}={cpu}"))
+        let judge = |text: &str| {
+            let got = if text.is_empty() { "none" } else { text };
+            (got.to_owned(), cpu_list(text).contains(&cpu))
+        };
+        self.shown_by((name, &format!("CPU {cpu}")), path, Some(("none", false)), judge)
+            .remedy(format!("boot with {parameter}={cpu}"))
     }
 
     /// Finding of RCU callbacks, which the kernel does not list by CPU.
@@ -422,17 +418,8 @@ impl System {
 
     fn governor(&self, cpu: usize) -> Finding {
         let path = format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor");
-        match self.read(&path) {
-            Ok(got) => {
-                let ok = got == "performance";
-                Finding::new("governor", "performance", got, ok)
-            }
-            Err(error) if error.errno == libc::ENOENT => {
-                Finding::new("governor", "performance", "no frequency scaling", true)
-            }
-            Err(error) => Finding::unknown("governor", "performance", error),
-        }
-        .remedy(format!("echo performance > /{path}"))
+        self.equals("governor", "performance", &path, Some(("no frequency scaling", true)))
+            .remedy(format!("echo performance > /{path}"))
     }
 
     fn smt(&self, cpu: usize) -> Finding {
@@ -457,47 +444,40 @@ impl System {
         // These are read without a system call. Every other one costs one, a microsecond or more.
         const FAST: [&str; 3] = ["tsc", "arch_sys_counter", "riscv_clocksource"];
         let wanted = if cfg!(target_arch = "x86_64") { "tsc" } else { "one that needs no system call" };
-        match self.read("sys/devices/system/clocksource/clocksource0/current_clocksource") {
-            Ok(got) => {
-                let ok = FAST.contains(&got.as_str());
-                Finding::new("clocksource", wanted, got, ok)
-            }
-            Err(error) => Finding::unknown("clocksource", wanted, error),
-        }
+        let path = "sys/devices/system/clocksource/clocksource0/current_clocksource";
+        let judge = |text: &str| (text.to_owned(), FAST.contains(&text));
+        self.shown_by(("clocksource", wanted), path, None, judge)
         .remedy("boot with tsc=reliable if the kernel dropped a sound TSC; the firmware or the host decides otherwise")
     }
 
     fn transparent_hugepage(&self) -> Finding {
-        const WANTED: &str = "madvise or never";
-        match self.read("sys/kernel/mm/transparent_hugepage/enabled") {
-            Ok(text) => {
-                let chosen = text.split(['[', ']']).nth(1).unwrap_or(&text).to_owned();
-                let ok = chosen == "madvise" || chosen == "never";
-                Finding::new("transparent_hugepage", WANTED, chosen, ok)
-            }
-            Err(error) if error.errno == libc::ENOENT => {
-                Finding::new("transparent_hugepage", WANTED, "none in this kernel", true)
-            }
-            Err(error) => Finding::unknown("transparent_hugepage", WANTED, error),
-        }
-        .remedy("echo madvise > /sys/kernel/mm/transparent_hugepage/enabled")
+        let name = ("transparent_hugepage", "madvise or never");
+        let path = "sys/kernel/mm/transparent_hugepage/enabled";
+        let judge = |text: &str| {
+            let chosen = text.split(['[', ']']).nth(1).unwrap_or(text);
+            (chosen.to_owned(), chosen == "madvise" || chosen == "never")
+        };
+        self.shown_by(name, path, Some(("none in this kernel", true)), judge)
+            .remedy("echo madvise > /sys/kernel/mm/transparent_hugepage/enabled")
     }
 
     fn swap(&self) -> Finding {
-        match self.read("proc/swaps") {
-            Ok(text) => {
-                let areas: Vec<&str> =
-                    text.lines().skip(1).filter_map(|line| line.split_whitespace().next()).collect();
-                let got = if areas.is_empty() { "none".into() } else { areas.join(", ") };
-                Finding::new("swap", "none", got, areas.is_empty())
-            }
-            Err(error) => Finding::unknown("swap", "none", error),
-        }
-        .remedy("swapoff -a, and take it out of /etc/fstab")
+        let judge = |text: &str| {
+            let areas: Vec<&str> =
+                text.lines().skip(1).filter_map(|line| line.split_whitespace().next()).collect();
+            (if areas.is_empty() { "none".into() } else { areas.join(", ") }, areas.is_empty())
+        };
+        self.shown_by(("swap", "none"), "proc/swaps", None, judge)
+            .remedy("swapoff -a, and take it out of /etc/fstab")
     }
 
     fn memlock_limit(&self) -> Finding {
         self.limit("memlock_limit", "Max locked memory", "unlimited", u64::MAX, CAP_IPC_LOCK, "memlock")
+    }
+
+    fn rtprio_limit(&self, priority: u8) -> Finding {
+        let (wanted, least) = (format!("at least {priority}"), u64::from(priority));
+        self.limit("rtprio_limit", "Max realtime priority", &wanted, least, CAP_SYS_NICE, "rtprio")
     }
 
     /// Finding of a resource limit that a capability overrides.
@@ -686,7 +666,7 @@ fn affinity(cpu: usize) -> Finding {
     let me = nix::unistd::Pid::from_raw(0);
     let mut only = nix::sched::CpuSet::new();
     let applied = only.set(cpu).and_then(|()| nix::sched::sched_setaffinity(me, &only));
-    let error = applied.err().map(|e| OsError { operation: "sched_setaffinity".into(), errno: e as i32 });
+    let error = applied.err().map(|e| OsError::of("sched_setaffinity", &e.into()));
     let remedy =
         format!("name a CPU that is online and that cpusets leave to this process (CPU {cpu} is not)");
     let wanted = format!("CPU {cpu}");
@@ -700,11 +680,7 @@ fn affinity(cpu: usize) -> Finding {
             let ok = got == wanted;
             Finding::new("affinity", wanted, got, ok).failed(error)
         }
-        Err(e) => Finding::unknown(
-            "affinity",
-            wanted,
-            OsError { operation: "sched_getaffinity".into(), errno: e as i32 },
-        ),
+        Err(e) => Finding::unknown("affinity", wanted, OsError::of("sched_getaffinity", &e.into())),
     }
     .remedy(remedy)
 }
@@ -714,9 +690,8 @@ fn memory_lock(system: &System) -> Finding {
     // Under a limit, locking future memory would make every allocation beyond the limit fail.
     let unlimited = system.memlock_limit().ok;
     let future = if unlimited { MlockAllFlags::MCL_FUTURE } else { MlockAllFlags::empty() };
-    let error = mlockall(MlockAllFlags::MCL_CURRENT | future)
-        .err()
-        .map(|e| OsError { operation: "mlockall".into(), errno: e as i32 });
+    let error =
+        mlockall(MlockAllFlags::MCL_CURRENT | future).err().map(|e| OsError::of("mlockall", &e.into()));
     let locked = system.read("proc/self/status").map(|text| {
         let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmLck:")?.split_whitespace().next());
         kilobytes.and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0)
@@ -737,7 +712,7 @@ fn stack() -> Finding {
     let faults = || {
         nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_THREAD)
             .map(|usage| usage.minor_page_faults() + usage.major_page_faults())
-            .map_err(|e| OsError { operation: "getrusage".into(), errno: e as i32 })
+            .map_err(|e| OsError::of("getrusage", &e.into()))
     };
     touch_stack(STACK_PAGES);
     let wanted = format!("{} KiB, no page fault", STACK_BYTES / 1024);
