@@ -1,55 +1,29 @@
 //! Units in the names of columns: `Time [ms]`, `X (in)`, `position_mm`.
 
-/// Other spellings of a unit, and the program's own spelling.
-const ALIASES: [(&str, &str); 43] = [
-    ("µm", "um"),
-    ("μm", "um"),
-    ("micron", "um"),
-    ("microns", "um"),
-    ("micrometre", "um"),
-    ("micrometer", "um"),
-    ("millimetre", "mm"),
-    ("millimeter", "mm"),
-    ("metre", "m"),
-    ("meter", "m"),
-    ("µs", "us"),
-    ("μs", "us"),
-    ("sec", "s"),
-    ("Sek", "s"),
-    ("second", "s"),
-    ("seconds", "s"),
-    ("msec", "ms"),
-    ("millisecond", "ms"),
-    ("milliseconds", "ms"),
-    ("microseconds", "us"),
-    ("min.", "min"),
-    ("minutes", "min"),
-    ("hours", "h"),
-    ("\"", "in"),
-    ("inch", "in"),
-    ("Inch", "in"),
-    ("inches", "in"),
-    ("Zoll", "in"),
-    ("thou", "mil"),
-    ("deg C", "degC"),
-    ("Celsius", "degC"),
-    ("°C", "degC"),
-    ("℃", "degC"),
-    ("C", "degC"),
-    ("°F", "degF"),
-    ("F", "degF"),
-    ("°", "deg"),
-    ("mm/s²", "mm/s2"),
-    ("m/s²", "m/s2"),
-    ("mm/s^2", "mm/s2"),
-    ("m/s^2", "m/s2"),
-    ("1/min", "rpm"),
-    ("µrad", "urad"),
+/// The program's spelling of a unit, and others.
+const ALIASES: [(&str, &[&str]); 17] = [
+    ("um", &["µm", "μm", "micron", "microns", "micrometre", "micrometer"]),
+    ("mm", &["millimetre", "millimeter"]),
+    ("m", &["metre", "meter"]),
+    ("us", &["µs", "μs", "microseconds"]),
+    ("s", &["sec", "Sek", "second", "seconds"]),
+    ("ms", &["msec", "millisecond", "milliseconds"]),
+    ("min", &["min.", "minutes"]),
+    ("h", &["hours"]),
+    ("in", &["\"", "inch", "Inch", "inches", "Zoll"]),
+    ("mil", &["thou"]),
+    ("degC", &["deg C", "Celsius", "°C", "℃", "C"]),
+    ("degF", &["°F", "F"]),
+    ("deg", &["°"]),
+    ("mm/s2", &["mm/s²", "mm/s^2"]),
+    ("m/s2", &["m/s²", "m/s^2"]),
+    ("rpm", &["1/min"]),
+    ("urad", &["µrad"]),
 ];
 
 /// A unit in the program's spelling; an unknown unit stays as it is.
 pub fn plain(unit: &str) -> &str {
-    ALIASES.iter().find(|(alias, _)| *alias == unit).map_or(unit, |(_, plain)| plain)
+    ALIASES.iter().find(|(_, others)| others.contains(&unit)).map_or(unit, |(plain, _)| plain)
 }
 
 /// A unit's name, its factor to the quantity's own unit, and the offset after it.
