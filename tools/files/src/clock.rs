@@ -42,25 +42,12 @@ fn clock_behind_date(text: &str) -> Option<(&str, &str)> {
 }
 
 /// English and German months, by the beginnings of their names.
-const MONTHS: [&[&str]; 12] = [
-    &["jan"],
-    &["feb"],
-    &["mar", "m\u{e4}r", "mrz"],
-    &["apr"],
-    &["may", "mai"],
-    &["jun"],
-    &["jul"],
-    &["aug"],
-    &["sep"],
-    &["oct", "okt"],
-    &["nov"],
-    &["dec", "dez"],
-];
+const MONTHS: &str = "jan feb mar/m\u{e4}r/mrz apr may/mai jun jul aug sep oct/okt nov dec/dez";
 
 /// The number of a month from its name, from 1.
 fn month_of(name: &str) -> Option<usize> {
     let name = name.to_lowercase();
-    MONTHS.iter().position(|begins| begins.iter().any(|b| name.starts_with(b))).map(|place| place + 1)
+    MONTHS.split(' ').position(|of| of.split('/').any(|begin| name.starts_with(begin))).map(|place| place + 1)
 }
 
 /// A date in ISO 8601: read with the day first, and with the month first.

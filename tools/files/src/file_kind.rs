@@ -6,61 +6,36 @@
 use crate::input::InputError;
 use std::path::Path;
 
-/// Kinds of files that people may confuse.
+/// Kinds of files that people may confuse; [`FileKind::name`] describes each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
 pub enum FileKind {
-    /// `NAME.run.toml`
     RunRecord,
-    /// `machine.toml`
     Model,
-    /// A kinematic chain, which belongs to a model.
     Chain,
-    /// `rtec.toml`
     Configuration,
-    /// A card's profile.
     Profile,
-    /// The form of a foreign table, for `characterise import --format own`.
     Form,
-    /// `t_ns,a,b`
     Trace,
-    /// `t_ns,requested`
     Requests,
-    /// `z_mm,x_mm`: probed points of a part.
     Points,
-    /// `part,feature,…`: a batch measured off the machine.
     Batch,
-    /// Another table, for example the CSV of a run record.
+    /// Any other table, for example the CSV of a run record.
     Table,
-    /// A drawing in DXF.
     Drawing,
-    /// A value change dump (VCD).
     Vcd,
-    /// Data of a Renishaw laser, `.rtl` or `.rta`.
     Laser,
-    /// ecmc's ISO 230-2 data.
     Ecmc,
-    /// Etalon's exchange format.
     Etalon,
-    /// `MTConnect`'s SHDR lines.
     Shdr,
-    /// A compensation table of `LinuxCNC`.
-    /// Its lines are three numbers between blanks, the first ones rising.
     Numbers,
-    /// A spreadsheet's own file, or another zip archive.
     Workbook,
-    /// PDF.
     Pdf,
-    /// A compressed file.
     Compressed,
-    /// XML or HTML.
     Markup,
-    /// JSON.
     Json,
-    /// A picture.
     Picture,
-    /// A program for a machine's controller.
     Program,
-    /// A controller's compensation table: `$AA_ENC_COMP`, `$AN_CEC`, `kw.ssfk`.
     ControllerTable,
     /// A drawing or a solid of another program, with the program's name.
     Cad(&'static str),
@@ -124,78 +99,52 @@ impl FileKind {
     fn by_first_words(text: &str) -> Option<Self> {
         let mut words = text.split_whitespace();
         let (first, second) = (words.next()?, words.next().unwrap_or_default());
-        match first {
-            _ if first.starts_with("ISO-10303-21") => return Some(Self::Cad("a STEP file (ISO 10303-21)")),
-            "solid" if text.contains("facet") => return Some(STL),
-            _ if text.lines().next().is_some_and(|l| l.get(72..80) == Some("S      1")) => {
-                return Some(Self::Cad("an IGES file"));
-            }
-            _ if first.starts_with('<') && text.contains("<svg") => {
-                return Some(Self::Cad("a picture in SVG"));
-            }
-            // Comments of a drawing, group 999, may precede its sections.
-            "0" if second == "SECTION" => return Some(Self::Drawing),
-            "999" if text.lines().map(str::trim).take(LINES).any(|l| l == "SECTION") => {
-                return Some(Self::Drawing);
-            }
-            "$date" | "$version" | "$timescale" | "$comment" | "$scope" | "$var" => return Some(Self::Vcd),
-            _ if first.starts_with("<?xml") || first.eq_ignore_ascii_case("<!doctype") => {
-                return Some(Self::Markup);
-            }
-            _ if first.to_ascii_lowercase().starts_with("<html") => return Some(Self::Markup),
-            _ if first.starts_with('{')
-                || first.starts_with("[{")
-                || first == "[" && second.starts_with('{') =>
-            {
-                return Some(Self::Json);
-            }
-            _ => {}
-        }
+        let line_1 = text.lines().next().unwrap_or_default();
         let lines = || text.lines().map(str::trim).filter(|l| !l.is_empty()).take(LINES);
-        if first == "HEADER::" || lines().any(|l| l == "TARGET DATA::") {
-            return Some(Self::Laser);
-        }
-        if lines().any(|l| l.starts_with("TGT_DATA[") || l.starts_with("REF_DATA_")) {
-            return Some(Self::Ecmc);
-        }
-        if lines().any(|l| l.starts_with("Gridpoints")) {
-            return Some(Self::Etalon);
-        }
-        if lines().any(|l| ["$AA_ENC_COMP", "$AN_CEC", "kw.ssfk"].iter().any(|name| l.starts_with(name))) {
-            return Some(Self::ControllerTable);
-        }
-        if text.lines().next().is_some_and(|l| l.trim() == "%") || lines().take(BLOCKS).any(is_block) {
-            return Some(Self::Program);
-        }
+        let any = |begins: &[&str]| lines().any(|l| begins.iter().any(|begin| l.starts_with(begin)));
         let is_shdr = |line: &str| {
             let time = line.split(['|', '@']).next().unwrap_or_default();
             line.contains('|') && time.len() >= 19 && time.as_bytes()[10] == b'T'
         };
-        lines().find(|l| !l.starts_with('*')).is_some_and(is_shdr).then_some(Self::Shdr)
+        Some(match first {
+            _ if first.starts_with("ISO-10303-21") => Self::Cad("a STEP file (ISO 10303-21)"),
+            "solid" if text.contains("facet") => STL,
+            _ if line_1.get(72..80) == Some("S      1") => Self::Cad("an IGES file"),
+            _ if first.starts_with('<') && text.contains("<svg") => Self::Cad("a picture in SVG"),
+            "0" if second == "SECTION" => Self::Drawing,
+            // Comments of a drawing, group 999, may precede its sections.
+            "999" if text.lines().map(str::trim).take(LINES).any(|l| l == "SECTION") => Self::Drawing,
+            "$date" | "$version" | "$timescale" | "$comment" | "$scope" | "$var" => Self::Vcd,
+            _ if first.starts_with("<?xml") || first.eq_ignore_ascii_case("<!doctype") => Self::Markup,
+            _ if first.to_ascii_lowercase().starts_with("<html") => Self::Markup,
+            _ if first.starts_with('{') || first.starts_with("[{") => Self::Json,
+            "[" if second.starts_with('{') => Self::Json,
+            "HEADER::" => Self::Laser,
+            _ if lines().any(|l| l == "TARGET DATA::") => Self::Laser,
+            _ if any(&["TGT_DATA[", "REF_DATA_"]) => Self::Ecmc,
+            _ if any(&["Gridpoints"]) => Self::Etalon,
+            _ if any(&["$AA_ENC_COMP", "$AN_CEC", "kw.ssfk"]) => Self::ControllerTable,
+            _ if line_1.trim() == "%" || lines().take(BLOCKS).any(is_block) => Self::Program,
+            _ if lines().find(|l| !l.starts_with('*')).is_some_and(is_shdr) => Self::Shdr,
+            _ => return None,
+        })
     }
 
     fn by_tables(text: &str) -> Option<Self> {
         let lines = || text.lines().map(str::trim);
         let heads = |names: &[&str]| lines().any(|l| names.iter().any(|n| l.starts_with(n)));
-        if heads(&["[columns]"]) {
-            let is_record = heads(&["file =", "file="]);
-            return Some(if is_record || !heads(&["separator", "names"]) {
-                Self::RunRecord
-            } else {
-                Self::Form
-            });
-        }
-        if heads(&["[[joint]]"]) {
-            return Some(Self::Chain);
-        }
-        if heads(&["[[effect]]", "[[fit]]", "effect ="]) {
-            return Some(Self::Model);
-        }
-        if heads(&["[[axis]]", "[card]"]) {
-            return Some(Self::Configuration);
-        }
-        if heads(&["[lines]"]) && heads(&["inputs =", "outputs =", "inputs=", "outputs="]) {
-            return Some(Self::Profile);
+        let is_form = || heads(&["separator", "names"]) && !heads(&["file =", "file="]);
+        let is_profile = || heads(&["[lines]"]) && heads(&["inputs =", "outputs =", "inputs=", "outputs="]);
+        let kind = match () {
+            () if heads(&["[columns]"]) => Some(if is_form() { Self::Form } else { Self::RunRecord }),
+            () if heads(&["[[joint]]"]) => Some(Self::Chain),
+            () if heads(&["[[effect]]", "[[fit]]", "effect ="]) => Some(Self::Model),
+            () if heads(&["[[axis]]", "[card]"]) => Some(Self::Configuration),
+            () if is_profile() => Some(Self::Profile),
+            () => None,
+        };
+        if kind.is_some() {
+            return kind;
         }
         let mut rows = lines().filter(|l| !l.is_empty() && !crate::words::is_comment(l));
         if are_rising_numbers(rows.clone()) {
@@ -211,12 +160,8 @@ impl FileKind {
         let names: Vec<&str> =
             first.split([',', ';', '\t', '|']).map(|n| n.trim().trim_matches('"')).collect();
         let has = |kind: &Self| kind.columns().iter().all(|c| names.contains(c));
-        Some(
-            [Self::Trace, Self::Requests, Self::Points, Self::Batch]
-                .into_iter()
-                .find(has)
-                .unwrap_or(Self::Table),
-        )
+        let named = [Self::Trace, Self::Requests, Self::Points, Self::Batch].into_iter().find(has);
+        Some(named.unwrap_or(Self::Table))
     }
 
     /// The name of the kind, and what shows it.
