@@ -27,7 +27,7 @@ use crate::decimal::decimal;
 use crate::file_kind::FileKind;
 use crate::input::InputError;
 use crate::lines::Lines;
-use crate::text::{UTF8, is_western, not_utf8, opened, western};
+use crate::text::{UTF8, WESTERN, is_western, not_utf8, opened, western};
 use crate::words::quoted;
 use comments::{
     content, is_cell_separator, is_foreign_comment, looks_like_a_row, outside_quotes, width_of_rows,
@@ -48,11 +48,17 @@ pub struct Reader<R> {
     encoding: Encoding,
     /// The present line, decoded, if it is not UTF-8.
     decoded: String,
-    commented: Option<Commented>,
+    pub(crate) oddities: Oddities,
+}
+
+/// Oddities of a table so far, which a note reports.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Oddities {
+    pub(crate) commented: Option<Commented>,
     /// Rows that end with extra separators after the last named column, and others.
-    beyond: Beyond,
+    pub(crate) beyond: Beyond,
     /// Number of another program's lines before the columns' names.
-    preamble: usize,
+    pub(crate) preamble: usize,
 }
 
 /// Rows that end with more separators than their header, and rows that do not.
@@ -75,11 +81,11 @@ enum Encoding {
 
 /// Lines that begin with `#` but look like rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Commented {
+pub(crate) struct Commented {
     /// The first such line, from 1.
-    pub line: usize,
+    pub(crate) line: usize,
     /// The number of such lines.
-    pub lines: usize,
+    pub(crate) lines: usize,
 }
 
 /// A row that [`Reader::plain_row`] has found.
@@ -117,9 +123,7 @@ impl<R: Read> Reader<R> {
             width: None,
             encoding: Encoding::Ascii,
             decoded: String::new(),
-            commented: None,
-            beyond: Beyond::default(),
-            preamble: 0,
+            oddities: Oddities::default(),
         })
     }
 
@@ -139,11 +143,8 @@ impl<R: Read> Reader<R> {
                 break (range, length);
             }
             if looks_like_a_row(line, self.by, self.width) {
-                let (line, first) = (self.lines.line, self.commented);
-                self.commented = Some(Commented {
-                    line: first.map_or(line, |c| c.line),
-                    lines: first.map_or(1, |c| c.lines + 1),
-                });
+                let first = Commented { line: self.lines.line, lines: 0 };
+                self.oddities.commented.get_or_insert(first).lines += 1;
             }
         };
         let (lines, parser, by) = (&self.lines, &self.parser, self.by);
@@ -178,11 +179,12 @@ impl<R: Read> Reader<R> {
             row.quotes_are_closed()?;
         }
         if let Some(width) = self.width {
+            let beyond = &mut self.oddities.beyond;
             if row.ends_beyond(width) {
-                self.beyond.rows += 1;
-                self.beyond.line = if self.beyond.rows == 1 { row.line } else { self.beyond.line };
+                beyond.rows += 1;
+                beyond.line = if beyond.rows == 1 { row.line } else { beyond.line };
             } else {
-                self.beyond.others += 1;
+                beyond.others += 1;
             }
         }
         Ok(Some(row))
@@ -227,7 +229,7 @@ impl<R: Read> Reader<R> {
     /// Returns its text, which is ASCII.
     #[inline]
     pub fn take(&mut self, row: PlainRow) -> &[u8] {
-        self.beyond.others += 1;
+        self.oddities.beyond.others += 1;
         self.lines.take_line(row.line, row.text).trim_ascii_end()
     }
 
@@ -287,7 +289,7 @@ impl<R: Read> Reader<R> {
                 self.lines.line()?;
             }
             let before = std::mem::replace(&mut first, self.first_line(expected)?).line;
-            self.preamble = first.line - before;
+            self.oddities.preamble = first.line - before;
             (best, _) = self.best(&first, by, &is_wanted);
         }
         let (by, header) = best;
@@ -420,7 +422,7 @@ impl<R: Read> Reader<R> {
 
     /// The finding that there is no row, only comments that look like rows.
     pub fn rows_are_comments(&self) -> Option<InputError> {
-        let Commented { line, lines } = self.commented?;
+        let Commented { line, lines } = self.oddities.commented?;
         let found = format!("{lines} lines that begin with # and have a row's cells, and no other row");
         let expected =
             "rows: a line that begins with # is a comment; put its first cell in quotes if it is a row";
@@ -435,29 +437,10 @@ impl<R: Read> Reader<R> {
         self
     }
 
-    /// Numbers of rows so far that end with extra separators, and of others.
-    pub(crate) fn beyond(&self) -> Beyond {
-        self.beyond
-    }
-
-    /// Number of lines that were skipped before the columns' names.
-    pub(crate) fn preamble(&self) -> usize {
-        self.preamble
-    }
-
-    /// Whether a line so far was not UTF-8, and was read as Windows-1252.
-    pub fn is_western(&self) -> bool {
-        self.encoding == Encoding::Western
-    }
-
-    /// Lines so far that begin with `#` but look like rows.
-    pub fn commented(&self) -> Option<Commented> {
-        self.commented
-    }
-
-    /// Whether the input is UTF-16.
-    pub fn is_utf16(&self) -> bool {
-        self.lines.is_utf16()
+    /// The encoding so far, if it is not UTF-8.
+    pub(crate) fn other_encoding(&self) -> Option<&'static str> {
+        let western = (self.encoding == Encoding::Western).then_some(WESTERN);
+        if self.lines.is_utf16() { Some("UTF-16") } else { western }
     }
 
     /// The separator: a comma unless [`Reader::header_with`] found another.
@@ -614,7 +597,7 @@ mod tests {
             let header = reader.header("t and µ").unwrap();
             assert_eq!(header.names().collect::<Vec<_>>(), ["t", "µ"]);
             assert_eq!(reader.row().unwrap().unwrap().text(), "0,1");
-            assert!(reader.row().unwrap().is_none() && reader.is_utf16());
+            assert!(reader.row().unwrap().is_none() && reader.lines.is_utf16());
         }
     }
 
@@ -659,7 +642,7 @@ mod tests {
         let mut reader = reader("n;e\n#1;2,5\n# 2;2,5\n#3;2,5\n## 4;5\n#5;a\n6;1\n");
         reader.header_with("names", &[]).unwrap();
         assert_eq!(reader.row().unwrap().unwrap().text(), "6;1");
-        assert_eq!(reader.commented(), Some(Commented { line: 2, lines: 2 }));
+        assert_eq!(reader.oddities.commented, Some(Commented { line: 2, lines: 2 }));
     }
 
     #[test]
@@ -681,7 +664,7 @@ mod tests {
         assert_eq!(header.names().last(), Some("T (°C)"));
         assert_eq!(western.row().unwrap().unwrap().text(), "1,2");
         assert_eq!(western.row().unwrap().unwrap().text(), "3,4");
-        assert!(western.is_western() && western.row().unwrap().is_none());
+        assert!(western.other_encoding() == Some(WESTERN) && western.row().unwrap().is_none());
         for mixed in [b"t,\xb0\n1,\xc2\xb0\n".as_slice(), b"t,\xc2\xb0\n1,\xb0\n"] {
             let mut reader = Reader::new(Path::new("a.csv"), mixed).unwrap();
             reader.header_with("names", &[]).unwrap();

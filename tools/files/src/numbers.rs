@@ -5,7 +5,7 @@
 //! (`1.000.000`), or one that cannot separate thousands (`38,1125`, `0,125`). One mark before three digits
 //! (`1.000`, `38,125`) does not show it; then the other cells of the column decide.
 
-use crate::csv::{Beyond, Commented, Reader, Style};
+use crate::csv::{Beyond, Commented, Oddities, Reader, Style};
 use crate::decimal::{SIGNS, number};
 use crate::input::InputError;
 use crate::text::unreadable;
@@ -121,10 +121,7 @@ pub struct TableMarks {
     open: Option<String>,
     /// Whether a cell shows that a mark separates thousands.
     is_grouped: bool,
-    commented: Option<Commented>,
-    beyond: Beyond,
-    /// Number of another program's lines before the columns' names.
-    preamble: usize,
+    oddities: Oddities,
 }
 
 impl TableMarks {
@@ -137,14 +134,8 @@ impl TableMarks {
 
     /// Copies the reader's findings about encoding and rows.
     pub fn read_so_far<R: Read>(&mut self, reader: &Reader<R>) {
-        self.encoding = if reader.is_utf16() {
-            Some("UTF-16")
-        } else {
-            reader.is_western().then_some(crate::text::WESTERN)
-        };
-        self.commented = reader.commented();
-        self.beyond = reader.beyond();
-        self.preamble = reader.preamble();
+        self.encoding = reader.other_encoding();
+        self.oddities = reader.oddities;
     }
 
     /// Adds a cell of a row; `place` is its column's index, from 0.
@@ -203,7 +194,7 @@ impl TableMarks {
         let rewind = |input: &mut R| input.rewind().map_err(|e| unreadable(file, &e));
         let mut reader = Reader::new(file, &mut *input)?;
         reader.header_of("a header line", columns)?;
-        let plain = reader.separator() == ',' && !reader.is_utf16() && !reader.is_western();
+        let plain = reader.separator() == ',' && reader.other_encoding().is_none();
         rewind(input)?;
         let plain = plain && is_plain(input).map_err(|e| unreadable(file, &e))?;
         rewind(input)?;
@@ -251,9 +242,10 @@ impl TableMarks {
     }
 
     fn said(&self, file: &Path, read: Option<String>) -> Option<String> {
-        let lines = if self.preamble == 1 { "1 line".to_owned() } else { format!("{} lines", self.preamble) };
+        let preamble = self.oddities.preamble;
+        let lines = if preamble == 1 { "1 line".to_owned() } else { format!("{preamble} lines") };
         let passed_over =
-            (self.preamble > 0).then(|| format!("passed over {lines} in front of the columns' names"));
+            (preamble > 0).then(|| format!("passed over {lines} in front of the columns' names"));
         let said = [read, passed_over, self.two_readings(), self.rows_commented(), self.separators()];
         let said: Vec<String> = said.into_iter().flatten().collect();
         (!said.is_empty()).then(|| format!("{}: {}", file.display(), said.join("; ")))
@@ -275,7 +267,7 @@ impl TableMarks {
     /// Reports extra separators at the end of rows.
     /// If every row has them, they are a program's habit. If only some have them, a cell may be missing.
     fn separators(&self) -> Option<String> {
-        let Beyond { line, rows, others } = self.beyond;
+        let Beyond { line, rows, others } = self.oddities.beyond;
         let end = if rows == 1 { "row ends" } else { "rows end" };
         (rows > 0 && others > 0).then(|| {
             format!(
@@ -285,7 +277,7 @@ impl TableMarks {
     }
 
     fn rows_commented(&self) -> Option<String> {
-        let Commented { line, lines } = self.commented?;
+        let Commented { line, lines } = self.oddities.commented?;
         let (are, they) = if lines == 1 { ("line begins", "it is") } else { ("lines begin", "they are") };
         Some(format!(
             "{lines} {are} with # and a row's cells (line {line} first): a comment; put the first cell in quotes if {they} a row"
