@@ -64,6 +64,8 @@ pub struct TraceReader<R> {
     rows: csv::Reader<R>,
     last: Option<TracePoint>,
     points: Points,
+    /// The latest time that is accepted, ns.
+    latest_ns: u64,
     done: bool,
 }
 
@@ -366,7 +368,14 @@ impl<R: Read> TraceReader<R> {
                 Points::Vcd(vcd.map_err(|e| FileKind::instead_of(Some(FileKind::Vcd), &begin, e))?)
             }
         };
-        Ok(Self { rows, last: None, points, done: false })
+        Ok(Self { rows, last: None, points, latest_ns: u64::MAX, done: false })
+    }
+
+    /// The same trace for a player, which adds to the times.
+    /// A time that leaves no room for that is a bad row.
+    #[must_use]
+    pub fn playable(self) -> Self {
+        Self { latest_ns: LATEST_PLAYED_NS, ..self }
     }
 
     /// How the file's format differs from the documented one.
@@ -404,6 +413,7 @@ impl<R: Read> TraceReader<R> {
             && let Some(row) = self.rows.lines.ahead::<PLAIN_ROW>()
             && let Some((point, length)) = plain_row(row)
             && point.t_ns > last.t_ns
+            && point.t_ns <= self.latest_ns
             && point.state != last.state
         {
             self.rows.lines.take_line(length, 0);
@@ -428,6 +438,13 @@ impl<R: Read> TraceReader<R> {
             }
         };
         match next {
+            Ok(Some(point)) if point.t_ns > self.latest_ns => {
+                self.done = true;
+                let lines = &self.rows.lines;
+                let found = format!("the time {} ns", point.t_ns);
+                let expected = format!("a time of at most {LATEST_PLAYED_NS} ns in a trace that is played");
+                Err(InputError::at(&lines.file, lines.line, 0, found, expected))
+            }
             Ok(Some(point)) => {
                 self.last = Some(point);
                 Ok(Some(point))
@@ -458,43 +475,6 @@ impl<R: Read> Iterator for TraceReader<R> {
     #[inline]
     fn next(&mut self) -> Option<Self::Item> {
         self.next_point().transpose()
-    }
-}
-
-/// A trace whose times can be added to.
-/// A player adds to them, so a time that leaves no room for that is a bad row.
-#[derive(Debug)]
-pub struct Playable<R>(TraceReader<R>);
-
-impl<R: Read> TraceReader<R> {
-    /// The same trace for a player.
-    pub const fn playable(self) -> Playable<R> {
-        Playable(self)
-    }
-}
-
-impl<R: Read> Playable<R> {
-    /// As [`TraceReader::sampled`].
-    pub fn sampled(&self) -> Option<String> {
-        self.0.sampled()
-    }
-}
-
-impl<R: Read> Iterator for Playable<R> {
-    type Item = Result<TracePoint, InputError>;
-
-    #[inline]
-    fn next(&mut self) -> Option<Self::Item> {
-        match self.0.next_point().transpose()? {
-            Ok(point) if point.t_ns > LATEST_PLAYED_NS => {
-                self.0.done = true;
-                let lines = &self.0.rows.lines;
-                let found = format!("the time {} ns", point.t_ns);
-                let expected = format!("a time of at most {LATEST_PLAYED_NS} ns in a trace that is played");
-                Some(Err(InputError::at(&lines.file, lines.line, 0, found, expected)))
-            }
-            next => Some(next),
-        }
     }
 }
 

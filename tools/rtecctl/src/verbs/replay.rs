@@ -11,9 +11,7 @@ use rtec_driver::replay::Listener;
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::clock;
-use rtec_files::trace::{
-    Playable, RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
-};
+use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::event::Fault;
 use rtec_sim::bench::{AnyDesign, replay_any};
@@ -226,7 +224,7 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
 
 /// A trace that reports its progress every two seconds.
 struct Progress {
-    trace: Playable<std::fs::File>,
+    trace: TraceReader<std::fs::File>,
     points: u64,
     shown_at: Instant,
     last: Option<State>,
