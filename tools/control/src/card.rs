@@ -1,11 +1,11 @@
 //! Opens the real cards that a configuration names, for work or only for reading.
 
-use crate::config::{CardConfig, MappedPlace, PortPlace};
+use crate::config::{CardConfig, RegisterPlace};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::gpio::{GpioCard, GpioError, GpioSetup};
 use rtec_driver::mapped::{MapError, MappedCard, Registers};
-use rtec_driver::pci::{self, Bar, PciError, PciId};
+use rtec_driver::pci::{self, PciError};
 use rtec_driver::port::{Parport, PortError, Ports};
 use rtec_driver::profile::{Profile, Space};
 use rtec_driver::registers::{Bus, RegisterCard, SetUpError};
@@ -78,23 +78,11 @@ pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::
             }
             Ok(what.on(gpio(&setup, Vec::new())?))
         }
-        CardConfig::Mapped { place, profile } => {
-            let (file, map) = register_file(place, profile, access)?;
-            on_registers(
-                Registers::open_map(&file, map, profile.size(), &profile.name)?,
-                profile,
-                access,
-                what,
-            )
-        }
-        CardConfig::Port { place, profile } => {
-            let base = match place {
-                PortPlace::Parport(file) => return on_registers(Parport::open(file)?, profile, access, what),
-                PortPlace::Io(base) => *base,
-                PortPlace::Pci(id, bar) => first_io_port(id, *bar, profile, access)?,
-            };
-            on_registers(Ports::open(base, profile.size())?, profile, access, what)
-        }
+        CardConfig::Registers { place, profile } => match find(place, profile, access)? {
+            Found::Map(file, map) => on_registers(open_map(&file, map, profile)?, profile, access, what),
+            Found::Parport(file) => on_registers(Parport::open(&file)?, profile, access, what),
+            Found::Ports(base) => on_registers(Ports::open(base, profile.size())?, profile, access, what),
+        },
     }
 }
 
@@ -126,30 +114,41 @@ pub fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>
     Ok(GpioCard::open(setup, kept, Monotonic)?)
 }
 
-/// Finds a BAR of a PCI card; with [`Access::Drive`] also enables the card.
-fn bar(id: &PciId, bar: u8, space: Space, profile: &Profile, access: Access) -> Result<Bar, PciError> {
-    let card = pci::find(id)?;
-    match access {
-        Access::Read => card.check(bar, space, profile.size()),
-        Access::Drive => card.prepare(bar, space, profile.size()),
-    }
+/// Where registers were found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Found {
+    /// The file to be mapped, and the number of its map.
+    Map(PathBuf, u8),
+    /// The parallel port's device.
+    Parport(PathBuf),
+    /// The first I/O port.
+    Ports(u16),
 }
 
-/// File of the mapped registers, and the number of its map.
-/// For a PCI card it is the file of the BAR.
+/// Finds registers: those of a PCI card by its BAR.
+/// With [`Access::Drive`] it also enables the PCI card.
 ///
 /// # Errors
 /// When the PCI card is not as it should be.
-pub fn register_file(
-    place: &MappedPlace,
-    profile: &Profile,
-    access: Access,
-) -> Result<(PathBuf, u8), OpenError> {
+pub fn find(place: &RegisterPlace, profile: &Profile, access: Access) -> Result<Found, OpenError> {
     Ok(match place {
-        MappedPlace::File(file) => (file.clone(), 0),
-        MappedPlace::Uio(file, map) => (file.clone(), *map),
-        MappedPlace::Pci(id, n) => (bar(id, *n, Space::Memory, profile, access)?.file, 0),
+        RegisterPlace::File(file) => Found::Map(file.clone(), 0),
+        RegisterPlace::Uio(file, map) => Found::Map(file.clone(), *map),
+        RegisterPlace::Parport(file) => Found::Parport(file.clone()),
+        RegisterPlace::Io(base) => Found::Ports(*base),
+        RegisterPlace::Pci(id, bar, space) => {
+            let (card, size) = (pci::find(id)?, profile.size());
+            let bar = match access {
+                Access::Read => card.check(*bar, *space, size)?,
+                Access::Drive => card.prepare(*bar, *space, size)?,
+            };
+            if *space == Space::Memory { Found::Map(bar.file, 0) } else { Found::Ports(bar.start as u16) }
+        }
     })
+}
+
+pub(crate) fn open_map(file: &Path, map: u8, profile: &Profile) -> Result<Registers, OpenError> {
+    Ok(Registers::open_map(file, map, profile.size(), &profile.name)?)
 }
 
 /// Opens a file of registers.
@@ -166,14 +165,6 @@ pub fn mapped(file: &Path, map: u8, profile: &Profile) -> Result<MappedCard<Mono
 /// When it cannot be claimed, or is not as the profile says.
 pub fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, Monotonic>, OpenError> {
     Ok(RegisterCard::new(Parport::open(file)?, profile, Monotonic)?)
-}
-
-/// The first I/O port of a BAR.
-///
-/// # Errors
-/// When the PCI card is not as it should be.
-pub fn first_io_port(id: &PciId, number: u8, profile: &Profile, access: Access) -> Result<u16, OpenError> {
-    Ok(bar(id, number, Space::Io, profile, access)?.start as u16)
 }
 
 /// Opens I/O ports accessed by the processor's own instructions.

@@ -21,7 +21,7 @@ use card::Kind;
 use rtec_driver::card::MachineLines;
 use rtec_driver::gpio::GpioSetup;
 use rtec_driver::pci::PciId;
-use rtec_driver::profile::Profile;
+use rtec_driver::profile::{Profile, Space};
 use rtec_files::keys::{At, Section, SourceFile};
 use rtec_files::toml::Document;
 use rtec_files::{InputError, nearest};
@@ -65,17 +65,10 @@ pub enum CardConfig {
     Mock,
     /// GPIO lines through the kernel's character device.
     Gpio(GpioSetup),
-    /// Registers mapped into memory.
-    Mapped {
+    /// Registers, mapped into memory or as I/O ports.
+    Registers {
         /// Location of the registers.
-        place: MappedPlace,
-        /// Meaning of each register and bit.
-        profile: Profile,
-    },
-    /// Registers that are I/O ports.
-    Port {
-        /// Location of the ports.
-        place: PortPlace,
+        place: RegisterPlace,
         /// Meaning of each register and bit.
         profile: Profile,
     },
@@ -86,45 +79,48 @@ pub enum CardConfig {
     },
 }
 
-/// Location of mapped registers.
+/// Location of registers.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum MappedPlace {
-    /// A file: shared memory, a resource in sysfs.
+pub enum RegisterPlace {
+    /// A file that is mapped: shared memory, a resource in sysfs.
     File(PathBuf),
     /// A UIO device, and the number of its map.
     Uio(PathBuf, u8),
-    /// A BAR of a PCI card.
-    Pci(PciId, u8),
-}
-
-/// Location of I/O ports.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum PortPlace {
     /// A parallel port's device.
     Parport(PathBuf),
-    /// The address of the first port.
+    /// The address of the first I/O port.
     Io(u16),
     /// A BAR of a PCI card.
-    Pci(PciId, u8),
+    Pci(PciId, u8, Space),
 }
 
-impl fmt::Display for MappedPlace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl RegisterPlace {
+    /// Whether the registers are in memory or are I/O ports.
+    pub const fn space(&self) -> Space {
         match self {
-            Self::File(file) => write!(f, "{}", file.display()),
-            Self::Uio(file, map) => write!(f, "{} map {map}", file.display()),
-            Self::Pci(id, bar) => write!(f, "{id} BAR {bar}"),
+            Self::File(_) | Self::Uio(..) => Space::Memory,
+            Self::Parport(_) | Self::Io(_) => Space::Io,
+            Self::Pci(_, _, space) => *space,
         }
     }
 }
 
-impl fmt::Display for PortPlace {
+impl fmt::Display for RegisterPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Parport(file) => write!(f, "{}", file.display()),
+            Self::File(file) | Self::Parport(file) => write!(f, "{}", file.display()),
+            Self::Uio(file, map) => write!(f, "{} map {map}", file.display()),
             Self::Io(base) => write!(f, "{base:#x}"),
-            Self::Pci(id, bar) => write!(f, "{id} BAR {bar}"),
+            Self::Pci(id, bar, _) => write!(f, "{id} BAR {bar}"),
         }
+    }
+}
+
+/// The backend of registers in an address space.
+const fn backend_of(space: Space) -> &'static str {
+    match space {
+        Space::Memory => "mapped",
+        Space::Io => "port",
     }
 }
 
@@ -134,22 +130,21 @@ impl CardConfig {
         match self {
             Self::Mock => "mock",
             Self::Gpio(_) => "gpio",
-            Self::Mapped { .. } => "mapped",
-            Self::Port { .. } => "port",
+            Self::Registers { place, .. } => backend_of(place.space()),
             Self::Replay { .. } => "replay",
         }
     }
 
     /// Whether the lines lead out of this process.
     pub const fn is_real(&self) -> bool {
-        matches!(self, Self::Gpio(_) | Self::Mapped { .. } | Self::Port { .. })
+        matches!(self, Self::Gpio(_) | Self::Registers { .. })
     }
 
     /// Whether a machine may be connected to the lines.
     /// Only an existing plain file of registers rules it out. Corrections then need measured latencies.
     pub fn may_drive_a_machine(&self) -> bool {
         match self {
-            Self::Mapped { place: MappedPlace::File(file), .. } => {
+            Self::Registers { place: RegisterPlace::File(file), .. } => {
                 !file.is_file() || file.starts_with("/sys")
             }
             _ => self.is_real(),
@@ -309,8 +304,7 @@ impl Config {
     /// Identity of machine, card and lines, as text; a state file belongs to one.
     pub fn identity(&self) -> String {
         let card = match &self.card {
-            CardConfig::Mock => "mock".to_owned(),
-            CardConfig::Replay { .. } => "replay".to_owned(),
+            CardConfig::Mock | CardConfig::Replay { .. } => self.card.backend().to_owned(),
             CardConfig::Gpio(setup) => {
                 let inputs = setup.inputs.iter().map(|i| (&i.line, i.bit));
                 let outputs = setup.outputs.iter().map(|o| (&o.line, o.bit));
@@ -321,8 +315,9 @@ impl Config {
                 });
                 format!("gpio ({})", lines.collect::<Vec<_>>().join(", "))
             }
-            CardConfig::Mapped { place, profile } => format!("mapped {place} ({})", profile.name),
-            CardConfig::Port { place, profile } => format!("port {place} ({})", profile.name),
+            CardConfig::Registers { place, profile } => {
+                format!("{} {place} ({})", self.card.backend(), profile.name)
+            }
         };
         let mut text = format!("machine \"{}\" on card {card}", self.machine);
         for axis in &self.axes {
@@ -444,8 +439,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     let kind = match card.kind? {
         Kind::Mock => CardConfig::Mock,
         Kind::Gpio => CardConfig::Gpio(card.gpio.setup),
-        Kind::Mapped => CardConfig::Mapped { place: card.mapped?, profile: card.profile? },
-        Kind::Port => CardConfig::Port { place: card.port?, profile: card.profile? },
+        Kind::Registers(_) => CardConfig::Registers { place: card.place?, profile: card.profile? },
         Kind::Replay => CardConfig::Replay { traces },
     };
     latency::check_floors(source, &kind, detect_ns, write_ns);

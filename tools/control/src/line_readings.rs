@@ -1,10 +1,9 @@
 //! Readings of a card's wired lines, and whether its outputs switch.
 
-use crate::card::{self, Access, OnCard, OpenError};
-use crate::config::{CardConfig, Config, PortPlace};
+use crate::card::{self, Access, Found, OnCard, OpenError};
+use crate::config::{CardConfig, Config};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::gpio::{self, GpioSetup};
-use rtec_driver::mapped::Registers;
 use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Profile, Register};
 use rtec_driver::registers::Bus;
@@ -110,21 +109,11 @@ pub fn read(config: &Config) -> Result<Reading, OpenError> {
     match &config.card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(config.card.backend())),
         CardConfig::Gpio(setup) => read_gpio(config, setup),
-        CardConfig::Mapped { place, profile } => {
-            let (file, map) = card::register_file(place, profile, Access::Read)?;
-            let registers = Registers::open_map(&file, map, profile.size(), &profile.name)?;
-            read_registers(config, &registers, profile)
-        }
-        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            read_registers(config, &Parport::open(file)?, profile)
-        }
-        CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            read_registers(config, &Ports::open(*base, profile.size())?, profile)
-        }
-        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let base = card::first_io_port(id, *bar, profile, Access::Read)?;
-            read_registers(config, &Ports::open(base, profile.size())?, profile)
-        }
+        CardConfig::Registers { place, profile } => match card::find(place, profile, Access::Read)? {
+            Found::Map(file, map) => read_registers(config, &card::open_map(&file, map, profile)?, profile),
+            Found::Parport(file) => read_registers(config, &Parport::open(&file)?, profile),
+            Found::Ports(base) => read_registers(config, &Ports::open(base, profile.size())?, profile),
+        },
     }
 }
 

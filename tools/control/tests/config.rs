@@ -6,10 +6,11 @@ mod here;
 #[path = "config/numbers.rs"]
 mod numbers;
 
-use rtec_control::config::{CardConfig, Config, EMBEDDED, MappedPlace, PortPlace, reference};
+use rtec_control::config::{CardConfig, Config, EMBEDDED, RegisterPlace, reference};
 use rtec_correct::Corrector;
 use rtec_driver::card::{Card, CardError, Sample};
 use rtec_driver::gpio::{Bias, Drive, LineId};
+use rtec_driver::profile::Space;
 use rtec_rt::axis::RestPolicy;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Request;
@@ -101,7 +102,7 @@ fn values_arrive_where_they_belong() {
     assert_eq!(config.control.state_path(), Path::new("/etc/rtec/run/state"));
     assert_eq!((config.rt.cpu, config.rt.priority, config.rt.latency_measured), (Some(3), 90, true));
     assert!(
-        matches!(&config.card, CardConfig::Mapped { place: MappedPlace::File(file), .. } if file == Path::new("/etc/rtec/regs"))
+        matches!(&config.card, CardConfig::Registers { place: RegisterPlace::File(file), .. } if file == Path::new("/etc/rtec/regs"))
     );
 }
 
@@ -164,16 +165,22 @@ fn card_of(card: &str) -> Result<CardConfig, String> {
 #[test]
 fn registers_are_where_the_file_or_else_the_profile_says() {
     let place = |card: &str| match card_of(card) {
-        Ok(CardConfig::Mapped { place: MappedPlace::Pci(id, bar), .. }) => {
+        Ok(CardConfig::Registers { place: RegisterPlace::Pci(id, bar, Space::Memory), .. }) => {
             format!("memory of {id}, BAR {bar}")
         }
-        Ok(CardConfig::Mapped { place: MappedPlace::File(file), .. }) => format!("file {}", file.display()),
-        Ok(CardConfig::Mapped { place: MappedPlace::Uio(file, map), .. }) => {
+        Ok(CardConfig::Registers { place: RegisterPlace::File(file), .. }) => {
+            format!("file {}", file.display())
+        }
+        Ok(CardConfig::Registers { place: RegisterPlace::Uio(file, map), .. }) => {
             format!("map {map} of {}", file.display())
         }
-        Ok(CardConfig::Port { place: PortPlace::Pci(id, bar), .. }) => format!("ports of {id}, BAR {bar}"),
-        Ok(CardConfig::Port { place: PortPlace::Parport(file), .. }) => format!("parport {}", file.display()),
-        Ok(CardConfig::Port { place: PortPlace::Io(base), .. }) => format!("ports {base:#x}"),
+        Ok(CardConfig::Registers { place: RegisterPlace::Pci(id, bar, Space::Io), .. }) => {
+            format!("ports of {id}, BAR {bar}")
+        }
+        Ok(CardConfig::Registers { place: RegisterPlace::Parport(file), .. }) => {
+            format!("parport {}", file.display())
+        }
+        Ok(CardConfig::Registers { place: RegisterPlace::Io(base), .. }) => format!("ports {base:#x}"),
         other => format!("{other:?}"),
     };
     let mapped = |rest: &str| place(&format!("backend = \"mapped\"\n{rest}"));

@@ -39,8 +39,8 @@ use edited_files::EditedFiles;
 use log::{Level, Log};
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use rtec_control::card::{self, Access, OpenError};
-use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED, PortPlace};
+use rtec_control::card::{self, Access, Found, OpenError};
+use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::lock::{self, LockError};
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
@@ -211,35 +211,30 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
             }
             work(card, config, Kind::Real, outside, log)
         }
-        CardConfig::Port { place: PortPlace::Parport(file), profile } => {
-            let Some(card) = patience.open(log, || card::parport(&file, &profile))? else { return Ok(()) };
-            work(card, config, Kind::Real, outside, log)
-        }
-        CardConfig::Port { place: PortPlace::Io(base), profile } => {
-            let Some(card) = patience.open(log, || card::ports(base, &profile))? else { return Ok(()) };
-            work(card, config, Kind::Real, outside, log)
-        }
-        CardConfig::Port { place: PortPlace::Pci(id, bar), profile } => {
-            let open = || {
-                card::first_io_port(&id, bar, &profile, Access::Drive)
-                    .and_then(|base| card::ports(base, &profile))
-            };
-            let Some(card) = patience.open(log, open)? else { return Ok(()) };
-            work(card, config, Kind::Real, outside, log)
-        }
-        CardConfig::Mapped { place, profile } => {
-            let mut found = (PathBuf::new(), 0);
-            // Opened once before it is locked, because a missing file is waited for.
-            let open = || {
-                found = card::register_file(&place, &profile, Access::Drive)?;
-                card::mapped(&found.0, found.1, &profile).map(drop)
-            };
-            let Some(()) = patience.open(log, open)? else { return Ok(()) };
-            let (file, map) = found;
-            let _card_lock = lock::card(&file).map_err(Failure::from)?;
-            let card = card::mapped(&file, map, &profile)?;
-            let real = cards::drives_a_machine(&file)?;
-            work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
+        CardConfig::Registers { place, profile } => {
+            let find = || card::find(&place, &profile, Access::Drive);
+            let Some(found) = patience.open(log, find)? else { return Ok(()) };
+            match found {
+                Found::Parport(file) => {
+                    let open = || card::parport(&file, &profile);
+                    let Some(card) = patience.open(log, open)? else { return Ok(()) };
+                    work(card, config, Kind::Real, outside, log)
+                }
+                Found::Ports(base) => {
+                    let open = || card::ports(base, &profile);
+                    let Some(card) = patience.open(log, open)? else { return Ok(()) };
+                    work(card, config, Kind::Real, outside, log)
+                }
+                Found::Map(file, map) => {
+                    let open = || card::mapped(&file, map, &profile);
+                    // Opened once before it is locked, because a missing file is waited for.
+                    let Some(()) = patience.open(log, || open().map(drop))? else { return Ok(()) };
+                    let _card_lock = lock::card(&file).map_err(Failure::from)?;
+                    let card = open()?;
+                    let real = cards::drives_a_machine(&file)?;
+                    work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
+                }
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `[card]` and the lines of the machine and its axes.
 
-use super::{MappedPlace, PortPlace, beside, keys};
+use super::{RegisterPlace, backend_of, beside, keys};
 use crate::line_names::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -17,15 +17,14 @@ use std::path::{Path, PathBuf};
 impl Card {
     /// Whether the lines lead out of this process.
     pub(super) fn is_real(&self) -> bool {
-        matches!(self.kind, Some(Kind::Gpio | Kind::Mapped | Kind::Port))
+        matches!(self.kind, Some(Kind::Gpio | Kind::Registers(_)))
     }
 }
 
 /// Values of `[card]`; `None` fields were reported.
 pub(super) struct Card {
     pub(super) kind: Option<Kind>,
-    pub(super) mapped: Option<MappedPlace>,
-    pub(super) port: Option<PortPlace>,
+    pub(super) place: Option<RegisterPlace>,
     pub(super) profile: Option<Profile>,
     pub(super) gpio: Gpio,
     pub(super) lines: MachineLines,
@@ -47,20 +46,19 @@ pub(super) struct Gpio {
 pub(super) enum Kind {
     Mock,
     Gpio,
-    Mapped,
-    Port,
+    Registers(Space),
     Replay,
 }
 
 /// Reads `[card]`; `here` if this is the computer that it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> Card {
     let mut section = root.table(source, "card", "[card]").with(keys::CARD);
-    let kinds = [Kind::Mock, Kind::Gpio, Kind::Mapped, Kind::Port, Kind::Replay];
+    let registers = [Space::Memory, Space::Io].map(Kind::Registers);
+    let kinds = [Kind::Mock, Kind::Gpio, registers[0], registers[1], Kind::Replay];
     let kind = section.pick(source, "backend", &kinds);
     let mut card = Card {
         kind: kind.map(|k| k.value),
-        mapped: None,
-        port: None,
+        place: None,
         profile: None,
         gpio: Gpio {
             setup: GpioSetup { inputs: Vec::new(), outputs: Vec::new(), events: true },
@@ -78,8 +76,8 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
         taken: BTreeMap::new(),
     };
     match kind.map(|k| k.value) {
-        Some(kind @ (Kind::Mapped | Kind::Port)) => {
-            read_registers(source, &mut section, &mut card, (kind == Kind::Port, here));
+        Some(Kind::Registers(space)) => {
+            read_registers(source, &mut section, &mut card, (space, here));
             card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
@@ -104,8 +102,9 @@ fn read_registers(
     source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     card: &mut Card,
-    (port, here): (bool, bool),
+    (space, here): (Space, bool),
 ) {
+    let port = space == Space::Io;
     let named = section.text(source, "profile");
     let default = if port { "parallel-port" } else { "shared-memory" };
     card.profile = match named {
@@ -136,8 +135,8 @@ fn read_registers(
         let io = section.whole(source, "io");
         places += usize::from(section.has("parport")) + usize::from(section.has("io"));
         is_there(source, parport.filter(|_| here), path);
-        card.port = parport.map(|at| PortPlace::Parport(path(at)));
-        card.port = card.port.take().or(io.map(|io| PortPlace::Io(io.value as u16)));
+        let parallel = parport.map(|at| RegisterPlace::Parport(path(at)));
+        card.place = parallel.or(io.map(|io| RegisterPlace::Io(io.value as u16)));
         if let (Some(at), Some(profile)) = (parport, &card.profile)
             && profile.registers().any(|r| r.offset > 2 || r.width != Width::Bits8)
         {
@@ -155,21 +154,17 @@ fn read_registers(
         }
         let map = section.whole(source, "map");
         places += usize::from(section.has("file")) + usize::from(section.has("uio"));
-        card.mapped = file.map(|at| MappedPlace::File(path(at)));
         let uio_map = map.map_or(0, |m| m.value as u8);
-        card.mapped = card.mapped.take().or(uio.map(|at| MappedPlace::Uio(path(at), uio_map)));
+        let file = file.map(|at| RegisterPlace::File(path(at)));
+        card.place = file.or(uio.map(|at| RegisterPlace::Uio(path(at), uio_map)));
         if let (Some(at), None) = (map, uio) {
             source.finding(at.offset, "map without uio", "uio = \"/dev/uio0\" beside it");
         }
     }
-    let space = if port { Space::Io } else { Space::Memory };
     if let Some(place) = place.filter(|p| p.space != space) {
         let name = card.profile.as_ref().map_or("", |p| &p.name);
-        let (found, backend) = match place.space {
-            Space::Io => ("I/O ports", "port"),
-            Space::Memory => ("mapped registers", "mapped"),
-        };
-        let found = format!("profile \"{name}\" of {found}");
+        let of = if place.space == Space::Io { "I/O ports" } else { "mapped registers" };
+        let (found, backend) = (format!("profile \"{name}\" of {of}"), backend_of(place.space));
         source.finding(named.map_or(section.offset, |p| p.offset), found, format!("backend = \"{backend}\""));
     }
     let of_profile = place.map(|p| PciId::Card(p.id.0, p.id.1)).filter(|_| places == 0);
@@ -183,8 +178,7 @@ fn read_registers(
             );
         }
         match bar_of {
-            Some(bar) if port => card.port = Some(PortPlace::Pci(id, bar)),
-            Some(bar) => card.mapped = Some(MappedPlace::Pci(id, bar)),
+            Some(bar) => card.place = Some(RegisterPlace::Pci(id, bar, space)),
             None => section.missing(source, "bar"),
         }
     } else if places == 0 && card.profile.is_some() {

@@ -1,8 +1,9 @@
 //! The latency figures of `[rt]`.
 //! Checks where they were measured, whether they are possible, and which speeds they allow.
 
-use super::{CardConfig, Config, ConfiguredAxis, MappedPlace, PortPlace, keys};
+use super::{CardConfig, Config, ConfiguredAxis, RegisterPlace, keys};
 use crate::protocol::Rates;
+use rtec_driver::profile::Space;
 use rtec_files::date;
 use rtec_files::keys::{At, Section, SourceFile};
 use rtec_rt::setup::System;
@@ -97,19 +98,18 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
 /// Lowest possible `detect_ns` and `write_ns` on such a card, ns, with the reason.
 /// None for a simulated card.
 pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
-    let bus = (800, 200, "two reads over a PCI bus take longer");
-    match card {
-        CardConfig::Mock | CardConfig::Replay { .. } => None,
-        CardConfig::Gpio(_) => Some((1000, 500, "a system call or an interrupt takes longer")),
-        CardConfig::Mapped { place: MappedPlace::File(file), .. } if !file.starts_with("/sys") => {
-            Some((20, 1, "two reads of memory take longer"))
-        }
-        CardConfig::Mapped { .. } => Some(bus),
-        CardConfig::Port { place: PortPlace::Parport(_), .. } => {
-            Some((2000, 1000, "two system calls with an I/O port each take longer"))
-        }
-        CardConfig::Port { .. } => Some((1000, 400, "two reads of an I/O port take longer")),
-    }
+    Some(match card {
+        CardConfig::Mock | CardConfig::Replay { .. } => return None,
+        CardConfig::Gpio(_) => (1000, 500, "a system call or an interrupt takes longer"),
+        CardConfig::Registers { place, .. } => match place {
+            RegisterPlace::File(file) if !file.starts_with("/sys") => {
+                (20, 1, "two reads of memory take longer")
+            }
+            RegisterPlace::Parport(_) => (2000, 1000, "two system calls with an I/O port each take longer"),
+            place if place.space() == Space::Io => (1000, 400, "two reads of an I/O port take longer"),
+            _ => (800, 200, "two reads over a PCI bus take longer"),
+        },
+    })
 }
 
 /// Refuses figures that no such card can reach; they were copied wrongly.
@@ -134,8 +134,7 @@ impl CardConfig {
     /// The card in words: its backend, its place and its profile.
     pub fn named(&self) -> String {
         match self {
-            Self::Mock => "mock".to_owned(),
-            Self::Replay { .. } => "replay".to_owned(),
+            Self::Mock | Self::Replay { .. } => self.backend().to_owned(),
             Self::Gpio(setup) => {
                 let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
                 let mut chips: Vec<_> = lines.map(|l| l.chip.as_deref().unwrap_or("any chip")).collect();
@@ -144,8 +143,7 @@ impl CardConfig {
                 let mode = if setup.events { "edges" } else { "levels" };
                 format!("gpio {}, {mode}", chips.join(" and "))
             }
-            Self::Mapped { place, profile } => format!("mapped {place}, {}", profile.name),
-            Self::Port { place, profile } => format!("port {place}, {}", profile.name),
+            Self::Registers { place, profile } => format!("{} {place}, {}", self.backend(), profile.name),
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::Outcome;
 use crate::document::{pretty, say_pretty};
 use crate::say;
 use clap::Subcommand;
-use rtec_control::card::{self, Access, OpenError};
+use rtec_control::card::{self, Access, Found, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::line_readings;
 use rtec_control::lock::{self, LockError, LockGuard};
@@ -95,8 +95,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 }
                 // A counter is latched to be read, and its flags are cleared, which the daemon would then
                 // miss.
-                let counts = matches!(&config.card, CardConfig::Mapped { profile, .. } | CardConfig::Port { profile, .. }
-                    if !profile.counters.is_empty());
+                let counts = matches!(&config.card, CardConfig::Registers { profile, .. } if !profile.counters.is_empty());
                 let _alone = counts.then(|| alone(&config)).transpose()?;
                 return watch::watch(&config, watch::Options { every: *every, during: *during, json: *json });
             }
@@ -336,8 +335,10 @@ pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<LockGuard>> {
     let stop =
         |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
     let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
-    if let CardConfig::Mapped { place, profile } = &config.card {
-        let (file, _) = card::register_file(place, profile, Access::Drive).map_err(unreachable)?;
+    if let CardConfig::Registers { place, profile } = &config.card
+        && place.space() == Space::Memory
+        && let Found::Map(file, _) = card::find(place, profile, Access::Drive).map_err(unreachable)?
+    {
         held.push(lock::card(&file).map_err(|e| match e {
             LockError::Taken { .. } => stop(e),
             LockError::Io { .. } => Outcome::Unreachable(e.to_string()),

@@ -5,8 +5,9 @@ use crate::Outcome;
 use crate::document::pretty;
 use crate::say;
 use anyhow::Context;
-use rtec_control::config::{CardConfig, Config, INSTALLED, MappedPlace, PortPlace};
+use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
+use rtec_driver::profile::Space;
 use rtec_platform::access::{self, Device};
 use rtec_rt::setup::{Report, System, Wanted, apply};
 use serde::Serialize;
@@ -82,20 +83,14 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
     Ok(match card {
         CardConfig::Mock | CardConfig::Replay { .. } => (Vec::new(), false),
         CardConfig::Gpio(setup) => (gpio_chips(setup)?, setup.events),
-        CardConfig::Mapped { place, .. } => {
+        CardConfig::Registers { place, .. } => {
             let device = match place {
-                MappedPlace::File(file) | MappedPlace::Uio(file, _) => {
+                RegisterPlace::File(file) | RegisterPlace::Uio(file, _) | RegisterPlace::Parport(file) => {
                     Device::of_file(&std::path::absolute(file)?)
                 }
-                MappedPlace::Pci(id, bar) => Device::Bar(id.clone(), *bar),
-            };
-            (vec![device], false)
-        }
-        CardConfig::Port { place, .. } => {
-            let device = match place {
-                PortPlace::Parport(file) => Device::of_file(&std::path::absolute(file)?),
-                PortPlace::Io(_) => Device::Ports(None),
-                PortPlace::Pci(id, _) => Device::Ports(Some(id.clone())),
+                RegisterPlace::Io(_) => Device::Ports(None),
+                RegisterPlace::Pci(id, _, Space::Io) => Device::Ports(Some(id.clone())),
+                RegisterPlace::Pci(id, bar, Space::Memory) => Device::Bar(id.clone(), *bar),
             };
             (vec![device], false)
         }
