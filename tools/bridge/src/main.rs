@@ -17,14 +17,6 @@
 //!
 //! This crate must not decide or command anything. The protocol is in `rtec-control`, and not repeated here.
 
-// Before the modules, so that all of them print this way: a closed standard error is no reason to stop.
-macro_rules! eprintln {
-    ($($what:tt)*) => {{
-        use std::io::Write as _;
-        let _ = writeln!(std::io::stderr(), $($what)*);
-    }};
-}
-
 mod mqtt;
 
 use clap::Parser;
@@ -32,6 +24,7 @@ use mqtt::{Connection, Login};
 use rtec_control::client::Client;
 use rtec_control::config::{Config, ControlConfig};
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Observed, Response, word};
+use rtec_files::eprintln;
 use serde_json::{Value, json};
 use std::io;
 use std::path::PathBuf;

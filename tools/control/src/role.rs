@@ -25,6 +25,13 @@ impl Role {
     /// All roles, the lowest first.
     pub const ALL: [Self; 3] = [Self::View, Self::Operate, Self::SetUp];
 
+    /// The requests for which each role is needed, as the protocol names them.
+    const REQUESTS: [(Self, &'static str); 3] = [
+        (Self::View, "status watch explain observe ledger whoami"),
+        (Self::Operate, "home enable disable park shadow probe hold jog keep model_again"),
+        (Self::SetUp, "correct clear model_load model_unload table_load table_unload"),
+    ];
+
     /// As the protocol writes it.
     pub const fn word(self) -> &'static str {
         match self {
@@ -34,33 +41,10 @@ impl Role {
         }
     }
 
-    /// The requests that this role may make, as the protocol names them.
+    /// The requests that this role may make.
     pub fn may(self) -> Vec<&'static str> {
-        let all = [
-            ("status", Self::View),
-            ("watch", Self::View),
-            ("explain", Self::View),
-            ("observe", Self::View),
-            ("ledger", Self::View),
-            ("whoami", Self::View),
-            ("home", Self::Operate),
-            ("enable", Self::Operate),
-            ("disable", Self::Operate),
-            ("park", Self::Operate),
-            ("shadow", Self::Operate),
-            ("probe", Self::Operate),
-            ("hold", Self::Operate),
-            ("jog", Self::Operate),
-            ("keep", Self::Operate),
-            ("model_again", Self::Operate),
-            ("correct", Self::SetUp),
-            ("clear", Self::SetUp),
-            ("model_load", Self::SetUp),
-            ("model_unload", Self::SetUp),
-            ("table_load", Self::SetUp),
-            ("table_unload", Self::SetUp),
-        ];
-        all.into_iter().filter(|(_, needs)| *needs <= self).map(|(name, _)| name).collect()
+        let allowed = Self::REQUESTS.into_iter().filter(|(needed, _)| *needed <= self);
+        allowed.flat_map(|(_, names)| names.split(' ')).collect()
     }
 }
 

@@ -89,6 +89,15 @@ pub fn whole(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// As the standard library's, but a closed standard error is no reason to stop.
+#[macro_export]
+macro_rules! eprintln {
+    ($($what:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), $($what)*);
+    }};
+}
+
 /// Declares an enum whose values users name on a command line.
 /// Each value has its name and its meaning. `ALL` lists name, value and meaning in this order.
 #[macro_export]

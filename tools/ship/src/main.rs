@@ -2,17 +2,10 @@
 //! `rtecctl ship` starts it for such a store. `rtec_records::spool` decides what is sent, in which order, and when it
 //! leaves the spool. Only the store is implemented here.
 
-// Before the modules, so that all of them print this way: a closed standard error is no reason to stop.
-macro_rules! eprintln {
-    ($($what:tt)*) => {{
-        use std::io::Write as _;
-        let _ = writeln!(std::io::stderr(), $($what)*);
-    }};
-}
-
 mod s3;
 
 use clap::Parser;
+use rtec_files::eprintln;
 use rtec_records::spool::{ShipError, ship};
 use rusty_s3::Credentials;
 use s3::{Address, S3, roots};
