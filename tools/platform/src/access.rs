@@ -86,12 +86,16 @@ struct Tree<'a> {
 }
 
 impl Tree<'_> {
+    /// The lines of `/etc/passwd` or `/etc/group`, with their fields.
+    fn table(&self, name: &str) -> Vec<Vec<String>> {
+        let text = self.system.read(format!("etc/{name}")).unwrap_or_default();
+        text.lines().map(|line| line.split(':').map(str::to_owned).collect()).collect()
+    }
+
     fn user(&self, name: &str) -> Option<User> {
-        let passwd = self.system.read("etc/passwd").ok()?;
-        let fields = |line: &str| line.split(':').map(str::to_owned).collect::<Vec<_>>();
-        let entry = passwd.lines().map(fields).find(|f| f[0] == name)?;
+        let entry = self.table("passwd").into_iter().find(|f| f[0] == name)?;
         let mut gids = vec![entry.get(3)?.parse().ok()?];
-        for line in self.system.read("etc/group").unwrap_or_default().lines().map(fields) {
+        for line in self.table("group") {
             let member = line.get(3).is_some_and(|members| members.split(',').any(|m| m == name));
             gids.extend(line.get(2).filter(|_| member).and_then(|gid| gid.parse::<u32>().ok()));
         }
@@ -102,10 +106,8 @@ impl Tree<'_> {
     fn group(&self) -> Finding {
         let wanted = format!("root, or in the group {USER}");
         let remedy = format!("usermod -aG {USER} YOU, and log in again");
-        let gid = self.system.read("etc/group").unwrap_or_default().lines().find_map(|line| {
-            let mut fields = line.split(':');
-            (fields.next()? == USER).then(|| fields.nth(1)?.parse::<u32>().ok())?
-        });
+        let mut own = self.table("group").into_iter().filter(|f| f[0] == USER);
+        let gid = own.find_map(|f| f.get(2)?.parse::<u32>().ok());
         let status = match self.system.read("proc/self/status") {
             Ok(text) => text,
             Err(error) => return Finding::unknown("group", wanted, error).remedy(remedy),
@@ -170,30 +172,21 @@ impl Tree<'_> {
     /// The device's file below the root, its line in `/etc/rtec/devices`, and a remedy.
     /// The remedy applies where the file is missing.
     fn place(&self, device: &Device) -> Result<(PathBuf, Option<String>, Option<&'static str>), PciId> {
+        let dev = |name: &String| Path::new("dev").join(name);
         Ok(match device {
             Device::Gpio(name) => {
                 // The directory of the device that has the chip, `…/fe200000.gpio/gpiochip0`.
                 let parent = self.parents(&format!("sys/bus/gpio/devices/{name}")).next();
-                let owner = parent.and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()));
-                (
-                    Path::new("dev").join(name),
-                    owner.map(|o| format!("gpio {o}")),
-                    Some("`ls /dev/gpiochip*` lists the chips"),
-                )
+                let owner = parent.and_then(|p| Some(format!("gpio {}", p.file_name()?.to_string_lossy())));
+                (dev(name), owner, Some("`ls /dev/gpiochip*` lists the chips"))
             }
             Device::Uio(name) => {
                 let known = self.system.read(format!("sys/class/uio/{name}/name")).ok();
-                (
-                    Path::new("dev").join(name),
-                    known.map(|n| format!("uio {n}")),
-                    Some("load uio and the card's driver"),
-                )
+                (dev(name), known.map(|n| format!("uio {n}")), Some("load uio and the card's driver"))
             }
-            Device::Parport(name) => (
-                Path::new("dev").join(name),
-                Some(format!("parport {name}")),
-                Some("modprobe -a parport_pc ppdev"),
-            ),
+            Device::Parport(name) => {
+                (dev(name), Some(format!("parport {name}")), Some("modprobe -a parport_pc ppdev"))
+            }
             Device::Bar(id, bar) => {
                 let card = self.function(id).ok_or_else(|| id.clone())?;
                 let file = format!("sys/bus/pci/devices/{}/resource{bar}", card.address);
@@ -218,19 +211,14 @@ impl Tree<'_> {
 
     /// The name of a number in `/etc/passwd` or `/etc/group`, else the number.
     fn name_of(&self, table: &str, id: u32) -> String {
-        let text = self.system.read(format!("etc/{table}")).unwrap_or_default();
-        let name = text.lines().find_map(|line| {
-            let mut fields = line.split(':');
-            let name = fields.next()?;
-            (fields.nth(1)?.parse() == Ok(id)).then(|| name.to_owned())
-        });
-        name.unwrap_or_else(|| id.to_string())
+        let is = |f: &Vec<String>| f.get(2).is_some_and(|number| number.parse() == Ok(id));
+        self.table(table).into_iter().find(is).map_or_else(|| id.to_string(), |mut f| f.swap_remove(0))
     }
 
     fn io_ports(&self) -> Finding {
-        let entries = std::fs::read_dir(self.system.path(DROP_INS)).into_iter().flatten().flatten();
-        let given = entries.filter(|e| e.path().extension().is_some_and(|x| x == "conf")).any(|entry| {
-            let text = std::fs::read_to_string(entry.path()).unwrap_or_default();
+        let files = entries_of(&self.system.path(DROP_INS));
+        let given = files.filter(|f| f.extension().is_some_and(|x| x == "conf")).any(|file| {
+            let text = std::fs::read_to_string(file).unwrap_or_default();
             text.lines()
                 .any(|line| line.starts_with("AmbientCapabilities=") && line.contains("CAP_SYS_RAWIO"))
         });
@@ -297,27 +285,30 @@ impl Tree<'_> {
 
     /// Interrupts with a handler of that name.
     fn irqs_of(&self, action: &str) -> Vec<u32> {
-        let entries = std::fs::read_dir(self.system.path("proc/irq")).into_iter().flatten().flatten();
-        entries
-            .filter(|entry| entry.path().join(action).is_dir())
-            .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
-            .collect()
+        numbers_in(&self.system.path("proc/irq"), |entry| entry.join(action).is_dir())
     }
 
     /// The interrupts of a PCI function with a handler: its messages, or else its line.
     fn pci_interrupts(&self, directory: &Path) -> Vec<u32> {
-        let messages = std::fs::read_dir(directory.join("msi_irqs")).into_iter().flatten().flatten();
         let line = std::fs::read_to_string(directory.join("irq")).ok();
-        let mut numbers: Vec<u32> =
-            messages.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();
+        let mut numbers = numbers_in(&directory.join("msi_irqs"), |_| true);
         if numbers.is_empty() {
             numbers.extend(line.and_then(|text| text.trim().parse::<u32>().ok()));
         }
         numbers.retain(|n| {
-            let entries =
-                std::fs::read_dir(self.system.path(format!("proc/irq/{n}"))).into_iter().flatten().flatten();
-            entries.into_iter().any(|e| e.path().is_dir())
+            let entries = entries_of(&self.system.path(format!("proc/irq/{n}")));
+            entries.into_iter().any(|entry| entry.is_dir())
         });
         numbers
     }
+}
+
+fn entries_of(directory: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+    std::fs::read_dir(directory).into_iter().flatten().flatten().map(|entry| entry.path())
+}
+
+/// The entries of a directory that are numbers, of those that `is` selects.
+fn numbers_in(directory: &Path, is: impl Fn(&Path) -> bool) -> Vec<u32> {
+    let selected = entries_of(directory).filter(|entry| is(entry));
+    selected.filter_map(|entry| entry.file_name()?.to_str()?.parse().ok()).collect()
 }

@@ -46,10 +46,7 @@ pub(crate) fn reads<C: Card + Send + 'static>(
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
 ) -> Result<(Polling, C), SelftestError> {
-    let mut card = HeldOutputs(card);
-    let engine = engine(&mut card, axes)?;
-    let running = spawn(engine, card, thread(options))?;
-    let tid = tid_of("rtec-rt");
+    let (running, tid) = start(HeldOutputs(card), axes, options)?;
     let start = Instant::now();
     let third = options.run / 3;
     let mut next = start;
@@ -75,9 +72,7 @@ pub(crate) fn writes<C: Card + Send + 'static>(
     let at_rest =
         axes.iter().map(|axis| AxisConfig { rest: RestPolicy::Insert { after_ns: REST_NS }, ..idle(axis) });
     let axes: Vec<AxisConfig> = at_rest.collect();
-    let engine = engine(&mut card, &axes)?;
-    let mut running = spawn(engine, card, thread(options))?;
-    let tid = tid_of("rtec-rt");
+    let (mut running, tid) = start(card, &axes, options)?;
     let control = &mut running.control;
     let mut ask = |request| {
         while control.send(request).is_err() {
@@ -144,16 +139,20 @@ fn idle(axis: &AxisConfig) -> AxisConfig {
     }
 }
 
-fn engine<C: Card>(card: &mut C, axes: &[AxisConfig]) -> Result<Engine, SelftestError> {
+/// Starts the engine's own thread; returns it with its number.
+pub(crate) fn start<C: Card + Send + 'static>(
+    mut card: C,
+    axes: &[AxisConfig],
+    options: SelftestOptions,
+) -> Result<(Running<C>, i32), SelftestError> {
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
-    Ok(Engine::new(card, axes, machine, &[])?)
+    let engine = Engine::new(&mut card, axes, machine, &[])?;
+    let thread = ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
+    Ok((spawn(engine, card, thread)?, tid_of("rtec-rt")))
 }
 
-fn thread(options: SelftestOptions) -> ThreadOptions {
-    ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX }
-}
-
-fn stopped<C: Card>(running: Running<C>, tid: i32) -> Result<(Polling, Ended<C>), SelftestError> {
+/// Stops it; returns what it measured.
+pub(crate) fn stopped<C: Card>(running: Running<C>, tid: i32) -> Result<(Polling, Ended<C>), SelftestError> {
     let timing = running.timing.clone();
     let (ended, _) = running.stop();
     if let Some(error) = ended.error {

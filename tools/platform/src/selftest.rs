@@ -18,21 +18,19 @@
 use crate::card_polling;
 pub use crate::far_side::FarSide;
 use crate::far_side::{Control, FarSideWires, play};
+use crate::measurement::tid;
 pub use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions};
-use crate::measurement::{tid, tid_of};
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
-use rtec_driver::card::{Card, MachineLines};
+use rtec_driver::card::Card;
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::profile::Profile;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
-use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Fault;
 use rtec_rt::histogram::{Recorder, Snapshot, histogram};
 use rtec_rt::setup::{self, Report, System, apply};
-use rtec_rt::thread::{ThreadOptions, spawn};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -285,16 +283,11 @@ fn measure<C: Card + Send + 'static, F: FarSideWires>(
 fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
     options: SelftestOptions,
     axis: AxisConfig,
-    (mut card, mut far): (C, F),
+    (card, mut far): (C, F),
     requests: bool,
     progress: &mut impl FnMut(&str, u64),
 ) -> Result<Polling, SelftestError> {
-    let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
-    let engine = Engine::new(&mut card, &[axis], machine, &[])?;
-    let thread = ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
-    let mut running = spawn(engine, card, thread)?;
-    let loop_tid = tid_of("rtec-rt");
-
+    let (mut running, loop_tid) = card_polling::start(card, &[axis], options)?;
     let (mut done, done_reader) = histogram();
     let what =
         if requests { "poll gap and edge to done, with requests" } else { "poll gap and edge to done" };
@@ -304,22 +297,15 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
         play(&mut far, &mut control, &mut done, &mut SplitMix64::seed_from_u64(options.seed));
     let (faults, requests) = (control.faults, control.requests);
 
-    let timing = running.timing.clone();
-    let (ended, _) = running.stop();
-    if let Some(error) = ended.error {
-        return Err(error.into());
-    }
-    let poll_gap_ns = timing.poll_gap_ns.snapshot();
+    let (polling, _) = card_polling::stopped(running, loop_tid)?;
     Ok(Polling {
-        poll_gap: Latency { last_ns: poll_gap_ns.p50(), ns: poll_gap_ns, tid: loop_tid },
-        seen_to_done: timing.edge_to_done_ns.snapshot(),
         edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
         far,
         // The axis's own total starts at zero after every homing, so insertions are counted instead.
-        completed: ended.status.axes().first().map_or(0, |a| a.insertions as i64) * INCREMENT_COUNTS,
+        completed: polling.insertions as i64 * INCREMENT_COUNTS,
         faults,
         requests,
-        insertions: ended.status.axes().iter().map(|a| a.insertions).sum(),
+        ..polling
     })
 }
 
