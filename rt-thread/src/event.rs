@@ -8,35 +8,20 @@ use serde::{Deserialize, Serialize};
 pub const MAX_AXES: usize = 6;
 
 /// A request of the control side. Requests are totals, never increments.
+/// Axes are numbered from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)] // of the fields
 pub enum Request {
     /// The total correction of an axis in counts since homing.
-    Correct {
-        /// Which axis, from 0.
-        axis: u8,
-        /// The total, counts.
-        total_counts: i64,
-        /// A change beyond the belief window is intended (a restart with a hot machine).
-        large: bool,
-    },
+    /// `large`: a change beyond the belief window is intended (a restart with a hot machine).
+    Correct { axis: u8, total_counts: i64, large: bool },
     /// Sets the axis's counters to this value at its known place.
-    Home {
-        /// Which axis, from 0.
-        axis: u8,
-        /// Position of the known place, counts.
-        position_counts: i64,
-        /// The MTC has been homed there too, so its earlier count is forgotten.
-        /// Otherwise the total in effect is kept.
-        controller_homed: bool,
-    },
+    /// `controller_homed`: the MTC has been homed there too, so its earlier count is forgotten. Otherwise the total
+    /// in effect is kept.
+    Home { axis: u8, position_counts: i64, controller_homed: bool },
     /// Confirms the position that was read back after [`Request::Home`].
     /// The control side sends it. Only the same value completes homing.
-    ConfirmHome {
-        /// Which axis, from 0.
-        axis: u8,
-        /// The position as read back, counts.
-        position_counts: i64,
-    },
+    ConfirmHome { axis: u8, position_counts: i64 },
     /// Enables corrections.
     /// Every axis must be homed and no fault latched; on a real card every setting must be verified too.
     Enable,
@@ -46,13 +31,8 @@ pub enum Request {
     Shadow,
     /// Probing mode on or off: no corrections, positions captured at the probe's edge.
     Probe(bool),
-    /// Feed hold on or off.
-    Hold {
-        /// `true` asks for feed hold, `false` releases it.
-        on: bool,
-        /// Number of the user who asks.
-        by: u32,
-    },
+    /// Feed hold on or off, and the number of the user who asks.
+    Hold { on: bool, by: u32 },
     /// Release latched faults. Axes whose count is in doubt must be homed again.
     Clear,
     /// The state file was lost, and a new one is in its place.
@@ -279,33 +259,19 @@ pub struct Event {
 
 /// Kind of an [`Event`], with its figures.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(missing_docs)] // of the fields
 pub enum EventKind {
-    /// A request was not accepted.
-    Refused {
-        /// Its total where it was a correction, else 0.
-        total_counts: i64,
-        /// Why it was refused.
-        why: Refusal,
-    },
+    /// A request was not accepted; its total where it was a correction, else 0.
+    Refused { total_counts: i64, why: Refusal },
     /// A fault was latched.
     Fault(Fault),
     /// A request passed the axis's warning limit.
-    Warning {
-        /// The request, counts.
-        total_counts: i64,
-    },
+    Warning { total_counts: i64 },
     /// The counter was zeroed at the known place.
-    /// The control side must now confirm what it reads.
-    HomeSet {
-        /// The position now, counts.
-        position_counts: i64,
-    },
-    /// Homing is complete.
-    Homed {
-        /// Inserted counts that are still in the MTC's count.
-        /// 0 where it has been homed too.
-        kept_counts: i64,
-    },
+    /// The control side must now confirm the position that it reads.
+    HomeSet { position_counts: i64 },
+    /// Homing is complete. `kept_counts` are still in the MTC's count, 0 where it has been homed too.
+    Homed { kept_counts: i64 },
     /// A real edge fell into an insertion; its effect was certain and is in the ledger.
     Overlap,
     /// An insertion was given up because the process looked too late.
