@@ -754,6 +754,12 @@ mod tests {
         journal
     }
 
+    /// Notes these records of axis 2.
+    fn note(path: &Path, records: &[StateRecord]) {
+        let mut journal = begun(path, OURS);
+        records.iter().for_each(|record| journal.record(2, *record, 1000));
+    }
+
     fn record(inverters: u8, completed: i64) -> StateRecord {
         StateRecord { inverters, completed, faults: Faults::NONE, mtc_known: true }
     }
@@ -775,10 +781,7 @@ mod tests {
             .map(|(inverters, completed)| record(inverters, completed));
         assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING);
         for pair in records.windows(2) {
-            let mut journal = begun(&path, OURS);
-            journal.record(2, pair[0], 1000);
-            journal.record(2, pair[1], 1000);
-            drop(journal);
+            note(&path, pair);
             let found = found(&path);
             assert_eq!(found, [Some(pair[1]), Some(pair[0])]);
             // After a kill before or after the write, the inverters decide which record holds.
@@ -795,10 +798,7 @@ mod tests {
             faults.latch(crate::event::Fault::PollGap) && faults.latch(crate::event::Fault::OrderUnknown)
         );
         let latched = StateRecord { faults, ..record(3, 8) };
-        let mut journal = begun(&path, OURS);
-        journal.record(2, record(3, 8), 1000);
-        journal.record(2, latched, 1000);
-        drop(journal);
+        note(&path, &[record(3, 8), latched]);
         assert_eq!(resume(found(&path), 3), Some(latched));
         assert_eq!(StateRecord::of([latched.flags() | 1 << 39, 8]), None);
         assert_eq!(StateRecord::of([latched.flags() | 1 << 41, 8]), None);
@@ -996,10 +996,7 @@ mod tests {
     #[test]
     fn a_torn_record_is_not_believed() {
         let (_directory, path) = new();
-        let mut journal = begun(&path, OURS);
-        journal.record(2, record(0, 10), 1000);
-        journal.record(2, record(3, 12), 1000);
-        drop(journal);
+        note(&path, &[record(0, 10), record(3, 12)]);
         let file = File::options().read(true).write(true).open(&path).unwrap();
         for word in 0..SLOT_WORDS as u64 {
             let places = [AT + 8 * word, AT + 8 * word + 8 * PAGE_WORDS as u64];
@@ -1018,10 +1015,7 @@ mod tests {
     fn a_record_of_the_last_number_there_is_is_not_believed() {
         let (_directory, path) = new();
         let older = record(0, 10);
-        let mut journal = begun(&path, OURS);
-        journal.record(2, older, 1000);
-        journal.record(2, record(3, 12), 1000);
-        drop(journal);
+        note(&path, &[older, record(3, 12)]);
         let file = File::options().read(true).write(true).open(&path).unwrap();
         for seq in [u64::MAX, u64::MAX - 1, ROOM] {
             for (word, value) in [seq, 3, 12, check(&[seq, 3, 12])].iter().enumerate() {
@@ -1032,10 +1026,7 @@ mod tests {
             }
             assert_eq!(found(&path), [Some(older), None]);
         }
-        let mut journal = begun(&path, OURS);
-        journal.record(2, record(1, 11), 1000);
-        journal.record(2, record(3, 12), 1000);
-        drop(journal);
+        note(&path, &[record(1, 11), record(3, 12)]);
         assert_eq!(found(&path)[0], Some(record(3, 12)));
     }
 
@@ -1043,10 +1034,7 @@ mod tests {
     fn sixty_four_lost_bytes_lose_no_record_wherever_they_are() {
         let (_directory, path) = new();
         let newest = record(3, 14);
-        let mut journal = begun(&path, OURS);
-        journal.record(2, record(0, 12), 1000);
-        journal.record(2, newest, 1000);
-        drop(journal);
+        note(&path, &[record(0, 12), newest]);
         let whole = std::fs::read(&path).unwrap();
         for at in (0..whole.len() - 63).step_by(8) {
             std::fs::write(&path, &whole).unwrap();
@@ -1074,15 +1062,9 @@ mod tests {
     fn a_later_opening_counts_on_and_keeps_the_newest_record_before_it() {
         let (_directory, path) = new();
         let (a, b, c, d) = (record(0, 2), record(1, 3), record(3, 4), record(2, 5));
-        let mut journal = begun(&path, OURS);
-        for noted in [a, b, c] {
-            journal.record(2, noted, 1000);
-        }
-        drop(journal);
+        note(&path, &[a, b, c]);
         assert_eq!(found(&path), [Some(c), Some(b)]);
-        let mut journal = begun(&path, OURS);
-        journal.record(2, d, 1000);
-        drop(journal);
+        note(&path, &[d]);
         assert_eq!(found(&path), [Some(d), Some(c)]);
     }
 
