@@ -49,20 +49,14 @@ struct AxisState {
 pub struct Corrector {
     setups: Vec<AxisSetup>,
     axes: Vec<AxisState>,
-    /// Axes that a model can name, in the order of its layout.
-    layout_axes: Vec<Axis>,
     model: Option<ModelSource>,
     table: Option<PartErrors>,
     ramp_um_s: f64,
     lead_s: f64,
-    started_s: f64,
     last_s: f64,
     motion: Motion,
-    /// Motion at the last tick, per axis of the layout.
-    now: Vec<AxisNow>,
-    /// The sensors as last read, and the time of that, s.
-    watches: Vec<Watch>,
-    sensed_s: f64,
+    /// What models see.
+    seen: Preparer,
     /// A source has changed, so that the total approaches its new value in a ramp.
     changed: bool,
     /// Today, in days since 1970-01-01.
@@ -73,10 +67,13 @@ pub struct Corrector {
 /// It can be sent to another thread while the corrector works on.
 #[derive(Debug, Clone)]
 pub struct Preparer {
+    /// Axes that a model can name, in the order of its layout.
     layout_axes: Vec<Axis>,
+    /// Motion at the last tick, per axis of the layout.
     now: Vec<AxisNow>,
-    watches: Vec<Watch>,
     started_s: f64,
+    /// The sensors as last read, and the time of that, s.
+    watches: Vec<Watch>,
     sensed_s: f64,
 }
 
@@ -148,18 +145,20 @@ impl Corrector {
         }
         Self {
             motion: Motion::new(setups.len()),
-            now: vec![AxisNow::default(); layout_axes.len()],
+            seen: Preparer {
+                now: vec![AxisNow::default(); layout_axes.len()],
+                layout_axes,
+                started_s: now_s,
+                watches: Vec::new(),
+                sensed_s: now_s,
+            },
             setups,
             axes,
-            layout_axes,
             model: None,
             table: None,
             ramp_um_s,
             lead_s,
-            started_s: now_s,
             last_s: now_s,
-            watches: Vec::new(),
-            sensed_s: now_s,
             changed: false,
             today: date::today(),
         }
@@ -181,30 +180,24 @@ impl Corrector {
 
     /// Returns what prepares a model for this machine, on any thread.
     pub fn preparer(&self) -> Preparer {
-        Preparer {
-            layout_axes: self.layout_axes.clone(),
-            now: self.now.clone(),
-            watches: self.watches.clone(),
-            started_s: self.started_s,
-            sensed_s: self.sensed_s,
-        }
+        self.seen.clone()
     }
 
     /// Takes over the sensors as read at this time, s.
     /// Models, previews and explanations use these readings until the next ones.
     pub fn sense(&mut self, now_s: f64, watches: &[Watch]) {
-        self.sensed_s = now_s;
-        watches.clone_into(&mut self.watches);
+        self.seen.sensed_s = now_s;
+        watches.clone_into(&mut self.seen.watches);
     }
 
     /// The sensors as [`Corrector::sense`] last took them over.
     pub fn watches(&self) -> &[Watch] {
-        &self.watches
+        &self.seen.watches
     }
 
     /// The sensors' state, described for people.
     pub fn readings(&self) -> Vec<Reading> {
-        self.watches.iter().map(|w| Reading::of(w, self.sensed_s)).collect()
+        self.seen.watches.iter().map(|w| Reading::of(w, self.seen.sensed_s)).collect()
     }
 
     /// Loads a model; corrections approach it in a ramp.
@@ -212,7 +205,7 @@ impl Corrector {
     /// # Errors
     /// The model reads something that this machine does not have.
     pub fn load(&mut self, machine: Machine, past: Past<'_>) -> Result<(), InputError> {
-        self.take(self.preparer().prepare(machine, past)?);
+        self.take(self.seen.prepare(machine, past)?);
         Ok(())
     }
 
@@ -302,9 +295,9 @@ impl Corrector {
 
     /// Changes that a model would make now.
     pub fn preview(&self, Prepared(mut then): Prepared, status: &Status) -> ModelPreview {
-        let (watches, now_s) = (&self.watches, self.sensed_s);
+        let (watches, now_s) = (&self.seen.watches, self.seen.sensed_s);
         then.read(watches, now_s);
-        then.evaluate(now_s - self.started_s, &self.now, false);
+        then.evaluate(now_s - self.seen.started_s, &self.seen.now, false);
         let axes = self.axes.iter().zip(&self.setups).zip(status.axes()).map(|((axis, setup), s)| {
             let model_um = axis.place.map_or(0.0, |p| then.live.errors_um()[p]);
             Change {
@@ -423,7 +416,7 @@ impl Corrector {
         self.motion.follow(status, &self.setups);
         for (axis, now) in self.axes.iter().zip(self.motion.now()) {
             if let Some(p) = axis.place {
-                self.now[p] = *now;
+                self.seen.now[p] = *now;
             }
         }
     }
@@ -432,20 +425,20 @@ impl Corrector {
     /// Returns whether its sensors have become better or worse.
     fn ask_model(&mut self, status: &Status) -> bool {
         let Some(model) = &mut self.model else { return false };
-        let (watches, now_s) = (&self.watches, self.sensed_s);
+        let (watches, now_s) = (&self.seen.watches, self.seen.sensed_s);
         let mut changed = model.read(watches, now_s);
-        model.add_loads(&mut self.now, watches);
+        model.add_loads(&mut self.seen.now, watches);
         let probing = status.mode == Mode::Probe;
         if self.lead_s > 0.0 {
-            let mut ahead = self.now.clone();
+            let mut ahead = self.seen.now.clone();
             let slowing_s = self.lead_s + self.motion.speed_age_s();
             for a in &mut ahead {
                 a.position_mm += a.velocity_mm_s * self.lead_s;
                 a.velocity_mm_s = slowed_mm_s(a, slowing_s);
             }
-            model.evaluate(now_s - self.started_s, &ahead, probing);
+            model.evaluate(now_s - self.seen.started_s, &ahead, probing);
         } else {
-            model.evaluate(now_s - self.started_s, &self.now, probing);
+            model.evaluate(now_s - self.seen.started_s, &self.seen.now, probing);
         }
         for axis in self.axes.iter_mut().take(status.axes().len()) {
             let Some(p) = axis.place else { continue };
@@ -465,7 +458,7 @@ impl Corrector {
 
     fn ask_table(&mut self) {
         let Some(table) = &self.table else { return };
-        let now = table.axes.map(|n| self.axes[n].place.map_or(AxisNow::default(), |p| self.now[p]));
+        let now = table.axes.map(|n| self.axes[n].place.map_or(AxisNow::default(), |p| self.seen.now[p]));
         let place = Zx::new(now[0].position_mm, now[1].position_mm);
         let out = table.components_um(place, Zx::new(now[0].velocity_mm_s, now[1].velocity_mm_s));
         (self.axes[table.axes[0]].table_um, self.axes[table.axes[1]].table_um) = (out.z, out.x);
@@ -479,14 +472,14 @@ impl Corrector {
         if self.axes[n].hold_reason.is_some() {
             return None;
         }
-        let mut now = self.now.clone();
+        let mut now = self.seen.now.clone();
         for (k, (axis, setup)) in self.axes.iter().zip(&self.setups).enumerate() {
             if let (Some(p), Some(counts)) = (axis.place, self.motion.position_counts_at(k, t_ns)) {
                 now[p].position_mm = counts as f64 * setup.count_um / 1000.0;
             }
         }
         now[place].position_mm = position_mm;
-        Some(model.error_um_at(place, self.last_s - self.started_s, &now, true))
+        Some(model.error_um_at(place, self.last_s - self.seen.started_s, &now, true))
     }
 
     /// Components of an axis's correction; they sum to the total.
@@ -527,14 +520,14 @@ impl Corrector {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return Vec::new() };
         let mut parts = Vec::new();
         for p in model.live.parts() {
-            let own = p.effect.axes().iter().position(|a| *a == self.layout_axes[place]);
+            let own = p.effect.axes().iter().position(|a| *a == self.seen.layout_axes[place]);
             let Some(um) = own.and_then(|k| p.value.get(k)).filter(|_| acts(p.effect, own)) else {
                 continue;
             };
             let read = p.effect.delta.iter().flat_map(Difference::sensors);
-            let find = |name: &str| self.watches.iter().find(|w| w.config().name == name);
+            let find = |name: &str| self.seen.watches.iter().find(|w| w.config().name == name);
             parts.push(Contribution {
-                sensors: read.filter_map(find).map(|w| Reading::of(w, self.sensed_s)).collect(),
+                sensors: read.filter_map(find).map(|w| Reading::of(w, self.seen.sensed_s)).collect(),
                 outside_k: (p.outside_k > 0.0).then_some(p.outside_k),
                 weight: (p.weight < 1.0).then_some(p.weight),
                 ..Contribution::plain(&p.effect.name(), *um)
