@@ -150,6 +150,14 @@ impl WholeFile {
         }
     }
 
+    fn file(&mut self) -> &mut File {
+        match &mut self.0 {
+            Place::Unnamed { temporary, .. } => temporary,
+            Place::Beside { temporary, .. } => temporary.as_file_mut(),
+            Place::Through(out) => out,
+        }
+    }
+
     /// Copies a nameless file if it cannot be given a name: without /proc.
     fn copied(mut temporary: File, folder: &Path, file: &Path) -> io::Result<()> {
         let permissions = temporary.metadata()?.permissions();
@@ -187,19 +195,11 @@ fn synced(folder: &Path) -> io::Result<()> {
 
 impl Write for WholeFile {
     fn write(&mut self, content: &[u8]) -> io::Result<usize> {
-        match &mut self.0 {
-            Place::Unnamed { temporary, .. } => temporary.write(content),
-            Place::Beside { temporary, .. } => temporary.write(content),
-            Place::Through(out) => out.write(content),
-        }
+        self.file().write(content)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.0 {
-            Place::Unnamed { temporary, .. } => temporary.flush(),
-            Place::Beside { temporary, .. } => temporary.flush(),
-            Place::Through(out) => out.flush(),
-        }
+        self.file().flush()
     }
 }
 

@@ -44,16 +44,15 @@ impl Bank {
         for c in &configs {
             match &c.source {
                 SensorSource::Line { from, .. } if !feeds.iter().any(|f| f.from == *from) => {
-                    let keys = configs.iter().filter_map(|c| match &c.source {
-                        SensorSource::Line { from: other, key } if other == from => Some(key.clone()),
+                    let of_feed = configs.iter().filter_map(|c| match &c.source {
+                        SensorSource::Line { from: other, key } if other == from => {
+                            Some((key.clone(), c.timeout_s))
+                        }
                         _ => None,
                     });
-                    let timeouts = configs.iter().filter_map(|c| match &c.source {
-                        SensorSource::Line { from: other, .. } if other == from => Some(c.timeout_s),
-                        _ => None,
-                    });
+                    let (keys, timeouts): (Vec<String>, Vec<f64>) = of_feed.unzip();
                     // By then one of its sensors is silent, and the feed has sent nothing else either.
-                    let idle_s = timeouts.fold(f64::INFINITY, f64::min);
+                    let idle_s = timeouts.into_iter().fold(f64::INFINITY, f64::min);
                     feeds.push(Feed::of(from, keys).idle_after(idle_s));
                 }
                 SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
