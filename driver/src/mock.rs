@@ -44,11 +44,6 @@ impl<W: Wires, K: Clock> MockCard<W, K> {
     pub fn wires(&self) -> &W {
         &self.wires
     }
-
-    /// The other end of the wires, to be changed between two looks.
-    pub fn wires_mut(&mut self) -> &mut W {
-        &mut self.wires
-    }
 }
 
 impl<W: Wires, K: Clock> Card for MockCard<W, K> {

@@ -76,18 +76,6 @@ impl Recorder {
             s.max.store(ns, Relaxed);
         }
     }
-
-    /// Removes all values.
-    /// A snapshot taken at the same moment may hold part of the old counts.
-    pub fn clear(&mut self) {
-        let s = &*self.shared;
-        for count in &s.counts {
-            count.store(0, Relaxed);
-        }
-        s.sum.store(0, Relaxed);
-        s.min.store(u64::MAX, Relaxed);
-        s.max.store(0, Relaxed);
-    }
 }
 
 /// The half that reads, from any thread and without disturbing the writer.
@@ -114,7 +102,7 @@ impl Reader {
     }
 }
 
-/// A histogram at rest: percentiles, merging, buckets. All values in ns.
+/// A histogram at rest: percentiles, buckets. All values in ns.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Snapshot {
     samples: u64,
@@ -189,17 +177,6 @@ impl Snapshot {
     /// The 99.99 % quantile, see [`Self::quantile`].
     pub fn p9999(&self) -> u64 {
         self.quantile(0.9999)
-    }
-
-    /// Adds another histogram's values to this one.
-    pub fn merge(&mut self, other: &Self) {
-        for (count, more) in self.counts.iter_mut().zip(&*other.counts) {
-            *count += more;
-        }
-        self.samples += other.samples;
-        self.sum = self.sum.wrapping_add(other.sum);
-        self.min = self.min.min(other.min);
-        self.max = self.max.max(other.max);
     }
 
     /// The values in `rows` linear buckets of `width_ns`, and the number beyond them.
@@ -419,26 +396,6 @@ mod tests {
                 let near = |v: &&u64| (reach.0.saturating_sub(slack)..=reach.1 + slack).contains(*v);
                 prop_assert!(*count <= values.iter().filter(near).count() as u64, "row {row}");
             }
-        }
-
-        #[test]
-        fn merging_equals_recording_both(
-            a in prop::collection::vec(latency(), 0..200),
-            b in prop::collection::vec(latency(), 0..200),
-        ) {
-            let mut merged = filled(&a);
-            merged.merge(&filled(&b));
-            prop_assert_eq!(merged, filled(&[a, b].concat()));
-        }
-
-        #[test]
-        fn clearing_leaves_nothing(a in prop::collection::vec(latency(), 0..200)) {
-            let (mut recorder, reader) = histogram();
-            for v in a {
-                recorder.record(v);
-            }
-            recorder.clear();
-            prop_assert_eq!(reader.snapshot(), Snapshot::default());
         }
     }
 

@@ -340,47 +340,14 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
     }
     for (n, name) in waiting.iter().enumerate() {
         let sidecar = spool.join(name);
-        let read =
-            |name: &str, longest| folder.read(name, longest).map_err(|e| trouble(&spool.join(name), e));
-        // Another process that sends from this spool may have sent it.
-        let words = match folder.read(name, LONGEST_SIDECAR) {
-            Ok(Some(words)) => words,
+        let (csv, data, words) = match read_waiting(&folder, &sidecar, name) {
+            Ok(Some(read)) => read,
             Ok(None) => continue,
-            Err(e) => {
-                round.kept.push(InputError::whole(&sidecar, e.to_string(), "a record's sidecar"));
-                continue;
-            }
-        };
-        let found = rtec_files::text::decode(&sidecar, &words)
-            .and_then(|text| super::record::csv_name(&sidecar, &text).map(|csv| (text, csv)));
-        let (text, csv) = match found {
-            Ok(found) => found,
             Err(finding) => {
                 round.kept.push(finding);
                 continue;
             }
         };
-        let data = match folder.read(&csv, LONGEST_SENT) {
-            Ok(Some(data)) => data,
-            Ok(None) if read(name, LONGEST_SIDECAR)?.is_none() => continue,
-            Ok(None) => {
-                let found = format!("no file {csv} beside it");
-                round.kept.push(InputError::whole(
-                    &sidecar,
-                    found,
-                    "the CSV that it names, in the same folder",
-                ));
-                continue;
-            }
-            Err(e) => {
-                round.kept.push(InputError::whole(&sidecar, e.to_string(), "a CSV beside it"));
-                continue;
-            }
-        };
-        if let Err(finding) = super::record::parse_log(&sidecar, &text, io::Cursor::new(&data)) {
-            round.kept.push(finding);
-            continue;
-        }
         let files = [(&csv, data), (name, words)];
         let digest =
             hex(&files.iter().fold(Sha256::new(), |h, f| h.chain_update(Sha256::digest(&f.1))).finalize());
@@ -418,6 +385,33 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
         round.sent.push(place);
     }
     Ok(round)
+}
+
+/// Reads a waiting record: the name of its CSV, the CSV and the sidecar.
+/// Returns `None` if another process that sends from this spool has sent it.
+///
+/// # Errors
+/// Why it is no record, so that it stays in the spool.
+fn read_waiting(
+    folder: &Open,
+    sidecar: &Path,
+    name: &str,
+) -> Result<Option<(String, Vec<u8>, Vec<u8>)>, InputError> {
+    let read = |file: &str, longest, expected| {
+        folder.read(file, longest).map_err(|e| InputError::whole(sidecar, e.to_string(), expected))
+    };
+    let Some(words) = read(name, LONGEST_SIDECAR, "a record's sidecar")? else { return Ok(None) };
+    let text = rtec_files::text::decode(sidecar, &words)?;
+    let csv = super::record::csv_name(sidecar, &text)?;
+    let Some(data) = read(&csv, LONGEST_SENT, "a CSV beside it")? else {
+        if matches!(folder.read(name, LONGEST_SIDECAR), Ok(None)) {
+            return Ok(None);
+        }
+        let expected = "the CSV that it names, in the same folder";
+        return Err(InputError::whole(sidecar, format!("no file {csv} beside it"), expected));
+    };
+    super::record::parse_log(sidecar, &text, io::Cursor::new(&data))?;
+    Ok(Some((csv, data, words)))
 }
 
 /// Moves a sent record to the sent ones.
