@@ -57,7 +57,7 @@ impl fmt::Display for OsError {
 impl std::error::Error for OsError {}
 
 /// One setting: the wanted value, the value found, and the remedy.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// The setting, see the module's table.
     pub name: &'static str,
@@ -78,22 +78,12 @@ pub struct Finding {
 impl Finding {
     /// A finding that is not needed to arm, without a remedy.
     pub fn new(name: &'static str, wanted: impl Into<String>, got: impl Into<String>, ok: bool) -> Self {
-        Self {
-            name,
-            wanted: wanted.into(),
-            got: got.into(),
-            ok,
-            needed_to_arm: false,
-            errno: None,
-            remedy: String::new(),
-        }
+        Self { name, wanted: wanted.into(), got: got.into(), ok, ..Self::default() }
     }
 
     /// A finding that could not be read, which counts as not ok.
     pub fn unknown(name: &'static str, wanted: impl Into<String>, error: OsError) -> Self {
-        let mut finding = Self::new(name, wanted, "unknown", false);
-        finding.errno = Some(error);
-        finding
+        Self::new(name, wanted, "unknown", false).failed(Some(error))
     }
 
     /// Makes the finding needed to arm a real card.

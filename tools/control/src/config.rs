@@ -199,18 +199,14 @@ pub struct RtConfig {
     pub measured: Option<Measured>,
 }
 
-/// The machine model that runs in the daemon (`[model]`).
+/// The machine model that runs in the daemon: the keys of `[model]`.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs)] // the table of keys describes them
 pub struct ModelConfig {
-    /// Path of the model to run; none if the file names none.
     pub file: Option<PathBuf>,
-    /// Time between two evaluations, ms.
     pub period_ms: u64,
-    /// Rate at which a correction follows changes that no motion causes, µm/s.
     pub ramp_um_s: f64,
-    /// Lead: the model is evaluated for where the axes will be after this time, ms.
     pub lead_ms: f64,
-    /// Time between two logged sets of temperatures, s.
     pub log_s: f64,
 }
 

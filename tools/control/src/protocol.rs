@@ -10,22 +10,6 @@
 //!
 //! A connection's role, and so what it may request, depends on its socket ([`crate::role`]).
 //!
-//! | request | fields |
-//! |---|---|
-//! | `status`, `disable`, `park`, `shadow`, `clear`, `watch`, `whoami` | – |
-//! | `observe` | `events_after`: number of the last event that is known already |
-//! | `home` | `axis`; all without it; `controller_homed`: `true` if the MTC has been homed there too, `false` if not |
-//! | `enable` | `accept_jump` |
-//! | `correct` | `axis`, `total_counts`, `large` |
-//! | `probe`, `hold` | `on` |
-//! | `model_load` | `file`, `take`: the hash that was shown; without it what would change is shown; `files` |
-//! | `model_unload`, `model_again` | – |
-//! | `jog` | `axis`, `display_mm`, `go_on`: a simulated axis only |
-//! | `explain` | `axis`; all without it |
-//! | `table_load` | `errors`, `axes`, `nose_mm`, `origin_mm`, `lead_ms`; of an arc `centre_mm`, `radius_mm` too |
-//! | `table_unload` | – |
-//! | `ledger` | `axis`, `from` |
-//!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
 //!
 //! A file is read with its caller's rights: the open descriptor comes with the request's line (`SCM_RIGHTS`, unix(7)), one for
@@ -431,7 +415,7 @@ pub struct EventReport {
 }
 
 /// The position of one axis at a trip of the probe, captured by the engine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct TripReport {
     /// Position, interpolated between the neighbouring edges, counts.
     pub position_counts: f64,

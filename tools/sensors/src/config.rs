@@ -47,30 +47,21 @@ pub enum SensorSource {
     Line { from: String, key: String },
 }
 
-/// A configured sensor.
+/// A configured sensor: the keys of its table.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs)] // [`KEYS`] describes them
 pub struct SensorConfig {
-    /// Name, as effects use it.
     pub name: String,
-    /// Its place on the machine, for people.
     pub place: String,
-    /// Its quantity: a temperature, or another role that an effect may need.
-    /// Roles are spindle speed, coolant, load and channel.
     pub role: Role,
-    /// Source of its values.
     pub source: SensorSource,
-    /// Time between readings, s.
     pub period_s: f64,
     /// Its plausible range, °C (or the unit of its role).
     pub range: [f64; 2],
     /// Fastest possible change, K/min; infinite for roles other than temperature.
     pub max_rate_k_per_min: f64,
-    /// Time without a reading after which it is silent, s.
     pub timeout_s: f64,
-    /// Time with exactly the same value after which it is stuck, s.
-    /// 0 if the sensor is too coarse to tell.
     pub stuck_s: f64,
-    /// Time for which the last good value is used, s; after that corrections hold.
     pub freeze_s: f64,
 }
 

@@ -10,42 +10,32 @@ use std::path::{Path, PathBuf};
 /// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).
 pub const LONGEST_SOCKET: usize = 107;
 
-/// The control sockets and what belongs to them.
+/// The control sockets and what belongs to them: the keys of `[control]`.
+/// A key that is `None` has a default, which the methods give.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs)] // the table of keys describes them
 pub struct ControlConfig {
-    /// Path of the Unix socket that accepts every request.
     pub socket: PathBuf,
-    /// Group that may use this socket.
     pub group: Option<String>,
-    /// Mode of this socket; `None` for the default.
     pub mode: Option<u32>,
-    /// The socket of the role `operate`.
     pub operate: RoleSocket,
-    /// The socket of the role `view`.
     pub view: RoleSocket,
-    /// State that a restart takes over; `None` puts the file beside the socket.
     pub state_file: Option<PathBuf>,
-    /// Record of every command; `None` for the default of [`ControlConfig::log_path`].
     pub log_file: Option<PathBuf>,
-    /// Whether the record's end is written to the system's journal.
-    /// The daemon's own rights cannot change it there.
     pub log_anchor: bool,
     /// Folder in which finished records are kept for the shop; none without one.
     pub spool: Option<PathBuf>,
-    /// Largest total size of the records waiting in it, MB.
     pub spool_mb: u64,
-    /// Silence of the control side after which no insertion begins, ms.
     pub stale_ms: u64,
 }
 
 /// A socket of a lesser role, as configured.
+/// Without a group only the daemon's own user may use it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[allow(missing_docs)] // the table of keys describes them
 pub struct RoleSocket {
-    /// Its path; `None` is derived from `[control] socket`.
     pub socket: Option<PathBuf>,
-    /// The group that may use it; without one only the daemon's own user.
     pub group: Option<String>,
-    /// Its mode; `None` for the default.
     pub mode: Option<u32>,
 }
 

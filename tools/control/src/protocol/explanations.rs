@@ -175,9 +175,7 @@ impl EventReport {
                     uncertainty_counts,
                     uncertainty_um: uncertainty_counts * count_um,
                     at_ns: [capture.trip_ns.0, capture.trip_ns.1],
-                    error_um: None,
-                    corrected_mm: None,
-                    degc: Vec::new(),
+                    ..TripReport::default()
                 });
                 ("trip", format!("probe tripped at {position_counts:.3} ± {uncertainty_counts:.3} counts"))
             }
@@ -185,12 +183,7 @@ impl EventReport {
                 ("bounce", "the probe tripped again before the capture was complete".to_owned())
             }
         };
-        Self {
-            t_ns: event.t_ns,
-            axis: axis.map(|(name, _)| name.to_owned()),
-            kind: kind.to_owned(),
-            text,
-            trip,
-        }
+        let axis = axis.map(|(name, _)| name.to_owned());
+        Self { t_ns: event.t_ns, axis, kind: kind.to_owned(), text, trip }
     }
 }
