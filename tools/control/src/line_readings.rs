@@ -102,9 +102,7 @@ impl LineReading {
 }
 
 /// Reads every line without requesting, enabling or setting up anything.
-///
-/// # Errors
-/// When the card cannot be opened or does not answer, or has no lines outside the daemon.
+/// Errors: when the card cannot be opened or does not answer, or has no lines outside the daemon.
 pub fn read(config: &Config) -> Result<Reading, OpenError> {
     match &config.card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(config.card.backend())),
@@ -195,9 +193,7 @@ const SETTLED: Duration = Duration::from_millis(20);
 
 /// Switches each output over and back.
 /// `told` is called after each. The MTC must be off.
-///
-/// # Errors
-/// When the card cannot be opened or does not answer, or has no lines outside the daemon.
+/// Errors: when the card cannot be opened or does not answer, or has no lines outside the daemon.
 pub fn switch_outputs(config: &Config, told: impl FnMut(Switched)) -> Result<(), OpenError> {
     let mut named = config.card.clone();
     if let CardConfig::Gpio(setup) = &mut named {

@@ -42,9 +42,7 @@ fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<LockGu
 }
 
 /// Locks a card's file of registers.
-///
-/// # Errors
-/// When another process has it, or it cannot be opened.
+/// Errors: when another process has it, or it cannot be opened.
 pub fn card(file: &Path) -> Result<LockGuard, LockError> {
     // Symbolic links are followed, because those below /dev lead to the card.
     lock(file, "card", File::options().read(true).write(true))
@@ -58,9 +56,7 @@ fn own() -> OpenOptions {
 }
 
 /// Takes the lock beside a control socket and writes our process number to it.
-///
-/// # Errors
-/// When another process has it, or it cannot be made.
+/// Errors: when another process has it, or it cannot be made.
 pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
     let path = with_suffix(socket, "lock");
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
@@ -72,9 +68,7 @@ pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
 
 /// Keeps the daemon of a control socket from starting while the value lives.
 /// `None` if no daemon has ever run.
-///
-/// # Errors
-/// When the daemon runs.
+/// Errors: when the daemon runs.
 pub fn keep_out(socket: &Path) -> Result<Option<LockGuard>, LockError> {
     let path = with_suffix(socket, "lock");
     if path.exists() { lock(&path, "lock", &own()).map(Some) } else { Ok(None) }

@@ -64,9 +64,7 @@ pub fn names_for(named: &str) -> String {
 }
 
 /// Checks the text of a profile; `file` is its name in findings.
-///
-/// # Errors
-/// The first finding, with its line.
+/// Errors: the first finding, with its line.
 pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
     let mistaken = |e: InputError| FileKind::Profile.finding(file, text, e);
     let document = Document::parse(file, text).map_err(mistaken)?;

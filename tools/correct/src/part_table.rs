@@ -79,9 +79,7 @@ pub(crate) struct PartErrors {
 
 impl PartErrors {
     /// A table on the corrector's axes `of`; `named` tells which a model can name.
-    ///
-    /// # Errors
-    /// What was found and what was expected.
+    /// Errors: what was found and what was expected.
     pub(crate) fn new(
         shown: PartTable,
         errors: FeatureErrors,

@@ -32,9 +32,7 @@ pub fn by() -> String {
 }
 
 /// Checks that a file is of a format that this version can read.
-///
-/// # Errors
-/// It is of a later one.
+/// Errors: it is of a later one.
 pub fn check(root: &Table<'_>) -> Result<(), InputError> {
     if let Some(by) = root.get("by") {
         by.str("the program that wrote the file")?;

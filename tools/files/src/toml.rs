@@ -22,9 +22,7 @@ pub struct Document<'t> {
 
 impl<'t> Document<'t> {
     /// Parses a text; `file` is its name in findings.
-    ///
-    /// # Errors
-    /// The first syntax error.
+    /// Errors: the first syntax error.
     pub fn parse(file: &'t Path, text: &'t str) -> Result<Self, InputError> {
         let (document, findings) = Self::parse_all(file, text);
         findings.into_iter().next().map_or(Ok(document), Err)
@@ -46,9 +44,7 @@ impl<'t> Document<'t> {
 
 /// Reads a text into a type that declares its keys.
 /// `expected` names the kind of file for messages.
-///
-/// # Errors
-/// The first finding.
+/// Errors: the first finding.
 pub fn from_str<T: DeserializeOwned>(file: &Path, text: &str, expected: &str) -> Result<T, InputError> {
     toml::from_str(text).map_err(|error| finding(file, text, &error, expected))
 }
@@ -132,9 +128,7 @@ pub struct Table<'d> {
 
 impl<'d> Table<'d> {
     /// Refuses every key that is not among `known`.
-    ///
-    /// # Errors
-    /// The first unknown key, with the most similar known one, if any.
+    /// Errors: the first unknown key, with the most similar known one, if any.
     pub fn only(&self, known: &[&str]) -> Result<(), InputError> {
         match self.entries().find(|entry| !known.contains(&entry.key)) {
             Some(entry) => Err(entry.unknown(&self.title, known)),
@@ -149,9 +143,7 @@ impl<'d> Table<'d> {
     }
 
     /// The entry of a required key.
-    ///
-    /// # Errors
-    /// It is missing.
+    /// Errors: it is missing.
     pub fn required(&self, key: &str, expected: &str) -> Result<Entry<'d>, InputError> {
         self.get(key).ok_or_else(|| self.error(format!("no {key} in {}", self.title), expected))
     }
@@ -263,42 +255,32 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as text.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn str(&self, expected: &str) -> Result<&'d str, InputError> {
         self.as_str().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a truth value.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn bool(&self, expected: &str) -> Result<bool, InputError> {
         self.as_bool().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a whole number within the range of `T`.
-    ///
-    /// # Errors
-    /// It is something else, or out of range.
+    /// Errors: it is something else, or out of range.
     pub fn integer<T: TryFrom<i64>>(&self, expected: &str) -> Result<T, InputError> {
         self.as_integer().and_then(|n| n.try_into().ok()).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a finite number; a whole number is accepted.
-    ///
-    /// # Errors
-    /// It is something else, infinite or not a number.
+    /// Errors: it is something else, infinite or not a number.
     pub fn number(&self, expected: &str) -> Result<f64, InputError> {
         self.as_number().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a number from `low` to `high`.
     /// `expected` names the quantity and its unit.
-    ///
-    /// # Errors
-    /// It is something else, or outside.
+    /// Errors: it is something else, or outside.
     pub fn within(&self, [low, high]: [f64; 2], expected: &str) -> Result<f64, InputError> {
         let v = self.number(expected)?;
         if (low..=high).contains(&v) {
@@ -311,25 +293,19 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as a finite number above zero.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn positive(&self, expected: &str) -> Result<f64, InputError> {
         self.as_number().filter(|v| *v > 0.0).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as an array of finite numbers.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn numbers(&self, expected: &str) -> Result<Vec<f64>, InputError> {
         numbers(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as an array of text.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn strings(&self, expected: &str) -> Result<Vec<&'d str>, InputError> {
         let array = self.value.get_ref().as_array();
         let all = array.and_then(|a| a.iter().map(|v| v.get_ref().as_str()).collect());
@@ -337,17 +313,13 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as a pair of finite numbers, the first not above the second.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn pair(&self, expected: &str) -> Result<[f64; 2], InputError> {
         pair(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as pairs of finite numbers: one pair, or an array of pairs.
-    ///
-    /// # Errors
-    /// It is something else, or the first number of a pair is the larger one.
+    /// Errors: it is something else, or the first number of a pair is the larger one.
     pub fn pairs(&self, expected: &str) -> Result<Vec<[f64; 2]>, InputError> {
         let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
         if array.iter().all(|v| v.get_ref().is_array()) {
@@ -358,18 +330,14 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as a table, `[header]` or inline.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn table(&self, expected: &str) -> Result<Table<'d>, InputError> {
         self.as_table().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a list of tables: `[[header]]` or an array of inline tables.
     /// An empty array is accepted.
-    ///
-    /// # Errors
-    /// It is something else.
+    /// Errors: it is something else.
     pub fn tables(&self, expected: &str) -> Result<Vec<Table<'d>>, InputError> {
         let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
         let of = |v: &'d Spanned<DeValue<'d>>| {

@@ -22,10 +22,8 @@ pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolan
      velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
 
 /// Reads a record from its sidecar.
-///
-/// # Errors
-/// The first finding, with file, line and column: an unreadable file, an unknown key, kind or role, or a
-/// wrong unit. In the CSV a listed column that is missing, a short row, a value that is missing or not
+/// Errors: the first finding, with file, line and column: an unreadable file, an unknown key, kind or role,
+/// or a wrong unit. In the CSV a listed column that is missing, a short row, a value that is missing or not
 /// finite, time running backwards, or no response.
 pub fn read(path: &Path) -> Result<Record, InputError> {
     let record = read_log(path)?;
@@ -42,9 +40,7 @@ fn has_response(path: &Path, columns: &[Column]) -> Result<(), InputError> {
 }
 
 /// Reads a log: a record that need not have a response (a recorded shift).
-///
-/// # Errors
-/// As [`read`], apart from the response.
+/// Errors: as [`read`], apart from the response.
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
     let (csv_path, file) = sidecar.open(path)?;
@@ -57,9 +53,7 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
 }
 
 /// Reads a log from its sidecar's text and its CSV; `path` is the sidecar's.
-///
-/// # Errors
-/// As [`read_log`].
+/// Errors: as [`read_log`].
 pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read + Seek) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let csv_path = sidecar.csv_path(path);
@@ -67,9 +61,7 @@ pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read + Seek) -> Result<Re
 }
 
 /// The name of the CSV in a sidecar.
-///
-/// # Errors
-/// When it is no sidecar, or names a file in another folder.
+/// Errors: when it is no sidecar, or names a file in another folder.
 pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let mut parts = Path::new(&sidecar.file).components();
@@ -104,9 +96,7 @@ pub struct RecordPiece {
 impl RecordPieces {
     /// Opens a record before its first piece.
     /// Returns `None` for a ballbar's circle, because the place of a row there depends on the rows around it.
-    ///
-    /// # Errors
-    /// Errors of [`read`] before the rows.
+    /// Errors: errors of [`read`] before the rows.
     pub fn of(path: &Path) -> Result<Option<Self>, InputError> {
         let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
         if sidecar.circle.is_some() {
@@ -121,9 +111,7 @@ impl RecordPieces {
     }
 
     /// Goes back before the first piece.
-    ///
-    /// # Errors
-    /// When the file has changed.
+    /// Errors: when the file has changed.
     pub fn rewind(&mut self) -> Result<(), InputError> {
         let (csv_path, file) = self.sidecar.open(&self.path)?;
         self.rows = RowReader::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
@@ -153,9 +141,7 @@ impl RecordPieces {
     }
 
     /// The next rows, at most `rows`; `None` at the end.
-    ///
-    /// # Errors
-    /// Errors of [`read`] in these rows.
+    /// Errors: errors of [`read`] in these rows.
     pub fn next(&mut self, rows: usize) -> Result<Option<RecordPiece>, InputError> {
         let mut texts = Vec::with_capacity(rows);
         let record = self.fill(rows, |text| texts.push(String::from_utf8_lossy(text).into_owned()))?;
@@ -163,9 +149,7 @@ impl RecordPieces {
     }
 
     /// As [`RecordPieces::next`], without the texts.
-    ///
-    /// # Errors
-    /// Errors of [`read`] in these rows.
+    /// Errors: errors of [`read`] in these rows.
     pub fn next_record(&mut self, rows: usize) -> Result<Option<Record>, InputError> {
         self.fill(rows, |_| ())
     }
@@ -225,9 +209,7 @@ impl<R: Read> Read for Hashed<R> {
 
 /// The CSV's own rows with further columns at the end, as CSV text.
 /// Unlisted columns are kept.
-///
-/// # Errors
-/// When the CSV can no longer be read, or its number of rows has changed.
+/// Errors: when the CSV can no longer be read, or its number of rows has changed.
 pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
     let mut file = open_regular(&path)?;
@@ -315,9 +297,7 @@ pub fn to_sidecar(record: &Record) -> String {
 
 /// Changes the path of a record.
 /// The sidecar gets that path, and the CSV the same name beside it.
-///
-/// # Errors
-/// When the name does not end in `.run.toml`.
+/// Errors: when the name does not end in `.run.toml`.
 pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = name.strip_suffix(".run.toml").filter(|s| !s.is_empty());
@@ -329,9 +309,7 @@ pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
 
 /// Whether a record made in memory would read back the same.
 /// Its columns' names are in the CSV's header.
-///
-/// # Errors
-/// When a column has no name, or one that a header does not give back.
+/// Errors: when a column has no name, or one that a header does not give back.
 pub fn can_be_written(record: &Record) -> Result<(), InputError> {
     let header = csv::header_line(record.columns.iter().map(|c| c.name.as_str())) + "\n";
     let names: Vec<String> = Reader::new(&record.path, header.as_bytes())
@@ -348,9 +326,7 @@ pub fn can_be_written(record: &Record) -> Result<(), InputError> {
 
 /// Writes `NAME.run.toml` and its CSV, each whole or not at all; sets the hash.
 /// The sidecar goes to [`Record::path`].
-///
-/// # Errors
-/// When the directory cannot be written.
+/// Errors: when the directory cannot be written.
 pub fn write(record: &mut Record) -> std::io::Result<()> {
     let csv = to_csv(record);
     let dir = record.path.parent().unwrap_or(Path::new(""));
