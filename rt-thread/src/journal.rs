@@ -754,7 +754,9 @@ mod tests {
     /// Notes these records of axis 2.
     fn note(path: &Path, records: &[StateRecord]) {
         let mut journal = begun(path, OURS);
-        records.iter().for_each(|record| journal.record(2, *record, 1000));
+        for record in records {
+            journal.record(2, *record, 1000);
+        }
     }
 
     fn record(inverters: u8, completed: i64) -> StateRecord {

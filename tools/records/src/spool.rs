@@ -326,7 +326,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
     }
     for (n, name) in waiting.iter().enumerate() {
         let sidecar = spool.join(name);
-        let (csv, data, words) = match read_waiting(&folder, &sidecar, name) {
+        let files = match read_waiting(&folder, &sidecar, name) {
             Ok(Some(read)) => read,
             Ok(None) => continue,
             Err(finding) => {
@@ -334,7 +334,6 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
                 continue;
             }
         };
-        let files = [(&csv, data), (name, words)];
         let digest =
             hex(&files.iter().fold(Sha256::new(), |h, f| h.chain_update(Sha256::digest(&f.1))).finalize());
         let digits = &digest[..DIGITS];
@@ -355,7 +354,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
             let sending = folder.make_folder(&format!("{SENDING}{digits}"))?;
             let _held = sending.lock();
             // The sidecar first, because no record waits without it.
-            for file in [name, &csv] {
+            for (file, _) in files.iter().rev() {
                 match folder.rename(file, &sending, file) {
                     // Another process is moving this record, or it was sent before.
                     Err(e) if e.kind() == io::ErrorKind::NotFound => {}
@@ -373,14 +372,10 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
     Ok(round)
 }
 
-/// Reads a waiting record: the name of its CSV, the CSV and the sidecar.
+/// Reads the files of a waiting record, its CSV and its sidecar, each with its name.
 /// Returns `None` if another process that sends from this spool has sent it.
 /// Errors: why it is no record, so that it stays in the spool.
-fn read_waiting(
-    folder: &Open,
-    sidecar: &Path,
-    name: &str,
-) -> Result<Option<(String, Vec<u8>, Vec<u8>)>, InputError> {
+fn read_waiting(folder: &Open, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
     let read = |file: &str, longest, expected| {
         folder.read(file, longest).map_err(|e| InputError::whole(sidecar, e.to_string(), expected))
     };
@@ -395,7 +390,7 @@ fn read_waiting(
         return Err(InputError::whole(sidecar, format!("no file {csv} beside it"), expected));
     };
     super::record::parse_log(sidecar, &text, io::Cursor::new(&data))?;
-    Ok(Some((csv, data, words)))
+    Ok(Some([(csv, data), (name.to_owned(), words)]))
 }
 
 /// Moves a sent record to the sent ones.
@@ -427,6 +422,9 @@ fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
         _ => folder.sync(),
     }
 }
+
+/// A record's CSV and its sidecar: name and bytes.
+type Files = [(String, Vec<u8>); 2];
 
 /// Names of the sidecars of a spool, in order.
 fn waiting(folder: &Open) -> io::Result<Vec<String>> {
