@@ -3,30 +3,19 @@
 //! requested = model + part table + operator, in micrometres until the last step. The daemon, the simulator,
 //! the rehearsal of a shift, the part loop and the demo all use this law only.
 //!
-//! | module | what |
-//! |---|---|
-//! | [`commission`] | judges a guided jog: sign, unit, compensation by the controller itself |
-//! | [`corrector`] | all axes: the sources' sum becomes totals |
-//! | `source` | the machine model as a source: sensors in, errors out, or why they are not known |
-//! | [`part_table`] | a part's errors as a source |
-//! | `motion` | position, velocity and direction of the axes from the engine's status |
-//! | `total` | ramp, hysteresis, limits, belief window |
-//! | [`explain`] | components of a correction, for people |
-//! | [`rehearse`] | runs a recorded shift through the law with another model |
-//!
 //! These do not belong here: sockets, devices, the reading of sensors (`rtec-sensors`), anything of a
 //! simulated machine.
 //!
 //! At work: `cargo run -p rtec-correct --example totals`, which the tests run too.
 
-pub mod commission;
-pub mod corrector;
-pub mod explain;
-mod motion;
-pub mod part_table;
-pub mod rehearse;
-mod source;
-mod total;
+pub mod commission; // judges a guided jog: sign, unit, compensation by the controller itself
+pub mod corrector; // all axes: the sources' sum becomes totals
+pub mod explain; // components of a correction, for people
+mod motion; // position, velocity and direction of the axes from the engine's status
+pub mod part_table; // a part's errors as a source
+pub mod rehearse; // runs a recorded shift through the law with another model
+mod source; // the machine model as a source: sensors in, errors out, or why they are not known
+mod total; // ramp, hysteresis, limits, belief window
 
 pub use corrector::Corrector;
 

@@ -1,21 +1,12 @@
 //! Self-test of a computer for the real-time thread, and access to the card.
 //!
-//! | module | what |
-//! |---|---|
-//! | [`selftest`] | the latencies that the speed gate rests on, measured with the real engine |
-//! | [`access`] | may the service open the card's devices, and where do their interrupts land? |
-//! | `measurement` | options of the self-test, and results of its parts |
-//! | `card_polling` | the self-test on the card that will do the work |
-//! | [`verdict`] | the edge rates that the latencies leave each axis, and whether the machine may correct |
-//! | `far_side` | the far side of the self-test's wires: makes the edges, times the insertions, counts as the MTC |
-//!
 //! This crate knows no errors, corrections or parts of a machine. Nothing in it runs while a machine is corrected.
 //!
 //! An example, which the tests run too: `cargo run -p rtec-platform --example latency`.
 
-pub mod access;
-mod card_polling;
-mod far_side;
-mod measurement;
-pub mod selftest;
-pub mod verdict;
+pub mod access; // may the service open the card's devices, and where do their interrupts land?
+mod card_polling; // the self-test on the card that will do the work
+mod far_side; // the far side of the self-test's wires: makes the edges, times the insertions, counts as the MTC
+mod measurement; // options of the self-test, and results of its parts
+pub mod selftest; // the latencies that the speed gate rests on, measured with the real engine
+pub mod verdict; // the edge rates that the latencies leave each axis, and whether the machine may correct
