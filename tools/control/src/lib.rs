@@ -18,6 +18,5 @@ pub mod metrics; // the status as `OpenMetrics` and Prometheus text
 mod owned_directory; // directories that only their owners can write to
 pub mod profile; // card profiles, from their files
 pub mod protocol; // requests and answers of the control socket
-mod required_role; // the role that each request needs
-pub mod role; // roles and their requests
+pub mod role; // roles, their requests, and the role that each request needs
 pub mod setup_files; // the files that make up a machine's set-up
