@@ -270,7 +270,8 @@ pub enum EventKind {
     /// The counter was zeroed at the known place.
     /// The control side must now confirm the position that it reads.
     HomeSet { position_counts: i64 },
-    /// Homing is complete. `kept_counts` are still in the MTC's count, 0 where it has been homed too.
+    /// Homing is complete.
+    /// `kept_counts` are still in the MTC's count; 0 where it has been homed too.
     Homed { kept_counts: i64 },
     /// A real edge fell into an insertion; its effect was certain and is in the ledger.
     Overlap,

@@ -265,8 +265,8 @@ impl System {
         wanted.split_whitespace().filter(|word| !there(word)).collect::<Vec<_>>().join(" ")
     }
 
-    /// The finding that a file shows: `judge` returns what it says, and whether that is wanted.
-    /// `absent` is the same for a kernel without the file.
+    /// The finding that a file shows.
+    /// `judge` returns what it says, and whether that is wanted. `absent` is the same for a kernel without the file.
     fn shown_by(
         &self,
         (name, wanted): (&'static str, &str),

@@ -372,7 +372,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
     Ok(round)
 }
 
-/// Reads the files of a waiting record, its CSV and its sidecar, each with its name.
+/// Reads a waiting record: its CSV and its sidecar, each with its name.
 /// Returns `None` if another process that sends from this spool has sent it.
 /// Errors: why it is no record, so that it stays in the spool.
 fn read_waiting(folder: &Open, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
