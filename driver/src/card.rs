@@ -166,12 +166,10 @@ pub trait Card {
 
 /// Reason why a card could not be read or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum CardError {
-    /// A recording, or a simulation, has come to its end.
     #[error("the recording has ended")]
     Ended,
-    /// The system refused.
     #[error("{op}: {}", std::io::Error::from_raw_os_error(*errno))]
     Io { op: &'static str, errno: i32 },
 }

@@ -112,32 +112,25 @@ pub struct GpioSetup {
 
 /// Reason why lines could not be requested.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum GpioError {
-    /// No such chip, or one that may not be opened.
     #[error("GPIO chip {chip}: {source}; found {found}")]
     Chip { chip: String, source: io::Error, found: String },
-    /// The chip, or any chip, has no such line.
     #[error("there is no line {line} on {place}; `rtecctl card probe` lists what is there")]
     NoLine { place: String, line: LineId },
-    /// Two lines have this name.
     #[error("line {line} is on {first} and on {second}: name the chip too")]
     Ambiguous { line: LineId, first: String, second: String },
-    /// Another consumer, a process or a kernel driver, has taken the line.
     #[error("line {line} of {chip} is taken by \"{consumer}\": free it there, or use another line")]
     Taken { chip: String, line: LineId, consumer: String },
-    /// Lines whose edges must be numbered together are on two chips.
     #[error(
         "line {line} is on {chip}, the others of its axis are on {other}: A, B and their read-back need one chip"
     )]
     Apart { line: LineId, chip: String, other: String },
-    /// A kept descriptor does not hold the outputs that are wanted.
     #[error(
         "the kept line request holds {found}, the configuration wants {wanted}: start with the configuration it was \
          made for, or switch the MTC off and remove it from the service manager's store"
     )]
     Kept { found: String, wanted: String },
-    /// The system refused.
     #[error("{op} {chip}: {source}")]
     Io { op: &'static str, chip: String, source: io::Error },
 }

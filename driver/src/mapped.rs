@@ -15,24 +15,20 @@ use std::ptr::NonNull;
 
 /// Reason why registers could not be mapped.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum MapError {
-    /// The file could not be opened, measured or mapped.
     #[error("{op} {}: {source}", path.display())]
     Io { op: &'static str, path: PathBuf, source: std::io::Error },
-    /// The file holds fewer bytes than the profile's registers need.
     #[error(
         "{}: found {found} bytes, expected at least {expected} for the registers of profile \"{profile}\"; \
          is this the right file or BAR?", path.display()
     )]
     TooSmall { path: PathBuf, found: u64, expected: u64, profile: String },
-    /// A device whose length is stated nowhere.
     #[error(
         "{}: found a device without map {map}, expected a file of registers, a PCI resource in sysfs, or a UIO device \
          with that map (/sys/class/uio)", path.display()
     )]
     NoSize { path: PathBuf, map: u8 },
-    /// The card is not what the profile describes.
     #[error(transparent)]
     SetUp(#[from] SetUpError),
 }

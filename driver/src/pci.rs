@@ -52,31 +52,25 @@ impl fmt::Display for PciId {
 
 /// Reason why a PCI function cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum PciError {
-    /// It is not on the bus.
     #[error("no PCI card {0}: `rtecctl card list` shows which cards are there")]
     Absent(PciId),
-    /// There is more than one.
     #[error("{} PCI cards {id}, at {}: name one by its address", addresses.len(), addresses.join(" and "))]
     Several { id: PciId, addresses: Vec<String> },
-    /// The BAR is not what the profile states.
     #[error("PCI card {address}, BAR {bar}: found {found}, expected {expected}")]
     Bar { address: String, bar: u8, found: String, expected: String },
-    /// The card's command register keeps it from answering.
     #[error(
         "PCI card {address}: command register {command:#06x} leaves {space} access off: nobody has enabled the card \
          (rtecd does), or the firmware gave it no addresses"
     )]
     Off { address: String, command: u16, space: &'static str },
-    /// A driver of the kernel works with the card.
     #[error(
         "PCI card {address} is in the hands of the kernel's driver {driver}: use that driver's device (/dev/parportN, \
          /dev/uioN, a GPIO chip), or free the card: cd /sys/bus/pci/devices/{address} && echo pci-stub > driver_override && \
          echo {address} > driver/unbind"
     )]
     Held { address: String, driver: String },
-    /// The system refused.
     #[error("{op} {}: {source}", path.display())]
     Io { op: &'static str, path: PathBuf, source: io::Error },
 }

@@ -14,15 +14,13 @@ use std::path::{Path, PathBuf};
 
 /// Reason why ports could not be opened.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum PortError {
-    /// The kernel does not let this process touch them.
     #[error(
         "I/O ports {base:#x} to {last:#x}: {source}; it takes CAP_SYS_RAWIO, a kernel without lockdown, and a processor \
          that has port I/O"
     )]
     Refused { base: u16, last: usize, source: io::Error },
-    /// The parallel port could not be opened or claimed.
     #[error("{op} {}: {source}{hint}", path.display())]
     Parport { op: &'static str, path: PathBuf, source: io::Error, hint: &'static str },
 }

@@ -18,18 +18,15 @@ pub trait Bus {
 
 /// Reason why a card cannot be used as its profile states.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum SetUpError {
-    /// A register cannot be read or written.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// A set-up register reads neither its wanted value nor its value after a reset.
     #[error(
         "register {offset:#x} reads {found:#x}, expected {value:#x} (set up) or {after_reset:#x} (after a reset): is this \
          the card of profile \"{profile}\"? Nothing was written"
     )]
     Unexpected { offset: usize, found: u32, value: u32, after_reset: u32, profile: String },
-    /// A register did not take its value.
     #[error("register {offset:#x} reads {found:#x} after {value:#x} was written to it")]
     NotTaken { offset: usize, found: u32, value: u32 },
 }

@@ -215,21 +215,17 @@ impl Before {
 
 /// Why a state file cannot be used. An error leaves the file unchanged.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum JournalError {
-    /// The file cannot be opened, sized or mapped.
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
-    /// Another process uses the file.
     #[error("{}: another rtecd works with it; expected one daemon per state file ([control] state_file)", path.display())]
     Taken { path: PathBuf },
-    /// The file is no state file, or one of another version.
     #[error(
         "{}: found {found}, expected a state file of this version; with the MTC off and all inverters off remove it, start \
          again and home", path.display()
     )]
     Foreign { path: PathBuf, found: String },
-    /// The file is the state of another machine, card or wiring.
     #[error(
         "{}: it belongs to {theirs}, and this is {ours}; a machine needs a state file of its own ([control] state_file). If \
          this one has really become that: with the MTC off and all inverters off remove it, start again and home",

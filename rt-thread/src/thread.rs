@@ -50,14 +50,12 @@ pub struct Ended<C> {
 
 /// Why the thread did not start.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what they are
 pub enum SpawnError {
-    /// The system gave no thread.
     #[error("starting the real-time thread: {0}")]
     Thread(#[from] std::io::Error),
-    /// A polling thread at real-time priority would leave no time on the only CPU.
     #[error("a real-time thread that polls needs a CPU of its own, and this machine has one in all")]
     OneCpu,
-    /// The thread ended during its set-up.
     #[error("the real-time thread ended during its set-up")]
     SetUp,
 }

@@ -14,33 +14,25 @@ use std::path::{Path, PathBuf};
 
 /// Reason why a card could not be opened.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum OpenError {
-    /// The GPIO lines cannot be requested.
     #[error(transparent)]
     Gpio(#[from] GpioError),
-    /// The registers cannot be mapped.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// The PCI card cannot be used.
     #[error(transparent)]
     Pci(#[from] PciError),
-    /// The I/O ports cannot be opened.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// The card is not what its profile says.
     #[error(transparent)]
     SetUp(#[from] SetUpError),
-    /// A card that is opened for reading only does not answer.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// A card that is opened for reading only has not been set up since its reset.
     #[error(
         "register {offset:#x} reads {found:#x}, expected {value:#x}: the card has not been set up since its reset, and only \
          reading does not set it up. Start the daemon once, or use --drive with the MTC off"
     )]
     NotSetUp { offset: usize, found: u32, value: u32 },
-    /// A simulated machine or a recording.
     #[error("backend \"{0}\" has no lines outside the daemon")]
     NoLines(&'static str),
 }

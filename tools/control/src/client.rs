@@ -23,18 +23,15 @@ const LONGEST_ANSWER: u64 = 16 << 20;
 
 /// Reason why the daemon gave no answer.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum ClientError {
-    /// Nothing listens at the socket.
     #[error("cannot reach rtecd at {}: {source}; is it running? (systemctl status rtecd, or start rtecd)", socket.display())]
     Unreachable { socket: PathBuf, source: io::Error },
-    /// The path is longer than a socket's path can be.
     #[error(
         "cannot reach rtecd at {}: found a path of {} bytes, expected at most {LONGEST_SOCKET} (unix(7)): a shorter directory, or \
          a symbolic link to it", socket.display(), socket.as_os_str().len()
     )]
     TooLong { socket: PathBuf },
-    /// The daemon runs, but this user may not use it.
     #[error(
         "cannot reach rtecd at {}: permission denied on every socket of it; ask for a group that may ([control] group, \
          operate.group, view.group of the configuration)", socket.display()
@@ -44,10 +41,8 @@ pub enum ClientError {
     /// `open` is a directory on its path that everybody can write to.
     #[error("{}: a process of user {uid} listens there, {}; nothing is said to it", socket.display(), expected(open.as_deref()))]
     Impostor { socket: PathBuf, uid: u32, open: Option<PathBuf> },
-    /// The connection broke, or the answer took too long.
     #[error("no answer from rtecd{}", silence(.0))]
     Io(#[from] io::Error),
-    /// The answer is not valid.
     #[error("rtecd answered {found}: {}; are rtecctl and rtecd of the same version?", printable(why))]
     Answer { found: String, why: String },
 }

@@ -13,12 +13,11 @@ pub type LockGuard = Flock<File>;
 
 /// Reason why a lock could not be taken.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum LockError {
     /// Another process holds it: `by` is ` (process 123)`, or empty if it is not known.
     #[error("another rtecd{by} holds the {what} {}", path.display())]
     Taken { by: String, what: &'static str, path: PathBuf },
-    /// The system refused the lock for another reason than its holder.
     #[error("{what} {}: {source}", path.display())]
     Io { what: &'static str, path: PathBuf, source: io::Error },
 }

@@ -35,23 +35,18 @@ impl SelftestOptions {
 
 /// Why nothing could be measured.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what they are
 pub enum SelftestError {
-    /// A file or thread that the test needs could not be made.
     #[error("{0}: {1}")]
     Io(&'static str, #[source] io::Error),
-    /// The card's registers cannot be mapped.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// The card failed while the test ran.
     #[error(transparent)]
     Card(#[from] CardError),
-    /// The engine did not start.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// The engine's thread did not start.
     #[error(transparent)]
     Spawn(#[from] SpawnError),
-    /// The wake-up thread ended by a panic: a bug.
     #[error("the wake-up thread panicked")]
     Panicked,
 }

@@ -106,17 +106,14 @@ impl ShippingResult {
 
 /// Why sending ended early. Records that were not sent stay in the spool.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
+#[allow(missing_docs)] // the messages say what they are
 pub enum ShipError {
-    /// The machine's name cannot be a folder of the store.
     #[error(
         "found the machine's name `{0}`, expected letters, digits, `.`, `_` and `-`, none of the dots first"
     )]
     Name(String),
-    /// The spool cannot be read, or a sent record cannot be moved.
     #[error("{path}: {error}")]
     Spool { path: PathBuf, error: io::Error },
-    /// The store cannot be reached, or lost a file.
     #[error("the store: {key}: {error}; {left} records wait in the spool")]
     Store { key: String, error: io::Error, left: usize },
 }
