@@ -89,46 +89,31 @@ pub struct JogFinding {
     pub text: String,
 }
 
-impl JogFinding {
-    fn new(verdict: &'static str, text: String) -> Option<Self> {
-        Some(Self { verdict, text })
-    }
-}
-
 /// Judges sign and unit by a jog with the indicator; `None` if they are right.
 pub fn judge_jog(a: &JogReading, b: &JogReading, tolerance_um: f64) -> Option<JogFinding> {
     let scale = b.scale_mm() - a.scale_mm();
     let indicator = b.indicator_mm - a.indicator_mm;
     let display = b.display_mm - a.display_mm;
     let moved = |mm: f64| mm.abs() * 1000.0 > 10.0 * tolerance_um;
-    if !moved(display) || !moved(indicator) {
-        let text = format!(
-            "the display moved by {display:+.4} mm and the indicator by {indicator:+.4} mm: too little to tell anything"
-        );
-        return JogFinding::new("not_jogged", text);
-    }
-    if !moved(scale) {
-        let text = format!(
-            "the axis moved by {indicator:+.4} mm and its scale by {scale:+.4} mm: another scale is wired here"
-        );
-        return JogFinding::new("wrong_scale", text);
-    }
-    if scale * indicator < 0.0 {
-        let text = format!(
-            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: swap A and B of this axis (or the \
-             indicator's direction, if it counts backwards)"
-        );
-        return JogFinding::new("wrong_sign", text);
-    }
-    if (scale / indicator - 1.0).abs() > UNIT && (scale - indicator).abs() * 1000.0 > 2.0 * tolerance_um {
+    let both = format!("the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm");
+    let (verdict, text) = if !moved(display) || !moved(indicator) {
+        let moved = format!("the display moved by {display:+.4} mm and the indicator by {indicator:+.4} mm");
+        ("not_jogged", format!("{moved}: too little to tell anything"))
+    } else if !moved(scale) {
+        let moved = format!("the axis moved by {indicator:+.4} mm and its scale by {scale:+.4} mm");
+        ("wrong_scale", format!("{moved}: another scale is wired here"))
+    } else if scale * indicator < 0.0 {
+        let or = "(or the indicator's direction, if it counts backwards)";
+        ("wrong_sign", format!("{both}: swap A and B of this axis {or}"))
+    } else if (scale / indicator - 1.0).abs() > UNIT
+        && (scale - indicator).abs() * 1000.0 > 2.0 * tolerance_um
+    {
         let right = a.count_um * indicator / scale;
-        let text = format!(
-            "the indicator moved by {indicator:+.4} mm and the scale by {scale:+.4} mm: count_um = {} should be about {right:.4}",
-            a.count_um
-        );
-        return JogFinding::new("wrong_unit", text);
-    }
-    None
+        ("wrong_unit", format!("{both}: count_um = {} should be about {right:.4}", a.count_um))
+    } else {
+        return None;
+    };
+    Some(JogFinding { verdict, text })
 }
 
 /// Compensation by the controller over the jog, µm: feedback less display.
@@ -148,7 +133,7 @@ pub fn judge_compensation(a: &JogReading, b: &JogReading, tolerance_um: f64) -> 
          {own_um:+.1} µm by itself; switch its own table off, or leave these effects out of the model",
         b.fed_mm() - a.fed_mm()
     );
-    JogFinding::new("controller_compensates", text)
+    Some(JogFinding { verdict: "controller_compensates", text })
 }
 
 /// Judges how an insertion moved the scale; `None` if it moved as it should.
@@ -156,26 +141,20 @@ pub fn judge_insertion(before: &JogReading, after: &JogReading, inserted: i64) -
     let moved = after.scale_counts - before.scale_counts;
     // A servo comes to rest within a count or two.
     let near = |counts: i64| (moved - counts).abs() <= 2;
-    if near(-inserted) {
-        None
+    let (verdict, text) = if near(-inserted) {
+        return None;
     } else if near(0) {
-        let text = format!(
-            "{inserted:+} counts were inserted and the axis did not move: the controller closes its loop on another encoder, \
-             or A' and B' do not reach it"
-        );
-        JogFinding::new("controller_ignores", text)
-    } else if near(inserted) {
-        let text = format!(
-            "{inserted:+} counts moved the axis by {moved:+}: the wrong way; check A' and B' at the controller"
-        );
-        JogFinding::new("wrong_insertion", text)
+        let why = "the controller closes its loop on another encoder, or A' and B' do not reach it";
+        ("controller_ignores", format!("{inserted:+} counts were inserted and the axis did not move: {why}"))
     } else {
-        let text = format!(
-            "{inserted:+} counts moved the axis by {moved:+} counts on its scale, expected {:+}",
-            -inserted
-        );
-        JogFinding::new("wrong_insertion", text)
-    }
+        let how = if near(inserted) {
+            ": the wrong way; check A' and B' at the controller".to_owned()
+        } else {
+            format!(" counts on its scale, expected {:+}", -inserted)
+        };
+        ("wrong_insertion", format!("{inserted:+} counts moved the axis by {moved:+}{how}"))
+    };
+    Some(JogFinding { verdict, text })
 }
 
 #[cfg(test)]
