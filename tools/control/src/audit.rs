@@ -253,6 +253,12 @@ mod tests {
         (directory, path)
     }
 
+    fn entries(path: &Path) -> Vec<Entry> {
+        let mut all = Vec::new();
+        read(path, &mut |line| all.push(line.entry.unwrap())).unwrap();
+        all
+    }
+
     fn says(path: &Path, wants: &str) {
         says_with(path, &[], wants);
     }
@@ -337,8 +343,7 @@ mod tests {
         says(&path, "no end");
         let mut writer = Writer::new(&path);
         writer.append(Entry::now("start")).unwrap();
-        let mut all = Vec::new();
-        read(&path, &mut |r| all.push(r.entry.unwrap())).unwrap();
+        let all = entries(&path);
         assert_eq!((all[5].what.as_str(), all[5].times, all[6].what.as_str()), ("torn", Some(14), "start"));
         assert_eq!(verify(&path, &[]).unwrap().broken, []);
         drop(writer);
@@ -463,8 +468,7 @@ mod tests {
             }
             writer.append(entry("x", 6)).unwrap();
             assert_eq!((writer.moved(), writer.last().0), (1, 8), "{what}");
-            let mut all = Vec::new();
-            read(&path, &mut |line| all.push(line.entry.unwrap())).unwrap();
+            let all = entries(&path);
             let last: Vec<_> = all.iter().rev().take(2).map(|e| (e.n, e.what.as_str())).collect();
             assert_eq!(last, [(8, "command"), (7, "moved")], "{what}");
             let found = verify(&path, &[]).unwrap().broken;
@@ -475,8 +479,7 @@ mod tests {
         let (_directory, path) = written(5, FULL);
         std::fs::remove_file(&path).unwrap();
         Writer::new(&path).append(Entry::now("start")).unwrap();
-        let mut all = Vec::new();
-        read(&path, &mut |line| all.push(line.entry.unwrap())).unwrap();
+        let all = entries(&path);
         let all: Vec<_> = all.iter().map(|e| (e.n, e.what.as_str())).collect();
         assert_eq!(all, [(6, "missing"), (7, "start")]);
         says(&path, "begins with line number 6");

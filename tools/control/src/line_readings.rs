@@ -23,20 +23,19 @@ pub struct WiredLine {
 
 /// The lines that a configuration names.
 pub fn wires(config: &Config) -> Vec<WiredLine> {
-    let mut wires = Vec::new();
-    let mut add = |name: String, bit, output| wires.push(WiredLine { name, bit, output });
-    for axis in &config.axes {
+    let of_axes = config.axes.iter().flat_map(|axis| {
         let l = &axis.engine.lines;
-        let mut of = |key, bit, output| add(format!("{}.{key}", axis.name), bit, output);
-        of("a", l.a, false);
-        of("b", l.b, false);
-        if let Some((a, b)) = l.read_back {
-            of("read_back_a", a, false);
-            of("read_back_b", b, false);
-        }
-        of("invert_a", l.invert_a, true);
-        of("invert_b", l.invert_b, true);
-    }
+        let (back_a, back_b) = l.read_back.unzip();
+        let lines = [
+            ("a", Some(l.a), false),
+            ("b", Some(l.b), false),
+            ("read_back_a", back_a, false),
+            ("read_back_b", back_b, false),
+            ("invert_a", Some(l.invert_a), true),
+            ("invert_b", Some(l.invert_b), true),
+        ];
+        lines.map(|(key, bit, output)| (format!("{}.{key}", axis.name), bit, output))
+    });
     let l = config.lines;
     let machine = [
         ("probe", l.probe, false),
@@ -44,12 +43,9 @@ pub fn wires(config: &Config) -> Vec<WiredLine> {
         ("mtc_ready", l.mtc_ready, false),
         ("hold", l.hold, true),
     ];
-    for (key, bit, output) in machine {
-        if let Some(bit) = bit {
-            add(key.to_owned(), bit, output);
-        }
-    }
-    wires
+    let of_machine = machine.map(|(key, bit, output)| (key.to_owned(), bit, output));
+    let wired = |(name, bit, output)| Some(WiredLine { name, bit: bit?, output });
+    of_axes.chain(of_machine).filter_map(wired).collect()
 }
 
 /// Readings of a card's registers and wired lines.

@@ -220,18 +220,23 @@ impl Sheet {
     /// A column of finite numbers.
     /// Errors: no such column, or a cell that is no finite number.
     pub fn numbers(&self, name: &str) -> Result<Vec<f64>, InputError> {
-        let i = self.header.place(name)?;
-        let numbers = self.marks.numbers(i);
-        self.rows
-            .iter()
-            .map(|row| {
-                let (text, column) = &row.cells[i];
-                numbers.parse(text).ok_or_else(|| {
-                    let found = format!("{} in column {name}", shown(text));
-                    InputError::at(&self.file, row.line, *column, found, numbers.expected(text))
-                })
-            })
-            .collect()
+        let numbers = self.marks.numbers(self.header.place(name)?);
+        self.column(name, |text| numbers.parse(text).ok_or_else(|| numbers.expected(text)))
+    }
+
+    /// A column, each cell as `read` understands it; its error says what was expected.
+    fn column<T>(
+        &self,
+        name: &str,
+        read: impl Fn(&str) -> Result<T, &'static str>,
+    ) -> Result<Vec<T>, InputError> {
+        let place = self.header.place(name)?;
+        let cells = self.rows.iter().map(|row| (row.line, &row.cells[place]));
+        let read = |(line, (text, column)): (usize, &(String, usize))| {
+            let found = || format!("{} in column {name}", shown(text));
+            read(text).map_err(|expected| InputError::at(&self.file, line, *column, found(), expected))
+        };
+        cells.map(read).collect()
     }
 
     /// A column of numbers that the file may leave out.
@@ -243,18 +248,7 @@ impl Sheet {
     /// A column of words.
     /// Errors: no such column, or an empty cell.
     pub fn words(&self, name: &str) -> Result<Vec<String>, InputError> {
-        let i = self.header.place(name)?;
-        self.rows
-            .iter()
-            .map(|row| {
-                let (text, column) = &row.cells[i];
-                if text.is_empty() {
-                    let found = format!("{} in column {name}", shown(text));
-                    return Err(InputError::at(&self.file, row.line, *column, found, "a name"));
-                }
-                Ok(text.clone())
-            })
-            .collect()
+        self.column(name, |text| if text.is_empty() { Err("a name") } else { Ok(text.to_owned()) })
     }
 }
 

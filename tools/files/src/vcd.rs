@@ -117,8 +117,7 @@ impl Vcd {
                 b'#' => {
                     let text = std::str::from_utf8(&word[1..]).unwrap_or_default();
                     let Ok(time) = text.parse::<u64>() else {
-                        let found = quoted(&String::from_utf8_lossy(word));
-                        return Err(input.at_word(&found, "a time in whole units, as #1000"));
+                        return Err(odd(input, word, "a time in whole units, as #1000"));
                     };
                     if time < self.now {
                         let expected = format!("a time not before #{}", self.now);
@@ -154,17 +153,9 @@ impl Vcd {
                 b'$' => match word {
                     b"$comment" => skip_to_end(input)?,
                     b"$dumpvars" | b"$dumpall" | b"$dumpon" | b"$dumpoff" | b"$end" => {}
-                    _ => {
-                        let found = quoted(&String::from_utf8_lossy(word));
-                        return Err(
-                            input.at_word(&found, "$dumpvars, $dumpall, $dumpon, $dumpoff or $comment")
-                        );
-                    }
+                    _ => return Err(odd(input, word, "$dumpvars, $dumpall, $dumpon, $dumpoff or $comment")),
                 },
-                _ => {
-                    let found = quoted(&String::from_utf8_lossy(word));
-                    return Err(input.at_word(&found, "a time (#1000) or a value change (1!)"));
-                }
+                _ => return Err(odd(input, word, "a time (#1000) or a value change (1!)")),
             }
         }
     }
@@ -234,6 +225,11 @@ impl Vcd {
             _ => Ok(Some(TracePoint { t_ns, state })),
         }
     }
+}
+
+/// A finding about the word that was just read.
+fn odd<R>(input: &Lines<R>, word: &[u8], expected: &str) -> InputError {
+    input.at_word(&quoted(&String::from_utf8_lossy(word)), expected)
 }
 
 fn word<R: Read>(input: &mut Lines<R>) -> Result<Option<String>, InputError> {
