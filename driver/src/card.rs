@@ -150,17 +150,23 @@ pub trait Card {
     /// Looks at all lines.
     /// The engine has nothing to do before `wake_ns` unless a line changes. A card that can sleep, or whose time is
     /// virtual, may wait until then. A polled card ignores it.
-    /// Errors: when the lines cannot be read, or a recording has ended.
+    ///
+    /// # Errors
+    /// When the lines cannot be read, or a recording has ended.
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError>;
 
     /// Sets the output lines of `mask` to `value`, the others stay.
     /// Returns a time after which the change is certainly in effect, if the card knows it; otherwise the next look
     /// is that time.
-    /// Errors: when the lines cannot be written.
+    ///
+    /// # Errors
+    /// When the lines cannot be written.
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError>;
 
     /// Reads back the output lines; a restart takes them over.
-    /// Errors: when the lines cannot be read back.
+    ///
+    /// # Errors
+    /// When the lines cannot be read back.
     fn outputs(&mut self) -> Result<u64, CardError>;
 }
 

@@ -182,7 +182,9 @@ fn open_chip(named: &str) -> Result<Chip, GpioError> {
 }
 
 /// The chips that the lines are on, as `gpiochip0`.
-/// Errors: when a line is not found, or a chip may not be opened.
+///
+/// # Errors
+/// When a line is not found, or a chip may not be opened.
 pub fn chip_names(setup: &GpioSetup) -> Result<BTreeSet<String>, GpioError> {
     let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
     lines
@@ -232,7 +234,9 @@ pub fn chips() -> Vec<(String, String, u32)> {
 
 /// Describes a line as the kernel reports it: place, direction, holder.
 /// Requests nothing.
-/// Errors: when it is not there.
+///
+/// # Errors
+/// When it is not there.
 pub fn look(line: &GpioLine) -> Result<String, GpioError> {
     let found = find(line)?;
     let chip = open_chip(&found.chip.display().to_string())?;
@@ -446,8 +450,9 @@ impl<K: Clock> GpioCard<K> {
     /// Requests the lines.
     /// `kept` are descriptors of output requests that outlived their process: those lines are taken over without
     /// being touched.
-    /// Errors: when a chip or line is not there, is taken, or a kept descriptor holds other lines than those
-    /// wanted.
+    ///
+    /// # Errors
+    /// When a chip or line is not there, is taken, or a kept descriptor holds other lines than those wanted.
     pub fn open(setup: &GpioSetup, kept: Vec<OwnedFd>, clock: K) -> Result<Self, GpioError> {
         let outputs = open_outputs(setup, kept)?;
         let inputs = open_inputs(setup)?;

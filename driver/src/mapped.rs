@@ -58,13 +58,17 @@ unsafe impl Send for Registers {}
 impl Registers {
     /// Maps the first `len` bytes of `path`, shared, for reading and writing.
     /// For a UIO device it maps the first map.
-    /// Errors: as [`Registers::open_map`].
+    ///
+    /// # Errors
+    /// As [`Registers::open_map`].
     pub fn open(path: &Path, len: usize, profile: &str) -> Result<Self, MapError> {
         Self::open_map(path, 0, len, profile)
     }
 
     /// Maps the first `len` bytes of a UIO device's map number `map`.
-    /// Errors: when the file cannot be opened or mapped, or is shorter than `len` bytes.
+    ///
+    /// # Errors
+    /// When the file cannot be opened or mapped, or is shorter than `len` bytes.
     pub fn open_map(path: &Path, map: u8, len: usize, profile: &str) -> Result<Self, MapError> {
         let io = |op| move |source| MapError::Io { op, path: path.to_owned(), source };
         let file = File::options().read(true).write(true).custom_flags(libc::O_SYNC).open(path);
@@ -167,13 +171,17 @@ pub type MappedCard<K> = RegisterCard<Registers, K>;
 impl<K: Clock> MappedCard<K> {
     /// Maps `path` as the profile states.
     /// Only registers that the profile sets up after a reset are written. The outputs keep their levels.
-    /// Errors: as [`Registers::open_map`] and [`RegisterCard::new`].
+    ///
+    /// # Errors
+    /// As [`Registers::open_map`] and [`RegisterCard::new`].
     pub fn open(path: &Path, profile: &Profile, clock: K) -> Result<Self, MapError> {
         Self::open_map(path, 0, profile, clock)
     }
 
     /// Maps map number `map` of a UIO device; otherwise as [`MappedCard::open`].
-    /// Errors: as [`Registers::open_map`] and [`RegisterCard::new`].
+    ///
+    /// # Errors
+    /// As [`Registers::open_map`] and [`RegisterCard::new`].
     pub fn open_map(path: &Path, map: u8, profile: &Profile, clock: K) -> Result<Self, MapError> {
         Ok(Self::new(Registers::open_map(path, map, profile.size(), &profile.name)?, profile, clock)?)
     }

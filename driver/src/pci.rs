@@ -122,13 +122,17 @@ fn functions_in(sysfs: &Path) -> Vec<Function> {
 }
 
 /// Finds the one function that `which` names.
-/// Errors: when it is not there, or there is more than one.
+///
+/// # Errors
+/// When it is not there, or there is more than one.
 pub fn find(which: &PciId) -> Result<Function, PciError> {
     find_in(Path::new(SYSFS), which)
 }
 
 /// Finds the one function that `which` names on the bus below this directory.
-/// Errors: as [`find`].
+///
+/// # Errors
+/// As [`find`].
 pub fn find_in(sysfs: &Path, which: &PciId) -> Result<Function, PciError> {
     choose(functions_in(sysfs), which)
 }
@@ -148,7 +152,9 @@ fn choose(all: Vec<Function>, which: &PciId) -> Result<Function, PciError> {
 
 impl Function {
     /// Reads one of the function's BARs.
-    /// Errors: when sysfs cannot be read, or the card has no such BAR.
+    ///
+    /// # Errors
+    /// When sysfs cannot be read, or the card has no such BAR.
     pub fn bar(&self, bar: u8) -> Result<Bar, PciError> {
         let path = self.directory.join("resource");
         let text = fs::read_to_string(&path);
@@ -175,7 +181,9 @@ impl Function {
     }
 
     /// Enables the card and checks its BAR as [`Function::check`] does.
-    /// Errors: when it is not as wanted, or the system refuses.
+    ///
+    /// # Errors
+    /// When it is not as wanted, or the system refuses.
     pub fn prepare(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
         self.free()?;
         self.fits(bar, space, size)?;
@@ -201,7 +209,9 @@ impl Function {
 
     /// Checks that no driver has the card and that its BAR is usable.
     /// The BAR must be in `space`, have `size` bytes, and be switched on. Writes nothing.
-    /// Errors: when a check fails, or the system refuses.
+    ///
+    /// # Errors
+    /// When a check fails, or the system refuses.
     pub fn check(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
         self.free()?;
         let found = self.fits(bar, space, size)?;

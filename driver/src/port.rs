@@ -34,7 +34,9 @@ pub struct Ports {
 
 impl Ports {
     /// Takes `len` ports from `base`, for this thread and those that it starts later.
-    /// Errors: when the kernel refuses, or the processor has no ports.
+    ///
+    /// # Errors
+    /// When the kernel refuses, or the processor has no ports.
     pub fn open(base: u16, len: usize) -> Result<Self, PortError> {
         let last = usize::from(base) + len.max(1) - 1;
         let permitted =
@@ -135,7 +137,9 @@ pub struct Parport {
 
 impl Parport {
     /// Opens the port and claims it exclusively for this process.
-    /// Errors: it does not exist, or another driver holds it.
+    ///
+    /// # Errors
+    /// It does not exist, or another driver holds it.
     pub fn open(path: &Path) -> Result<Self, PortError> {
         let failed = |op, hint| {
             let path = path.to_owned();

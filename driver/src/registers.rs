@@ -8,11 +8,15 @@ use crate::profile::{Counter, Flag, Order, Profile, Register, SetUp, Width};
 /// An implementation that cannot fail costs nothing.
 pub trait Bus {
     /// Reads a register at a byte offset.
-    /// Errors: when the card does not answer.
+    ///
+    /// # Errors
+    /// When the card does not answer.
     fn read(&self, offset: usize, width: Width) -> Result<u32, CardError>;
 
     /// Writes a register at a byte offset.
-    /// Errors: when the card does not answer.
+    ///
+    /// # Errors
+    /// When the card does not answer.
     fn write(&self, offset: usize, width: Width, value: u32) -> Result<(), CardError>;
 }
 
@@ -133,7 +137,9 @@ pub struct RegisterCard<B, K> {
 impl<B: Bus, K: Clock> RegisterCard<B, K> {
     /// Opens a card without changing it.
     /// Only registers that the profile sets up after a reset are written.
-    /// Errors: when a register cannot be read, or is not what the profile states.
+    ///
+    /// # Errors
+    /// When a register cannot be read, or is not what the profile states.
     pub fn new(bus: B, profile: &Profile, clock: K) -> Result<Self, SetUpError> {
         for SetUp { order: Order { register: Register { offset, width }, value }, after_reset } in
             &profile.setup

@@ -100,7 +100,9 @@ pub struct ReplayCard<T, L, E, G = Xor> {
 impl<T: Iterator<Item = Result<TracePoint, E>>, L: Listener, E, G: Gates> ReplayCard<T, L, E, G> {
     /// Reads the initial state.
     /// An empty trace means an axis at rest at A = B = low.
-    /// Errors: when the first row is bad.
+    ///
+    /// # Errors
+    /// When the first row is bad.
     pub fn new(gates: G, mut trace: T, mut listener: L) -> Result<Self, E> {
         let first = trace.next().transpose()?.unwrap_or(TracePoint { t_ns: 0, state: State::default() });
         listener.changed(first.t_ns, first.state);

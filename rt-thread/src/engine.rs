@@ -103,7 +103,9 @@ impl Engine {
     /// [`Engine::lose_controller`] is called.
     /// An axis that was left between two inversions is latched as [`Fault::Interrupted`]; the second one follows from
     /// [`Engine::poll`].
-    /// Errors: when the card cannot be read, or an axis cannot be corrected as configured.
+    ///
+    /// # Errors
+    /// When the card cannot be read, or an axis cannot be corrected as configured.
     pub fn new<C: Card>(
         card: &mut C,
         axes: &[AxisConfig],
@@ -177,7 +179,9 @@ impl Engine {
 
     /// Homes every axis at zero in its present place and enables corrections.
     /// Replays and simulations start this way.
-    /// Errors: when the hold line cannot be written.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
     pub fn start_homed<C: Card>(
         &mut self,
         card: &mut C,
@@ -188,7 +192,9 @@ impl Engine {
 
     /// Homes the axes at these positions, counts, and enables corrections.
     /// Otherwise it is [`Engine::start_homed`].
-    /// Errors: when the card cannot be written.
+    ///
+    /// # Errors
+    /// When the card cannot be written.
     pub fn start_homed_at<C: Card>(
         &mut self,
         card: &mut C,
@@ -205,7 +211,9 @@ impl Engine {
 
     /// Starts to note every inversion in `journal` before it is made.
     /// Returns the watch over the journal's file.
-    /// Errors: when a new file cannot be given its name ([`Journal::place`]).
+    ///
+    /// # Errors
+    /// When a new file cannot be given its name ([`Journal::place`]).
     pub fn keep_journal(&mut self, journal: Journal) -> std::io::Result<Option<StateFile>> {
         self.journal = Some(journal);
         self.note();
@@ -316,7 +324,9 @@ impl Engine {
     /// Looks at the card once and does everything that follows.
     /// A card that can wait does so until `by_ns` at the latest. `report` takes an event and returns whether it was
     /// kept.
-    /// Errors: when the card fails; every axis is then latched, and the outputs stay as they are.
+    ///
+    /// # Errors
+    /// When the card fails; every axis is then latched, and the outputs stay as they are.
     #[inline]
     pub fn poll<C: Card>(
         &mut self,
@@ -586,7 +596,9 @@ impl Engine {
     }
 
     /// Takes one request from the control side.
-    /// Errors: when the hold line cannot be written.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
     pub fn take<C: Card>(
         &mut self,
         request: Request,
@@ -765,7 +777,9 @@ impl Engine {
     }
 
     /// Latches a fault, of the machine or of one axis, that was found outside the loop.
-    /// Errors: when the hold line cannot be written.
+    ///
+    /// # Errors
+    /// When the hold line cannot be written.
     pub fn latch<C: Card>(
         &mut self,
         axis: Option<u8>,

@@ -359,8 +359,9 @@ fn words_of(text: &[u8]) -> impl Iterator<Item = u64> {
 impl Journal {
     /// Opens or creates the file of `identity`, and returns its contents.
     /// `identity` is a text that names machine, card and lines.
-    /// Errors: when the file cannot be opened, sized or mapped, is locked, is no state file, or has another
-    /// identity.
+    ///
+    /// # Errors
+    /// When the file cannot be opened, sized or mapped, is locked, is no state file, or has another identity.
     pub fn open(path: &Path, identity: &str) -> Result<(Self, Before), JournalError> {
         let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
         let mut unplaced = None;
@@ -534,7 +535,9 @@ impl Journal {
     /// Marks the file as complete and gives it its name.
     /// It also notes this boot of the computer. Every record must be in the file. If the process is killed before, the
     /// next one finds the same contents.
-    /// Errors: when the disk refuses it, or another process has placed its file meanwhile.
+    ///
+    /// # Errors
+    /// When the disk refuses it, or another process has placed its file meanwhile.
     pub fn place(&mut self) -> io::Result<()> {
         self.write_head(&self.identity);
         for page in [0, PAGE_WORDS] {

@@ -91,7 +91,9 @@ pub fn link(status: Status) -> (ControlEnd, RtEnd) {
 
 impl ControlEnd {
     /// Sends a request.
-    /// Errors: hands the request back when the ring is full.
+    ///
+    /// # Errors
+    /// Hands the request back when the ring is full.
     pub fn send(&mut self, request: Request) -> Result<(), Full> {
         self.requests.try_push(request).map_err(Full)
     }

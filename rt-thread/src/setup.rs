@@ -211,7 +211,9 @@ impl System {
     }
 
     /// Text of a file, without the white space around it.
-    /// Errors: when it cannot be read, or is no text.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is no text.
     pub fn read(&self, path: impl AsRef<Path>) -> Result<String, OsError> {
         let path = self.path(path);
         std::fs::read_to_string(&path)

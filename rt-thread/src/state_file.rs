@@ -59,7 +59,9 @@ fn identity(file: &Metadata) -> (u64, u64) {
 impl StateFile {
     /// Watches over the file that `journal` writes.
     /// The file must have its name already ([`Journal::place`]).
-    /// Errors: when the system does not say which file it is.
+    ///
+    /// # Errors
+    /// When the system does not say which file it is.
     pub fn watch(journal: &Journal) -> io::Result<Self> {
         let (mapping, file, path) = journal.shared();
         let mapped = identity(&file.metadata()?);
@@ -89,7 +91,9 @@ impl StateFile {
 
     /// Makes a new file beside the lost one; the journal writes to it from here on.
     /// It has only its head.
-    /// Errors: when the file cannot be made.
+    ///
+    /// # Errors
+    /// When the file cannot be made.
     pub fn renew(&mut self) -> Result<(), JournalError> {
         let path = beside(&self.path);
         let here = std::fs::symlink_metadata(&path).is_ok_and(|found| identity(&found) == self.mapped);
@@ -112,7 +116,9 @@ impl StateFile {
     }
 
     /// Gives the new file the name, once everything is noted in it.
-    /// Errors: when the disk refuses it, or the file that has the name cannot be replaced.
+    ///
+    /// # Errors
+    /// When the disk refuses it, or the file that has the name cannot be replaced.
     pub fn place(&mut self) -> io::Result<()> {
         if let Some(file) = self.made.as_ref().filter(|_| !self.placed) {
             file.sync_all()?;
@@ -134,7 +140,9 @@ impl StateFile {
     /// Lets the process survive when the file is cut short.
     /// A store to a page that was cut off then goes to memory, and [`StateFile::lost`] reports it. Only one file per
     /// process can be protected.
-    /// Errors: when the process has such a file already, or the system gives no handler.
+    ///
+    /// # Errors
+    /// When the process has such a file already, or the system gives no handler.
     pub fn outlive_truncation(&self) -> io::Result<()> {
         if GUARDED.compare_exchange(0, self.mapping.base(), Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return Err(Errno::EBUSY.into());

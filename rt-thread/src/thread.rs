@@ -61,7 +61,9 @@ pub enum SpawnError {
 }
 
 /// Starts the thread on an engine and its card.
-/// Errors: when the system gives no thread, or real-time priority is wanted on a machine with one CPU.
+///
+/// # Errors
+/// When the system gives no thread, or real-time priority is wanted on a machine with one CPU.
 pub fn spawn<C: Card + Send + 'static>(
     mut engine: Engine,
     card: C,

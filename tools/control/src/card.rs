@@ -57,7 +57,9 @@ pub enum Access {
 }
 
 /// Opens the card that a configuration names and passes it to `what`.
-/// Errors: when it cannot be opened, or is a simulated one.
+///
+/// # Errors
+/// When it cannot be opened, or is a simulated one.
 pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::Output, OpenError> {
     match card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(card.backend())),
@@ -97,7 +99,9 @@ fn on_registers<B: Bus + Send + 'static, W: OnCard>(
 }
 
 /// Opens GPIO lines; `kept` are output requests of an earlier process.
-/// Errors: as [`GpioCard::open`].
+///
+/// # Errors
+/// As [`GpioCard::open`].
 pub fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>, OpenError> {
     Ok(GpioCard::open(setup, kept, Monotonic)?)
 }
@@ -115,7 +119,9 @@ pub enum Found {
 
 /// Finds registers: those of a PCI card by its BAR.
 /// With [`Access::Drive`] it also enables the PCI card.
-/// Errors: when the PCI card is not as it should be.
+///
+/// # Errors
+/// When the PCI card is not as it should be.
 pub fn find(place: &RegisterPlace, profile: &Profile, access: Access) -> Result<Found, OpenError> {
     Ok(match place {
         RegisterPlace::File(file) => Found::Map(file.clone(), 0),
@@ -138,19 +144,25 @@ pub(crate) fn open_map(file: &Path, map: u8, profile: &Profile) -> Result<Regist
 }
 
 /// Opens a file of registers.
-/// Errors: as [`MappedCard::open_map`].
+///
+/// # Errors
+/// As [`MappedCard::open_map`].
 pub fn mapped(file: &Path, map: u8, profile: &Profile) -> Result<MappedCard<Monotonic>, OpenError> {
     Ok(MappedCard::open_map(file, map, profile, Monotonic)?)
 }
 
 /// Opens a parallel port through its driver.
-/// Errors: when it cannot be claimed, or is not as the profile says.
+///
+/// # Errors
+/// When it cannot be claimed, or is not as the profile says.
 pub fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, Monotonic>, OpenError> {
     Ok(RegisterCard::new(Parport::open(file)?, profile, Monotonic)?)
 }
 
 /// Opens I/O ports accessed by the processor's own instructions.
-/// Errors: when the kernel refuses them, or the card is not as the profile says.
+///
+/// # Errors
+/// When the kernel refuses them, or the card is not as the profile says.
 pub fn ports(base: u16, profile: &Profile) -> Result<RegisterCard<Ports, Monotonic>, OpenError> {
     Ok(RegisterCard::new(Ports::open(base, profile.size())?, profile, Monotonic)?)
 }

@@ -83,14 +83,18 @@ pub struct Client {
 impl Client {
     /// Connects by a socket.
     /// If this user may not use it, tries the sockets of lesser roles beside it.
-    /// Errors: when nothing listens, this user may use none of them, or another user's process listens.
+    ///
+    /// # Errors
+    /// When nothing listens, this user may use none of them, or another user's process listens.
     pub fn connect(socket: &Path) -> Result<Self, ClientError> {
         let sockets = Role::ALL.map(|role| derived(socket, role));
         Self::connect_to(&[&sockets[2], &sockets[1], &sockets[0]])
     }
 
     /// Connects by the first of these sockets that this user may use.
-    /// Errors: as [`Client::connect`].
+    ///
+    /// # Errors
+    /// As [`Client::connect`].
     pub fn connect_to(sockets: &[&PathBuf]) -> Result<Self, ClientError> {
         let mut failed: Vec<(&PathBuf, io::Error)> = Vec::new();
         for socket in sockets {
@@ -129,14 +133,18 @@ impl Client {
     }
 
     /// Sends a request and waits for its answer.
-    /// Errors: when there is none.
+    ///
+    /// # Errors
+    /// When there is none.
     pub fn ask(&mut self, request: &ClientRequest) -> Result<Response, ClientError> {
         self.ask_with(request, &[])
     }
 
     /// Sends a request with open files and waits for the answer.
     /// The daemon reads these files instead of opening them itself.
-    /// Errors: when there is none.
+    ///
+    /// # Errors
+    /// When there is none.
     pub fn ask_with(&mut self, request: &ClientRequest, files: &[File]) -> Result<Response, ClientError> {
         let mut line = serde_json::to_string(request).map_err(io::Error::other)?;
         line.push('\n');
@@ -158,27 +166,35 @@ impl Client {
     }
 
     /// Waits without limit: after `watch`, events come at any time.
-    /// Errors: what the system reports.
+    ///
+    /// # Errors
+    /// What the system reports.
     pub fn be_patient(&mut self) -> io::Result<()> {
         self.stream.get_ref().set_read_timeout(None)
     }
 
     /// Limits the wait for an answer.
     /// After `time` the answer is an error of kind `WouldBlock` or `TimedOut`.
-    /// Errors: what the system reports.
+    ///
+    /// # Errors
+    /// What the system reports.
     pub fn wait_at_most(&mut self, time: Duration) -> io::Result<()> {
         self.stream.get_ref().set_read_timeout(Some(time))
     }
 
     /// Reads the next answer.
-    /// Errors: when there is none.
+    ///
+    /// # Errors
+    /// When there is none.
     pub fn answer(&mut self) -> Result<Response, ClientError> {
         read_answer(&mut self.stream)
     }
 }
 
 /// Reads one line as an answer.
-/// Errors: there is none: the end, a line that is no answer, or one that does not end.
+///
+/// # Errors
+/// There is none: the end, a line that is no answer, or one that does not end.
 pub fn read_answer(input: impl BufRead) -> Result<Response, ClientError> {
     let mut line = Vec::new();
     if input.take(LONGEST_ANSWER).read_until(b'\n', &mut line)? == 0 {

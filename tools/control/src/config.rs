@@ -249,20 +249,26 @@ impl Config {
     }
 
     /// Reads and checks a file.
-    /// Errors: everything that is wrong with it.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
     pub fn load(file: &Path) -> Result<Self, ConfigFindings> {
         Self::parse(file, &text_of(file)?)
     }
 
     /// As [`Config::load`], and checks on this computer what the file names.
     /// It looks for groups, cards, devices, recordings and the model.
-    /// Errors: everything that is wrong with it.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
     pub fn check_here(file: &Path) -> Result<Self, ConfigFindings> {
         Self::parse_for(file, &text_of(file)?, true)
     }
 
     /// Checks the text of a file; paths in it are relative to the file's directory.
-    /// Errors: everything that is wrong with it.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
     pub fn parse(file: &Path, text: &str) -> Result<Self, ConfigFindings> {
         Self::parse_for(file, text, false)
     }

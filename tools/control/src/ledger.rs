@@ -145,7 +145,9 @@ impl LedgerExport {
     }
 
     /// Writes the trace, the requests and the table of insertions.
-    /// Errors: the file that cannot be written, and why.
+    ///
+    /// # Errors
+    /// The file that cannot be written, and why.
     pub fn write(&self, kept: &LedgerPage, [trace, requests, insertions]: [&Path; 3]) -> io::Result<()> {
         let mut rows = REQUESTS_ARE.to_owned() + "t_ns,requested\n";
         let first = kept.rows.first().copied().unwrap_or_default();

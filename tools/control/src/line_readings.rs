@@ -98,7 +98,9 @@ impl LineReading {
 }
 
 /// Reads every line without requesting, enabling or setting up anything.
-/// Errors: when the card cannot be opened or does not answer, or has no lines outside the daemon.
+///
+/// # Errors
+/// When the card cannot be opened or does not answer, or has no lines outside the daemon.
 pub fn read(config: &Config) -> Result<Reading, OpenError> {
     match &config.card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(config.card.backend())),
@@ -189,7 +191,9 @@ const SETTLED: Duration = Duration::from_millis(20);
 
 /// Switches each output over and back.
 /// `told` is called after each. The MTC must be off.
-/// Errors: when the card cannot be opened or does not answer, or has no lines outside the daemon.
+///
+/// # Errors
+/// When the card cannot be opened or does not answer, or has no lines outside the daemon.
 pub fn switch_outputs(config: &Config, told: impl FnMut(Switched)) -> Result<(), OpenError> {
     let mut named = config.card.clone();
     if let CardConfig::Gpio(setup) = &mut named {

@@ -41,7 +41,9 @@ fn lock(path: &Path, what: &'static str, options: &OpenOptions) -> Result<LockGu
 }
 
 /// Locks a card's file of registers.
-/// Errors: when another process has it, or it cannot be opened.
+///
+/// # Errors
+/// When another process has it, or it cannot be opened.
 pub fn card(file: &Path) -> Result<LockGuard, LockError> {
     // Symbolic links are followed, because those below /dev lead to the card.
     lock(file, "card", File::options().read(true).write(true))
@@ -55,7 +57,9 @@ fn own() -> OpenOptions {
 }
 
 /// Takes the lock beside a control socket and writes our process number to it.
-/// Errors: when another process has it, or it cannot be made.
+///
+/// # Errors
+/// When another process has it, or it cannot be made.
 pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
     let path = with_suffix(socket, "lock");
     let io = |source| LockError::Io { what: "lock", path: path.clone(), source };
@@ -67,7 +71,9 @@ pub fn socket(socket: &Path) -> Result<LockGuard, LockError> {
 
 /// Keeps the daemon of a control socket from starting while the value lives.
 /// `None` if no daemon has ever run.
-/// Errors: when the daemon runs.
+///
+/// # Errors
+/// When the daemon runs.
 pub fn keep_out(socket: &Path) -> Result<Option<LockGuard>, LockError> {
     let path = with_suffix(socket, "lock");
     if path.exists() { lock(&path, "lock", &own()).map(Some) } else { Ok(None) }

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 /// The owner of a socket's directory, if only owners can write on the way there.
 /// Otherwise the error is the directory that is open to everybody.
-/// Errors: that directory; none if one cannot be examined.
+///
+/// # Errors
+/// That directory; none if one cannot be examined.
 pub(crate) fn directory_owner(socket: &Path) -> Result<u32, Option<PathBuf>> {
     let parent = socket.parent().filter(|d| !d.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let directory = std::fs::canonicalize(parent).map_err(|_| None)?;

@@ -64,7 +64,9 @@ pub fn names_for(named: &str) -> String {
 }
 
 /// Checks the text of a profile; `file` is its name in findings.
-/// Errors: the first finding, with its line.
+///
+/// # Errors
+/// The first finding, with its line.
 pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
     let mistaken = |e: InputError| FileKind::Profile.finding(file, text, e);
     let document = Document::parse(file, text).map_err(mistaken)?;

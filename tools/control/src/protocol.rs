@@ -156,7 +156,9 @@ pub enum ClientRequest {
 
 impl ClientRequest {
     /// Reads a request line.
-    /// Errors: the mistake in the line, and what is expected.
+    ///
+    /// # Errors
+    /// The mistake in the line, and what is expected.
     pub fn parse(line: &str) -> Result<Self, String> {
         serde_json::from_str(line).map_err(|e| {
             let found = printable(&e.to_string()).into_owned();

@@ -18,7 +18,9 @@ pub struct SetupFile {
 
 /// The files of a machine; the first is its configuration.
 /// Files that it names are listed whether they exist or not.
-/// Errors: the configuration, or the model that it names, cannot be read.
+///
+/// # Errors
+/// The configuration, or the model that it names, cannot be read.
 pub fn of(file: &Path, config: &Config) -> Result<Vec<SetupFile>, InputError> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let mut all = vec![SetupFile { kind: "configuration", path: file.to_owned() }];

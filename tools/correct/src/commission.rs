@@ -11,7 +11,9 @@ const UNIT: f64 = 0.01;
 /// Largest step of a model's correction from one moment to the next, µm.
 /// Steps occur where the axis turns and where coolant comes on; all other effects creep or are part of a
 /// motion. The model is evaluated at `places_mm`.
-/// Errors: the model has no effect on the axis, or reads what no machine has.
+///
+/// # Errors
+/// The model has no effect on the axis, or reads what no machine has.
 pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Result<f64, InputError> {
     let refused = |found: String, expected: &str| InputError::whole(&machine.path, found, expected);
     let mut layout = Layout { sensors: machine.sensors(), ..Layout::default() };

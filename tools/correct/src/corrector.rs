@@ -83,7 +83,9 @@ pub struct Prepared(ModelSource);
 
 impl Preparer {
     /// Prepares a model and computes its lags from past temperatures.
-    /// Errors: the model reads something that this machine does not have.
+    ///
+    /// # Errors
+    /// The model reads something that this machine does not have.
     pub fn prepare(&self, machine: Machine, past: Past<'_>) -> Result<Prepared, InputError> {
         let mut source = ModelSource::new(machine, &self.layout_axes, &self.watches)?;
         let rows = past(&source.live.layout().sensors);
@@ -199,7 +201,9 @@ impl Corrector {
     }
 
     /// Loads a model; corrections approach it in a ramp.
-    /// Errors: the model reads something that this machine does not have.
+    ///
+    /// # Errors
+    /// The model reads something that this machine does not have.
     pub fn load(&mut self, machine: Machine, past: Past<'_>) -> Result<(), InputError> {
         self.take(self.seen.prepare(machine, past)?);
         Ok(())
@@ -225,7 +229,9 @@ impl Corrector {
     }
 
     /// Loads a part's errors; corrections approach them in a ramp.
-    /// Errors: what was found and what was expected.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
     pub fn load_table(&mut self, wanted: PartTable, errors: FeatureErrors) -> Result<(), String> {
         let named = |n: usize| self.axes[n].place.is_some();
         let table = PartErrors::new(wanted, errors, &self.setups, named)?;

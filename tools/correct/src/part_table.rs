@@ -79,7 +79,9 @@ pub(crate) struct PartErrors {
 
 impl PartErrors {
     /// A table on the corrector's axes `of`; `named` tells which a model can name.
-    /// Errors: what was found and what was expected.
+    ///
+    /// # Errors
+    /// What was found and what was expected.
     pub(crate) fn new(
         shown: PartTable,
         errors: FeatureErrors,

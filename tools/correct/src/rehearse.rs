@@ -133,7 +133,9 @@ fn axes_of(shift: &Record, models: [&Machine; 2]) -> Vec<Axis> {
 }
 
 /// Runs a shift through the law with the present model and with a new one.
-/// Errors: a sensor or channel that the shift does not have; more axes than the engine holds.
+///
+/// # Errors
+/// A sensor or channel that the shift does not have; more axes than the engine holds.
 pub fn rehearse(
     present: &Machine,
     new: &Machine,

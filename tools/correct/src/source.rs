@@ -163,7 +163,9 @@ fn of_name(watches: &[Watch], name: &str) -> Option<usize> {
 }
 
 /// Indices of the configured sensors of these names and this role.
-/// Errors: all names that are not configured, what reads them, and what to add to the configuration.
+///
+/// # Errors
+/// All names that are not configured, what reads them, and what to add to the configuration.
 fn places(
     machine: &Machine,
     names: &[String],
@@ -302,7 +304,9 @@ fn lags(machine: &Machine, axes: &[Axis]) -> Vec<Lag> {
 
 impl ModelSource {
     /// A model for these axes with input from these sensors.
-    /// Errors: the model reads something that this machine does not have.
+    ///
+    /// # Errors
+    /// The model reads something that this machine does not have.
     pub(crate) fn new(machine: Machine, axes: &[Axis], watches: &[Watch]) -> Result<Self, InputError> {
         let mut channels: Vec<String> =
             machine.effects().filter_map(Effect::channel).map(str::to_owned).collect();

@@ -102,7 +102,9 @@ type Parser = RefCell<csv_core::Reader>;
 
 impl Reader<File> {
     /// Opens a file.
-    /// Errors: it cannot be read.
+    ///
+    /// # Errors
+    /// It cannot be read.
     pub fn open(file: &Path) -> Result<Self, InputError> {
         Self::new(file, opened(file)?)
     }
@@ -110,7 +112,9 @@ impl Reader<File> {
 
 impl<R: Read> Reader<R> {
     /// Reads from `input`; `file` is its name in error messages.
-    /// Errors: the input cannot be read.
+    ///
+    /// # Errors
+    /// The input cannot be read.
     pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
         Ok(Self {
             lines: Lines::new(file, input)?,
@@ -124,7 +128,9 @@ impl<R: Read> Reader<R> {
     }
 
     /// The next row that has more than a comment.
-    /// Errors: it is not UTF-8, a quote in it is not closed, or the input cannot be read.
+    ///
+    /// # Errors
+    /// It is not UTF-8, a quote in it is not closed, or the input cannot be read.
     pub fn row(&mut self) -> Result<Option<Row<'_>>, InputError> {
         let (range, length) = loop {
             let Some(range) = self.lines.line()? else { return Ok(None) };
@@ -228,7 +234,9 @@ impl<R: Read> Reader<R> {
     }
 
     /// The first row, as the columns' names.
-    /// Errors: there is no row: `expected` says what it should hold. Otherwise as [`Reader::row`].
+    ///
+    /// # Errors
+    /// There is no row: `expected` says what it should hold. Otherwise as [`Reader::row`].
     pub fn header(&mut self, expected: &str) -> Result<Header, InputError> {
         let first = self.first_line(expected)?;
         let ((_, header), _) = self.best(&first, Some(self.by), &|_| true);
@@ -240,14 +248,18 @@ impl<R: Read> Reader<R> {
     /// The separator is `;`, a tab or `|` if the row has no comma, else a comma. It applies to all rows. A
     /// line `sep=X` before it, as spreadsheets write it, sets the separator. `names` choose among several
     /// separators in the row, and among the first lines.
-    /// Errors: as [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
+    ///
+    /// # Errors
+    /// As [`Reader::header`]; a `sep=` of another character than `,`, `;`, `|` and a tab.
     pub fn header_with(&mut self, expected: &str, names: &[&str]) -> Result<Header, InputError> {
         self.header_where(expected, |header| names.iter().all(|name| header.find(name).is_some()))
     }
 
     /// As [`Reader::header_with`], from the first line with the wanted columns.
     /// Lines before it are skipped. If there is no such line, the first one is used.
-    /// Errors: as [`Reader::header_with`].
+    ///
+    /// # Errors
+    /// As [`Reader::header_with`].
     pub fn header_where(
         &mut self,
         expected: &str,
@@ -337,7 +349,9 @@ impl<R: Read> Reader<R> {
 
     /// As [`Reader::header_with`], for columns given by name or number from 1.
     /// See [`Reader::or_numbers`].
-    /// Errors: as [`Reader::header_with`].
+    ///
+    /// # Errors
+    /// As [`Reader::header_with`].
     pub fn header_of(&mut self, expected: &str, columns: &[&str]) -> Result<Header, InputError> {
         let names: Vec<&str> = columns.iter().filter(|column| !is_number(column)).copied().collect();
         let header = self.header_with(expected, &names)?;
@@ -378,7 +392,9 @@ impl<R: Read> Reader<R> {
 
     /// Reads the row of names, which must contain these; further names are ignored.
     /// `otherwise` tells the user of another option.
-    /// Errors: a name is missing.
+    ///
+    /// # Errors
+    /// A name is missing.
     pub fn expect_header<const N: usize>(
         &mut self,
         names: [&str; N],

@@ -29,7 +29,9 @@ pub struct Folder {
 impl Folder {
     /// Opens an existing folder.
     /// Links in `path` itself are followed, because the caller chose it.
-    /// Errors: it is no folder, or cannot be opened.
+    ///
+    /// # Errors
+    /// It is no folder, or cannot be opened.
     pub fn open(path: &Path) -> io::Result<Self> {
         let file = File::open(path)?;
         if !file.metadata()?.is_dir() {
@@ -44,13 +46,17 @@ impl Folder {
     }
 
     /// The permission bits of the folder.
-    /// Errors: what the system reports.
+    ///
+    /// # Errors
+    /// What the system reports.
     pub fn mode(&self) -> io::Result<u32> {
         Ok(File::from(self.fd.try_clone()?).metadata()?.permissions().mode() & 0o7777)
     }
 
     /// Opens a folder in this one.
-    /// Errors: nothing has that name, or it is something else, for example a link.
+    ///
+    /// # Errors
+    /// Nothing has that name, or it is something else, for example a link.
     pub fn folder(&self, name: &str) -> io::Result<Self> {
         let path = self.path.join(plain(name)?);
         let flags = OFlag::O_RDONLY | OFlag::O_DIRECTORY | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
@@ -59,14 +65,18 @@ impl Folder {
     }
 
     /// Makes a new folder in this one.
-    /// Errors: something has that name already (kind `AlreadyExists`), or it cannot be made.
+    ///
+    /// # Errors
+    /// Something has that name already (kind `AlreadyExists`), or it cannot be made.
     pub fn new_folder(&self, name: &str) -> io::Result<Self> {
         mkdirat(&self.fd, plain(name)?, Mode::from_bits_truncate(0o777))?;
         self.folder(name)
     }
 
     /// Opens a folder in this one, and makes it if it is missing.
-    /// Errors: as [`Folder::folder`], or it cannot be made.
+    ///
+    /// # Errors
+    /// As [`Folder::folder`], or it cannot be made.
     pub fn make_folder(&self, name: &str) -> io::Result<Self> {
         match self.new_folder(name) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => self.folder(name),
@@ -75,7 +85,9 @@ impl Folder {
     }
 
     /// Whether something in it has this name; a link counts too.
-    /// Errors: what the system reports.
+    ///
+    /// # Errors
+    /// What the system reports.
     pub fn has(&self, name: &str) -> io::Result<bool> {
         match fstatat(&self.fd, plain(name)?, AtFlags::AT_SYMLINK_NOFOLLOW) {
             Ok(_) => Ok(true),
@@ -85,7 +97,9 @@ impl Folder {
     }
 
     /// Opens a regular file in it.
-    /// Errors: nothing has that name, or it is a link or no regular file.
+    ///
+    /// # Errors
+    /// Nothing has that name, or it is a link or no regular file.
     pub fn file(&self, name: &str) -> io::Result<File> {
         let path = self.path.join(plain(name)?);
         // Non-blocking, because opening a pipe would wait before its kind could be checked.
@@ -102,7 +116,9 @@ impl Folder {
     }
 
     /// Reads a regular file; `None` if nothing has that name.
-    /// Errors: as [`Folder::file`], or it is longer than `longest` bytes.
+    ///
+    /// # Errors
+    /// As [`Folder::file`], or it is longer than `longest` bytes.
     pub fn read(&self, name: &str, longest: u64) -> io::Result<Option<Vec<u8>>> {
         let file = match self.file(name) {
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -120,7 +136,9 @@ impl Folder {
     /// Writes a file in one step: it appears whole or not at all.
     /// It replaces whatever had its name before, a link too. `go_on` is called between pieces; if it returns
     /// false, nothing is written.
-    /// Errors: what the file system reports; of kind `Interrupted` if `go_on` stopped it.
+    ///
+    /// # Errors
+    /// What the file system reports; of kind `Interrupted` if `go_on` stopped it.
     pub fn write(&self, name: &str, content: &[u8], mode: u32, go_on: &dyn Fn() -> bool) -> io::Result<()> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         plain(name)?;
@@ -172,7 +190,9 @@ impl Folder {
 
     /// Renames a file or folder, within this folder or into another.
     /// An existing target stays, and is an error of kind `AlreadyExists`.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn rename(&self, name: &str, to: &Self, new: &str) -> io::Result<()> {
         plain(name)?;
         plain(new)?;
@@ -185,20 +205,26 @@ impl Folder {
     }
 
     /// Removes a file, or a link but not its target.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn remove(&self, name: &str) -> io::Result<()> {
         Ok(unlinkat(&self.fd, plain(name)?, UnlinkatFlags::NoRemoveDir)?)
     }
 
     /// Removes an empty folder in it.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn remove_folder(&self, name: &str) -> io::Result<()> {
         Ok(unlinkat(&self.fd, plain(name)?, UnlinkatFlags::RemoveDir)?)
     }
 
     /// Locks the folder for this process; `None` if another one holds the lock.
     /// File systems that cannot lock folders give an error.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn lock(&self) -> io::Result<Option<Flock<File>>> {
         match Flock::lock(File::from(self.fd.try_clone()?), FlockArg::LockExclusiveNonblock) {
             Ok(held) => Ok(Some(held)),
@@ -208,7 +234,9 @@ impl Folder {
     }
 
     /// The names in it, sorted; names that are not UTF-8 are left out.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn names(&self) -> io::Result<Vec<String>> {
         let flags = OFlag::O_RDONLY | OFlag::O_DIRECTORY | OFlag::O_CLOEXEC;
         let mut dir = Dir::openat(&self.fd, ".", flags, Mode::empty())?;
@@ -227,7 +255,9 @@ impl Folder {
 
     /// The space of its regular files on the disk, bytes: at least a block each.
     /// Files in its subfolders are not counted.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn bytes(&self) -> io::Result<u64> {
         let mut bytes = 0_u64;
         for name in self.names()? {
@@ -239,7 +269,9 @@ impl Folder {
     }
 
     /// Makes renames in it safe on the disk.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn sync(&self) -> io::Result<()> {
         match File::from(self.fd.try_clone()?).sync_all() {
             // Some file systems cannot sync a folder.

@@ -155,7 +155,9 @@ impl TableMarks {
     }
 
     /// The format of the rows that follow in a reader.
-    /// Errors: as [`Reader::row`].
+    ///
+    /// # Errors
+    /// As [`Reader::row`].
     pub fn of<R: Read>(reader: &mut Reader<R>) -> Result<Self, InputError> {
         let mut marks = Self::new(reader);
         marks.see_rows(reader)?;
@@ -181,7 +183,9 @@ impl TableMarks {
     /// Finds the format of a table; afterwards the input is at its beginning again.
     /// `None` for a plain table: cells separated by commas, no quotes, UTF-8. Its numbers can only have a
     /// decimal point.
-    /// Errors: there is no header; a row is not text; the input cannot be read.
+    ///
+    /// # Errors
+    /// There is no header; a row is not text; the input cannot be read.
     pub fn find<R: Read + Seek>(
         file: &Path,
         input: &mut R,

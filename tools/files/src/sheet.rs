@@ -34,7 +34,9 @@ pub struct Columns(Vec<(String, String)>);
 
 impl Columns {
     /// Parses words such as `z_mm=3` or `z_mm=Z position`.
-    /// Errors: a word without `=`; a name that is not in `known` and does not match `also`; one name twice.
+    ///
+    /// # Errors
+    /// A word without `=`; a name that is not in `known` and does not match `also`; one name twice.
     pub fn parse(words: &[String], known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
         let mut columns: Vec<(String, String)> = Vec::new();
         for word in words {
@@ -92,15 +94,19 @@ fn record_beside(file: &Path) -> Option<String> {
 impl Sheet {
     /// Reads a file whose columns are all in `known`, or match `also`.
     /// `also` may accept temperature columns, for example.
-    /// Errors: unreadable, no regular file, no header, unknown or repeated column, a row that is too short or
-    /// too long, a file of another kind.
+    ///
+    /// # Errors
+    /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too
+    /// long, a file of another kind.
     pub fn read(file: &Path, known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
         Self::of(file, &crate::text::bytes(file)?, known, also, &Columns::default())
     }
 
     /// As [`Sheet::read`], with the columns that the user has assigned.
     /// All other columns are ignored.
-    /// Errors: as [`Sheet::read`]; an assigned column that is missing.
+    ///
+    /// # Errors
+    /// As [`Sheet::read`]; an assigned column that is missing.
     pub fn read_columns(
         file: &Path,
         known: &[&str],
@@ -111,7 +117,9 @@ impl Sheet {
     }
 
     /// As [`Sheet::read`], from text already in memory; `file` only names it.
-    /// Errors: as [`Sheet::read`].
+    ///
+    /// # Errors
+    /// As [`Sheet::read`].
     pub fn parse(
         file: &Path,
         text: &str,
@@ -218,7 +226,9 @@ impl Sheet {
     }
 
     /// A column of finite numbers.
-    /// Errors: no such column, or a cell that is no finite number.
+    ///
+    /// # Errors
+    /// No such column, or a cell that is no finite number.
     pub fn numbers(&self, name: &str) -> Result<Vec<f64>, InputError> {
         let numbers = self.marks.numbers(self.header.place(name)?);
         self.column(name, |text| numbers.parse(text).ok_or_else(|| numbers.expected(text)))
@@ -240,13 +250,17 @@ impl Sheet {
     }
 
     /// A column of numbers that the file may leave out.
-    /// Errors: as [`Sheet::numbers`], if the column exists.
+    ///
+    /// # Errors
+    /// As [`Sheet::numbers`], if the column exists.
     pub fn optional(&self, name: &str) -> Result<Option<Vec<f64>>, InputError> {
         if self.names.iter().any(|n| n == name) { self.numbers(name).map(Some) } else { Ok(None) }
     }
 
     /// A column of words.
-    /// Errors: no such column, or an empty cell.
+    ///
+    /// # Errors
+    /// No such column, or an empty cell.
     pub fn words(&self, name: &str) -> Result<Vec<String>, InputError> {
         self.column(name, |text| if text.is_empty() { Err("a name") } else { Ok(text.to_owned()) })
     }

@@ -32,7 +32,9 @@ pub fn by() -> String {
 }
 
 /// Checks that a file is of a format that this version can read.
-/// Errors: it is of a later one.
+///
+/// # Errors
+/// It is of a later one.
 pub fn check(root: &Table<'_>) -> Result<(), InputError> {
     if let Some(by) = root.get("by") {
         by.str("the program that wrote the file")?;

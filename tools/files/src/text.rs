@@ -14,13 +14,17 @@ use std::path::Path;
 pub const LONGEST: u64 = 1 << 30;
 
 /// Reads a text file.
-/// Errors: as [`bytes`], or it is neither UTF-8 nor UTF-16.
+///
+/// # Errors
+/// As [`bytes`], or it is neither UTF-8 nor UTF-16.
 pub fn read(file: &Path) -> Result<String, InputError> {
     decode(file, &bytes(file)?)
 }
 
 /// Reads a file whole.
-/// Errors: it cannot be read, is no regular file (a folder, a pipe, a device), or is longer than [`LONGEST`].
+///
+/// # Errors
+/// It cannot be read, is no regular file (a folder, a pipe, a device), or is longer than [`LONGEST`].
 pub fn bytes(file: &Path) -> Result<Vec<u8>, InputError> {
     let mut content = Vec::new();
     let opened = open_regular(file)?;
@@ -32,7 +36,9 @@ pub fn bytes(file: &Path) -> Result<Vec<u8>, InputError> {
 }
 
 /// Opens a regular file, and nothing else.
-/// Errors: it cannot be opened, or is no regular file.
+///
+/// # Errors
+/// It cannot be opened, or is no regular file.
 pub fn open_regular(file: &Path) -> Result<File, InputError> {
     // Non-blocking, because opening a pipe without a writer would wait before its kind could be checked.
     let opened = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(file);
@@ -58,7 +64,9 @@ pub(crate) fn opened(file: &Path) -> Result<File, InputError> {
 
 /// Decodes UTF-8 or UTF-16 text without its byte-order mark.
 /// `file` is its name in error messages.
-/// Errors: the place of the first byte that is not UTF-8; UTF-16 with half a character in it.
+///
+/// # Errors
+/// The place of the first byte that is not UTF-8; UTF-16 with half a character in it.
 pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
     if let Some((encoding, mark)) = utf16(bytes) {
         let text = encoding.decode_without_bom_handling_and_without_replacement(&bytes[mark..]);
@@ -80,7 +88,9 @@ pub fn decode(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
 
 /// Decodes text in UTF-8 or UTF-16, or else in Windows-1252.
 /// Many loggers write a degree sign in Windows-1252. The second value names the encoding if it is not UTF-8.
-/// Errors: as [`decode`], if the bytes are not text of Windows-1252 either.
+///
+/// # Errors
+/// As [`decode`], if the bytes are not text of Windows-1252 either.
 pub fn decode_western(file: &Path, bytes: &[u8]) -> Result<(String, Option<&'static str>), InputError> {
     let error = match decode(file, bytes) {
         Ok(text) => return Ok((text, utf16(bytes).map(|_| "UTF-16"))),

@@ -22,7 +22,9 @@ pub struct Document<'t> {
 
 impl<'t> Document<'t> {
     /// Parses a text; `file` is its name in findings.
-    /// Errors: the first syntax error.
+    ///
+    /// # Errors
+    /// The first syntax error.
     pub fn parse(file: &'t Path, text: &'t str) -> Result<Self, InputError> {
         let (document, findings) = Self::parse_all(file, text);
         findings.into_iter().next().map_or(Ok(document), Err)
@@ -44,7 +46,9 @@ impl<'t> Document<'t> {
 
 /// Reads a text into a type that declares its keys.
 /// `expected` names the kind of file for messages.
-/// Errors: the first finding.
+///
+/// # Errors
+/// The first finding.
 pub fn from_str<T: DeserializeOwned>(file: &Path, text: &str, expected: &str) -> Result<T, InputError> {
     toml::from_str(text).map_err(|error| finding(file, text, &error, expected))
 }
@@ -128,7 +132,9 @@ pub struct Table<'d> {
 
 impl<'d> Table<'d> {
     /// Refuses every key that is not among `known`.
-    /// Errors: the first unknown key, with the most similar known one, if any.
+    ///
+    /// # Errors
+    /// The first unknown key, with the most similar known one, if any.
     pub fn only(&self, known: &[&str]) -> Result<(), InputError> {
         match self.entries().find(|entry| !known.contains(&entry.key)) {
             Some(entry) => Err(entry.unknown(&self.title, known)),
@@ -143,7 +149,9 @@ impl<'d> Table<'d> {
     }
 
     /// The entry of a required key.
-    /// Errors: it is missing.
+    ///
+    /// # Errors
+    /// It is missing.
     pub fn required(&self, key: &str, expected: &str) -> Result<Entry<'d>, InputError> {
         self.get(key).ok_or_else(|| self.error(format!("no {key} in {}", self.title), expected))
     }
@@ -255,32 +263,42 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as text.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn str(&self, expected: &str) -> Result<&'d str, InputError> {
         self.as_str().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a truth value.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn bool(&self, expected: &str) -> Result<bool, InputError> {
         self.as_bool().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a whole number within the range of `T`.
-    /// Errors: it is something else, or out of range.
+    ///
+    /// # Errors
+    /// It is something else, or out of range.
     pub fn integer<T: TryFrom<i64>>(&self, expected: &str) -> Result<T, InputError> {
         self.as_integer().and_then(|n| n.try_into().ok()).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a finite number; a whole number is accepted.
-    /// Errors: it is something else, infinite or not a number.
+    ///
+    /// # Errors
+    /// It is something else, infinite or not a number.
     pub fn number(&self, expected: &str) -> Result<f64, InputError> {
         self.as_number().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a number from `low` to `high`.
     /// `expected` names the quantity and its unit.
-    /// Errors: it is something else, or outside.
+    ///
+    /// # Errors
+    /// It is something else, or outside.
     pub fn within(&self, [low, high]: [f64; 2], expected: &str) -> Result<f64, InputError> {
         let v = self.number(expected)?;
         if (low..=high).contains(&v) {
@@ -293,19 +311,25 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as a finite number above zero.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn positive(&self, expected: &str) -> Result<f64, InputError> {
         self.as_number().filter(|v| *v > 0.0).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as an array of finite numbers.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn numbers(&self, expected: &str) -> Result<Vec<f64>, InputError> {
         numbers(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as an array of text.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn strings(&self, expected: &str) -> Result<Vec<&'d str>, InputError> {
         let array = self.value.get_ref().as_array();
         let all = array.and_then(|a| a.iter().map(|v| v.get_ref().as_str()).collect());
@@ -313,13 +337,17 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as a pair of finite numbers, the first not above the second.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn pair(&self, expected: &str) -> Result<[f64; 2], InputError> {
         pair(self.value.get_ref()).ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as pairs of finite numbers: one pair, or an array of pairs.
-    /// Errors: it is something else, or the first number of a pair is the larger one.
+    ///
+    /// # Errors
+    /// It is something else, or the first number of a pair is the larger one.
     pub fn pairs(&self, expected: &str) -> Result<Vec<[f64; 2]>, InputError> {
         let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
         if array.iter().all(|v| v.get_ref().is_array()) {
@@ -330,14 +358,18 @@ impl<'d> Entry<'d> {
     }
 
     /// The value as a table, `[header]` or inline.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn table(&self, expected: &str) -> Result<Table<'d>, InputError> {
         self.as_table().ok_or_else(|| self.mismatch(expected))
     }
 
     /// The value as a list of tables: `[[header]]` or an array of inline tables.
     /// An empty array is accepted.
-    /// Errors: it is something else.
+    ///
+    /// # Errors
+    /// It is something else.
     pub fn tables(&self, expected: &str) -> Result<Vec<Table<'d>>, InputError> {
         let array = self.value.get_ref().as_array().ok_or_else(|| self.mismatch(expected))?;
         let of = |v: &'d Spanned<DeValue<'d>>| {

@@ -42,7 +42,9 @@ pub enum TraceFormat {
 
 impl TraceFormat {
     /// The format that a file's extension names.
-    /// Errors: the extension is neither `.csv` nor `.vcd`.
+    ///
+    /// # Errors
+    /// The extension is neither `.csv` nor `.vcd`.
     pub fn of(file: &Path) -> Result<Self, InputError> {
         let extension = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         match extension.as_str() {
@@ -282,13 +284,17 @@ fn shifted(plain: &str, places: usize) -> Option<String> {
 
 impl TraceReader<File> {
     /// Opens a trace; the file's extension gives the format.
-    /// Errors: the file cannot be read, its extension is unknown, or its header is wrong.
+    ///
+    /// # Errors
+    /// The file cannot be read, its extension is unknown, or its header is wrong.
     pub fn open(file: &Path) -> Result<Self, InputError> {
         Self::open_columns(file, &Columns::default())
     }
 
     /// As [`TraceReader::open`], with columns or signals that the user has assigned.
-    /// Errors: as [`TraceReader::open`]; an assigned column or signal that is missing.
+    ///
+    /// # Errors
+    /// As [`TraceReader::open`]; an assigned column or signal that is missing.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
         let again = file.is_file().then_some(file);
@@ -312,20 +318,26 @@ impl TraceReader<File> {
 }
 
 /// The columns of a trace, assigned by words such as `t_s=1` or `a=Channel 0`.
-/// Errors: as [`Columns::parse`].
+///
+/// # Errors
+/// As [`Columns::parse`].
 pub fn trace_columns(words: &[String]) -> Result<Columns, InputError> {
     Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "a", "b"], |_| false)
 }
 
 /// As [`trace_columns`], for requested totals.
-/// Errors: as [`Columns::parse`].
+///
+/// # Errors
+/// As [`Columns::parse`].
 pub fn request_columns(words: &[String]) -> Result<Columns, InputError> {
     Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "requested"], |_| false)
 }
 
 impl<R: Read> TraceReader<R> {
     /// Reads a trace from `input`; `file` is its name in error messages.
-    /// Errors: the header is missing or wrong.
+    ///
+    /// # Errors
+    /// The header is missing or wrong.
     pub fn new(format: TraceFormat, file: &Path, input: R) -> Result<Self, InputError> {
         Self::of(format, file, input, &Columns::default(), None)
     }
@@ -391,7 +403,9 @@ impl<R: Read> TraceReader<R> {
     }
 
     /// The next point, or `None` at the end.
-    /// Errors: the first row that does not suit the format.
+    ///
+    /// # Errors
+    /// The first row that does not suit the format.
     #[inline]
     pub fn next_point(&mut self) -> Result<Option<TracePoint>, InputError> {
         if matches!(self.points, Points::Csv { is_plain: true, .. })
@@ -476,14 +490,18 @@ pub struct RequestReader<R> {
 
 impl RequestReader<File> {
     /// Opens a file of requests, with the columns that the user has assigned.
-    /// Errors: the file cannot be read, its header is wrong, or an assigned column is missing.
+    ///
+    /// # Errors
+    /// The file cannot be read, its header is wrong, or an assigned column is missing.
     pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
         Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
     }
 
     /// As [`RequestReader::open_columns`], for totals on a trace's clock.
     /// If the trace begins before a trigger, both count from its first time.
-    /// Errors: as [`RequestReader::open_columns`].
+    ///
+    /// # Errors
+    /// As [`RequestReader::open_columns`].
     pub fn open_beside(
         file: &Path,
         columns: &Columns,
@@ -499,7 +517,9 @@ impl RequestReader<File> {
 
 impl<R: Read> RequestReader<R> {
     /// Reads requests from `input`; `file` is its name in error messages.
-    /// Errors: the header is missing or wrong.
+    ///
+    /// # Errors
+    /// The header is missing or wrong.
     pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
         Self::of(file, input, &Columns::default(), None)
     }
@@ -558,7 +578,9 @@ pub struct TraceWriter<W: Write> {
 
 impl<W: Write> TraceWriter<W> {
     /// Makes a writer and writes the header.
-    /// Errors: what `out` reports.
+    ///
+    /// # Errors
+    /// What `out` reports.
     pub fn new(format: TraceFormat, out: W) -> io::Result<Self> {
         let mut out = io::BufWriter::with_capacity(BUFFER, out);
         out.write_all(match format {
@@ -571,7 +593,9 @@ impl<W: Write> TraceWriter<W> {
     }
 
     /// Writes one point.
-    /// Errors: what the output reports.
+    ///
+    /// # Errors
+    /// What the output reports.
     #[inline]
     pub fn write(&mut self, point: TracePoint) -> io::Result<()> {
         match self.format {
@@ -609,7 +633,9 @@ impl<W: Write> TraceWriter<W> {
     }
 
     /// Writes the buffered rest and returns the output.
-    /// Errors: what the output reports.
+    ///
+    /// # Errors
+    /// What the output reports.
     pub fn finish(self) -> io::Result<W> {
         self.out.into_inner().map_err(io::IntoInnerError::into_error)
     }
@@ -622,13 +648,17 @@ pub struct TraceFile(TraceWriter<WholeFile>);
 
 impl TraceFile {
     /// Starts a trace in the format that the extension of `file` names.
-    /// Errors: the extension is unknown, or the directory of `file` cannot be written to.
+    ///
+    /// # Errors
+    /// The extension is unknown, or the directory of `file` cannot be written to.
     pub fn create(file: &Path) -> Result<Self, InputError> {
         Self::create_noted(file, &[])
     }
 
     /// As [`TraceFile::create`], with lines of comment before the header.
-    /// Errors: as [`TraceFile::create`].
+    ///
+    /// # Errors
+    /// As [`TraceFile::create`].
     pub fn create_noted(file: &Path, notes: &[&str]) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
         let noted = WholeFile::create(file).and_then(|mut out| {
@@ -644,14 +674,18 @@ impl TraceFile {
     }
 
     /// Writes one point; see [`TraceWriter::write`].
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     #[inline]
     pub fn write(&mut self, point: TracePoint) -> io::Result<()> {
         self.0.write(point)
     }
 
     /// Gives the file its name.
-    /// Errors: what the file system reports; nothing is left behind then.
+    ///
+    /// # Errors
+    /// What the file system reports; nothing is left behind then.
     pub fn finish(self) -> io::Result<()> {
         self.0.finish()?.finish()
     }

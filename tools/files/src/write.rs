@@ -40,7 +40,9 @@ fn spared(file: &Path) -> io::Result<()> {
 }
 
 /// Checks that a file to be written was not read, before the work begins.
-/// Errors: after [`spare_inputs`], the file was read.
+///
+/// # Errors
+/// After [`spare_inputs`], the file was read.
 pub fn is_no_input(file: &Path) -> Result<(), InputError> {
     let (Some(inputs), Ok(is)) =
         (&*INPUTS.lock().unwrap_or_else(PoisonError::into_inner), std::fs::metadata(file))
@@ -55,7 +57,9 @@ pub fn is_no_input(file: &Path) -> Result<(), InputError> {
 }
 
 /// Writes a file whole or not at all.
-/// Errors: what the file system reports; then nothing is left behind, and the previous file stays.
+///
+/// # Errors
+/// What the file system reports; then nothing is left behind, and the previous file stays.
 pub fn whole(file: &Path, content: &[u8]) -> io::Result<()> {
     let mut out = WholeFile::create(file)?;
     out.write_all(content)?;
@@ -89,7 +93,9 @@ enum Place {
 
 impl WholeFile {
     /// Starts a file.
-    /// Errors: its folder cannot be written to; or, after [`spare_inputs`], it was read.
+    ///
+    /// # Errors
+    /// Its folder cannot be written to; or, after [`spare_inputs`], it was read.
     pub fn create(file: &Path) -> io::Result<Self> {
         let before = std::fs::metadata(file).ok();
         if before.as_ref().is_some_and(|m| !m.is_file() && !m.is_dir()) {
@@ -117,8 +123,10 @@ impl WholeFile {
     }
 
     /// Gives the file its name, once all of it is safe on the disk.
-    /// Errors: what the file system reports, or, after [`spare_inputs`], the file was read. Nothing is left
-    /// behind then.
+    ///
+    /// # Errors
+    /// What the file system reports, or, after [`spare_inputs`], the file was read. Nothing is left behind
+    /// then.
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
             Place::Through(mut out) => out.flush(),

@@ -187,7 +187,9 @@ impl Measured {
 /// Measures a simulated card.
 ///
 /// `progress` is called about once a second with the present part of the test and the seconds that are left.
-/// Errors: when the test card or a thread cannot be made, or the card fails.
+///
+/// # Errors
+/// When the test card or a thread cannot be made, or the card fails.
 pub fn run(
     options: SelftestOptions,
     backend: Backend,
@@ -215,7 +217,9 @@ pub fn run(
 /// Measures the card that will do the work, with the lines of these axes.
 /// It times reads with the outputs held, and with `drive` also writes. The caller must make sure that no MTC listens,
 /// because the MTC counts each insertion.
-/// Errors: when a thread cannot be made, an axis is in the middle of an insertion, or the card fails.
+///
+/// # Errors
+/// When a thread cannot be made, an axis is in the middle of an insertion, or the card fails.
 pub fn run_on_card<C: Card + Send + 'static>(
     options: SelftestOptions,
     card: C,

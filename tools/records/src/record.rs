@@ -22,8 +22,10 @@ pub const ROLES: &str = "a role: time, cycle, temperature, spindle_speed, coolan
      velocity, acceleration, load, error, force with an axis (position.y), or angle_error with two (angle_error.x.b)";
 
 /// Reads a record from its sidecar.
-/// Errors: the first finding, with file, line and column: an unreadable file, an unknown key, kind or role,
-/// or a wrong unit. In the CSV a listed column that is missing, a short row, a value that is missing or not
+///
+/// # Errors
+/// The first finding, with file, line and column: an unreadable file, an unknown key, kind or role, or a
+/// wrong unit. In the CSV a listed column that is missing, a short row, a value that is missing or not
 /// finite, time running backwards, or no response.
 pub fn read(path: &Path) -> Result<Record, InputError> {
     let record = read_log(path)?;
@@ -40,7 +42,9 @@ fn has_response(path: &Path, columns: &[Column]) -> Result<(), InputError> {
 }
 
 /// Reads a log: a record that need not have a response (a recorded shift).
-/// Errors: as [`read`], apart from the response.
+///
+/// # Errors
+/// As [`read`], apart from the response.
 pub fn read_log(path: &Path) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
     let (csv_path, file) = sidecar.open(path)?;
@@ -53,7 +57,9 @@ pub fn read_log(path: &Path) -> Result<Record, InputError> {
 }
 
 /// Reads a log from its sidecar's text and its CSV; `path` is the sidecar's.
-/// Errors: as [`read_log`].
+///
+/// # Errors
+/// As [`read_log`].
 pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read + Seek) -> Result<Record, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let csv_path = sidecar.csv_path(path);
@@ -61,7 +67,9 @@ pub fn parse_log(path: &Path, sidecar: &str, csv: impl Read + Seek) -> Result<Re
 }
 
 /// The name of the CSV in a sidecar.
-/// Errors: when it is no sidecar, or names a file in another folder.
+///
+/// # Errors
+/// When it is no sidecar, or names a file in another folder.
 pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
     let sidecar = Sidecar::parse(path, sidecar)?;
     let mut parts = Path::new(&sidecar.file).components();
@@ -96,7 +104,9 @@ pub struct RecordPiece {
 impl RecordPieces {
     /// Opens a record before its first piece.
     /// Returns `None` for a ballbar's circle, because the place of a row there depends on the rows around it.
-    /// Errors: errors of [`read`] before the rows.
+    ///
+    /// # Errors
+    /// Errors of [`read`] before the rows.
     pub fn of(path: &Path) -> Result<Option<Self>, InputError> {
         let sidecar = Sidecar::parse(path, &rtec_files::text::read(path)?)?;
         if sidecar.circle.is_some() {
@@ -111,7 +121,9 @@ impl RecordPieces {
     }
 
     /// Goes back before the first piece.
-    /// Errors: when the file has changed.
+    ///
+    /// # Errors
+    /// When the file has changed.
     pub fn rewind(&mut self) -> Result<(), InputError> {
         let (csv_path, file) = self.sidecar.open(&self.path)?;
         self.rows = RowReader::new(&csv_path, file, &self.sidecar, self.rows.marks.take())?;
@@ -141,7 +153,9 @@ impl RecordPieces {
     }
 
     /// The next rows, at most `rows`; `None` at the end.
-    /// Errors: errors of [`read`] in these rows.
+    ///
+    /// # Errors
+    /// Errors of [`read`] in these rows.
     pub fn next(&mut self, rows: usize) -> Result<Option<RecordPiece>, InputError> {
         let mut texts = Vec::with_capacity(rows);
         let record = self.fill(rows, |text| texts.push(String::from_utf8_lossy(text).into_owned()))?;
@@ -149,7 +163,9 @@ impl RecordPieces {
     }
 
     /// As [`RecordPieces::next`], without the texts.
-    /// Errors: errors of [`read`] in these rows.
+    ///
+    /// # Errors
+    /// Errors of [`read`] in these rows.
     pub fn next_record(&mut self, rows: usize) -> Result<Option<Record>, InputError> {
         self.fill(rows, |_| ())
     }
@@ -209,7 +225,9 @@ impl<R: Read> Read for Hashed<R> {
 
 /// The CSV's own rows with further columns at the end, as CSV text.
 /// Unlisted columns are kept.
-/// Errors: when the CSV can no longer be read, or its number of rows has changed.
+///
+/// # Errors
+/// When the CSV can no longer be read, or its number of rows has changed.
 pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String, InputError> {
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
     let mut file = open_regular(&path)?;
@@ -297,7 +315,9 @@ pub fn to_sidecar(record: &Record) -> String {
 
 /// Changes the path of a record.
 /// The sidecar gets that path, and the CSV the same name beside it.
-/// Errors: when the name does not end in `.run.toml`.
+///
+/// # Errors
+/// When the name does not end in `.run.toml`.
 pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = name.strip_suffix(".run.toml").filter(|s| !s.is_empty());
@@ -309,7 +329,9 @@ pub fn at(record: &mut Record, path: &Path) -> Result<(), InputError> {
 
 /// Whether a record made in memory would read back the same.
 /// Its columns' names are in the CSV's header.
-/// Errors: when a column has no name, or one that a header does not give back.
+///
+/// # Errors
+/// When a column has no name, or one that a header does not give back.
 pub fn can_be_written(record: &Record) -> Result<(), InputError> {
     let header = csv::header_line(record.columns.iter().map(|c| c.name.as_str())) + "\n";
     let names: Vec<String> = Reader::new(&record.path, header.as_bytes())
@@ -326,7 +348,9 @@ pub fn can_be_written(record: &Record) -> Result<(), InputError> {
 
 /// Writes `NAME.run.toml` and its CSV, each whole or not at all; sets the hash.
 /// The sidecar goes to [`Record::path`].
-/// Errors: when the directory cannot be written.
+///
+/// # Errors
+/// When the directory cannot be written.
 pub fn write(record: &mut Record) -> std::io::Result<()> {
     let csv = to_csv(record);
     let dir = record.path.parent().unwrap_or(Path::new(""));

@@ -29,11 +29,15 @@ const SENDING: &str = ".rtec-sent-";
 /// A store of records; its keys are paths with `/`.
 pub trait Store {
     /// Stores bytes under a key, whole or not at all.
-    /// Errors: when the store cannot be reached, or refuses the bytes.
+    ///
+    /// # Errors
+    /// When the store cannot be reached, or refuses the bytes.
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()>;
 
     /// The bytes under a key, or `None`.
-    /// Errors: when the store cannot be reached.
+    ///
+    /// # Errors
+    /// When the store cannot be reached.
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>>;
 }
 
@@ -45,7 +49,9 @@ pub struct Folder(PathBuf);
 impl Folder {
     /// Opens an existing folder.
     /// A missing folder is a share that is not mounted, and is not created.
-    /// Errors: when there is no such folder.
+    ///
+    /// # Errors
+    /// When there is no such folder.
     pub fn open(path: &Path) -> io::Result<Self> {
         Open::open(path).map(|_| Self(path.to_owned()))
     }
@@ -165,7 +171,9 @@ impl SpoolLimits {
 }
 
 /// Puts a written record into a spool, which is created where it is missing.
-/// Errors: when the record cannot be read, or the spool cannot be written.
+///
+/// # Errors
+/// When the record cannot be read, or the spool cannot be written.
 pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
     let record = super::record::read_log(sidecar).map_err(|e| no_record(&e))?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
@@ -176,7 +184,9 @@ pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
 /// Puts a record into an existing spool: its CSV, then its sidecar, each whole.
 /// It gets its own name, with a number added where another record waits under that name. `go_on` is asked
 /// between pieces; where it returns false, the record is not kept.
-/// Errors: when the spool cannot be written or has no room. Partial files are removed.
+///
+/// # Errors
+/// When the spool cannot be written or has no room. Partial files are removed.
 pub fn put(
     mut record: Record,
     csv: &[u8],
@@ -252,7 +262,9 @@ fn place(
 }
 
 /// Finishes the work of killed processes in a spool.
-/// Errors: when the file system fails.
+///
+/// # Errors
+/// When the file system fails.
 pub fn finish(spool: &Path) -> io::Result<()> {
     finish_begun(&Open::open(spool)?)
 }
@@ -300,7 +312,9 @@ fn no_record(finding: &InputError) -> io::Error {
 }
 
 /// Sends the records of a spool, one after the other.
-/// Errors: the first failure of the store or of the spool.
+///
+/// # Errors
+/// The first failure of the store or of the spool.
 pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingResult, ShipError> {
     let letter = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
     if machine.is_empty() || machine.starts_with('.') || !machine.chars().all(letter) {
@@ -371,7 +385,9 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
 
 /// Reads a waiting record: its CSV and its sidecar, each with its name.
 /// Returns `None` if another process that sends from this spool has sent it.
-/// Errors: why it is no record, so that it stays in the spool.
+///
+/// # Errors
+/// Why it is no record, so that it stays in the spool.
 fn read_waiting(folder: &Open, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
     let read = |file: &str, longest, expected| {
         folder.read(file, longest).map_err(|e| InputError::whole(sidecar, e.to_string(), expected))

@@ -31,7 +31,9 @@ pub struct Bank {
 impl Bank {
     /// Sensors under a root (`/`; tests use their own tree).
     /// `recording` reads a recording that is to be replayed.
-    /// Errors: a recording to replay that cannot be read.
+    ///
+    /// # Errors
+    /// A recording to replay that cannot be read.
     pub fn new(
         configs: Vec<SensorConfig>,
         root: &Path,
@@ -159,7 +161,9 @@ fn one_wire(root: &Path, id: &str) -> Result<f64, String> {
 
 /// Checks that a sensor can be read now, under a root.
 /// Feeds from other computers and recordings are not checked.
-/// Errors: the reason why nothing can be read.
+///
+/// # Errors
+/// The reason why nothing can be read.
 pub fn look(root: &Path, source: &SensorSource) -> Result<(), String> {
     match source {
         SensorSource::Iio { device, channel } => iio(root, device, *channel).map(drop),

@@ -49,7 +49,9 @@ impl Buses {
     /// Starts the threads.
     /// Every `log_s` seconds the temperatures are written to the log in `directory`. `recording` reads a
     /// recording that is replayed.
-    /// Errors: a recording to be replayed that cannot be read.
+    ///
+    /// # Errors
+    /// A recording to be replayed that cannot be read.
     pub fn start(
         configs: &[SensorConfig],
         clock: Clock,

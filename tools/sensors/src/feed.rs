@@ -114,7 +114,9 @@ impl Feed {
     }
 
     /// The value of a key that came with the last poll.
-    /// Errors: the reason why there is no such value.
+    ///
+    /// # Errors
+    /// The reason why there is no such value.
     pub fn value(&self, key: &str) -> Result<f64, String> {
         self.values.get(key).copied().ok_or_else(|| self.why_not(key))
     }

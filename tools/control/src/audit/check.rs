@@ -33,7 +33,9 @@ pub struct Line {
 }
 
 /// Reads the record and its refusals, oldest line first.
-/// Errors: a file that cannot be read.
+///
+/// # Errors
+/// A file that cannot be read.
 pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
     let refused = refused_path(path);
     if files(path).is_empty() {
@@ -175,7 +177,9 @@ pub struct Verified {
 
 /// Checks that no line is missing, changed or moved.
 /// It also checks that the chain contains every anchor.
-/// Errors: a file that cannot be read.
+///
+/// # Errors
+/// A file that cannot be read.
 pub fn verify(path: &Path, anchors: &[Anchor]) -> io::Result<Verified> {
     let of = |refused: bool| {
         let of_chain = anchors.iter().filter(|a| a.refused == refused);

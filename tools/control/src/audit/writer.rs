@@ -79,7 +79,9 @@ impl Writer {
     }
 
     /// Adds a line, whole or not at all.
-    /// Errors: what the file system reports; the chain continues with the next line.
+    ///
+    /// # Errors
+    /// What the file system reports; the chain continues with the next line.
     pub fn append(&mut self, mut entry: Entry) -> io::Result<()> {
         self.look()?;
         if self.file.is_none() {
@@ -131,7 +133,9 @@ impl Writer {
     }
 
     /// Waits until everything written is on the disk.
-    /// Errors: what the file system reports.
+    ///
+    /// # Errors
+    /// What the file system reports.
     pub fn sync(&mut self) -> io::Result<()> {
         if self.head_behind {
             self.write_head()?;

@@ -59,7 +59,9 @@ const INSTALLED_RUN: &str = "/run/rtec";
 
 impl ControlConfig {
     /// The daemon at this socket, or of this configuration, or the installed one.
-    /// Errors: the findings in the configuration that is named.
+    ///
+    /// # Errors
+    /// The findings in the configuration that is named.
     pub fn of(config: Option<&Path>, socket: Option<&Path>) -> Result<Self, ConfigFindings> {
         if let Some(socket) = socket {
             // Another daemon than that of the file: everything is derived from this socket.

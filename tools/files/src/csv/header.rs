@@ -61,7 +61,9 @@ impl Header {
     }
 
     /// Index of a column by its name, or else by its number from 1.
-    /// Errors: as [`Header::place`].
+    ///
+    /// # Errors
+    /// As [`Header::place`].
     pub fn place_or_number(&self, column: &str) -> Result<usize, InputError> {
         match column.parse::<usize>() {
             Ok(number) if self.find(column).is_none() && (1..=self.names.len()).contains(&number) => {
@@ -74,7 +76,9 @@ impl Header {
     /// The columns renamed.
     /// `columns` has pairs of the new name and the column's name or number. Columns in no pair lose their
     /// names.
-    /// Errors: as [`Header::place`].
+    ///
+    /// # Errors
+    /// As [`Header::place`].
     pub(crate) fn renamed(&self, columns: &[(String, String)]) -> Result<Self, InputError> {
         let mut renamed = self.clone();
         renamed.names.iter_mut().for_each(|(name, _)| name.clear());
@@ -90,7 +94,9 @@ impl Header {
     }
 
     /// Checks that a column's name does not contradict the unit that it is read in.
-    /// Errors: it does; the finding has both units.
+    ///
+    /// # Errors
+    /// It does; the finding has both units.
     pub fn is_in_unit_of(&self, name: &str, place: usize) -> Result<(), InputError> {
         let column = self.names().nth(place).unwrap_or_default();
         let Some(said) = units::stated(name).map(|s| s.unit) else { return Ok(()) };
@@ -119,7 +125,9 @@ impl Header {
     }
 
     /// The index of a column that must occur once.
-    /// Errors: it is missing, or occurs twice.
+    ///
+    /// # Errors
+    /// It is missing, or occurs twice.
     pub fn place(&self, name: &str) -> Result<usize, InputError> {
         let mut found = self.names.iter().enumerate().filter(|(_, (n, _))| n == name);
         match (found.next(), found.next()) {
@@ -167,7 +175,9 @@ impl Header {
     }
 
     /// The columns that are known, or match `also`, and the names of the others.
-    /// Errors: a column that occurs twice, a name nearly equal to a missing one, or another kind of table.
+    ///
+    /// # Errors
+    /// A column that occurs twice, a name nearly equal to a missing one, or another kind of table.
     pub(crate) fn known(
         &self,
         known: &[&str],
@@ -190,7 +200,9 @@ impl Header {
     }
 
     /// Checks that every column is known and occurs once.
-    /// Errors: the first that is not or does not.
+    ///
+    /// # Errors
+    /// The first that is not or does not.
     pub(super) fn only(&self, known: &[&str], also: impl Fn(&str) -> bool) -> Result<(), InputError> {
         for (n, (name, column)) in self.names.iter().enumerate() {
             if !known.contains(&name.as_str()) && !also(name) {
@@ -225,7 +237,9 @@ impl Header {
     }
 
     /// Passes each cell of a row, with its column's index, to `take`.
-    /// Errors: the first error of `take`; then that the row is too short or too long.
+    ///
+    /// # Errors
+    /// The first error of `take`; then that the row is too short or too long.
     #[inline]
     pub fn each<'a>(
         &self,
@@ -250,7 +264,9 @@ impl Header {
     }
 
     /// The cells of a row, as many as there are columns.
-    /// Errors: the row is too short or too long.
+    ///
+    /// # Errors
+    /// The row is too short or too long.
     pub fn cells<'a>(&self, row: Row<'a>) -> Result<Vec<Cell<'a>>, InputError> {
         let mut cells = Vec::with_capacity(self.names.len());
         self.each(row, |_, cell| {

@@ -181,7 +181,9 @@ impl Cell<'_> {
     }
 
     /// The cell's finite number.
-    /// Errors: it is not a finite number.
+    ///
+    /// # Errors
+    /// It is not a finite number.
     #[inline]
     pub fn finite(&self) -> Result<f64, InputError> {
         if let Some(number) = plain_decimal(self.text.as_bytes()) {
