@@ -1,7 +1,7 @@
 //! The output: a terminal with colours and a width, a file, or a closed pipe.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write as _};
 use std::os::fd::AsFd;
 
 /// Meaning of a colour, one of the eight that every terminal has.
@@ -23,13 +23,13 @@ pub(crate) fn colours_are_wanted() -> bool {
 
 /// Whether standard output shows colours.
 pub(crate) fn colour() -> bool {
-    std::io::stdout().is_terminal() && colours_are_wanted()
+    io::stdout().is_terminal() && colours_are_wanted()
 }
 
 /// Columns of the terminal on standard output.
 /// None if it is not a terminal, or does not know its width.
 pub(crate) fn width() -> Option<u16> {
-    let terminal = std::io::stdout().is_terminal();
+    let terminal = io::stdout().is_terminal();
     let size = terminal.then(terminal_size::terminal_size).flatten();
     size.and_then(|(width, _)| readable(width.0))
 }
@@ -53,10 +53,22 @@ pub(crate) fn toned(text: &str, tone: Tone, colour: bool) -> String {
     format!("\x1b[{code}m{text}\x1b[0m")
 }
 
+/// Shows a text, with `clears` in place of the one before on a terminal.
+/// `false` if the reader of standard output has gone.
+pub(crate) fn redraw(text: &str, clears: bool) -> io::Result<bool> {
+    let mut out = io::stdout();
+    // Home, then clear to the end: no flicker, and no rest of a longer view.
+    let clear = if clears && out.is_terminal() { "\x1b[H\x1b[J" } else { "" };
+    match write!(out, "{clear}{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        written => written.map(|()| true),
+    }
+}
+
 /// Whether the reader of standard output has gone (`| head`).
 /// An endless command then ends.
 pub(crate) fn reader_has_gone() -> bool {
-    let stdout = std::io::stdout();
+    let stdout = io::stdout();
     let mut fds = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
     poll(&mut fds, PollTimeout::ZERO).is_ok()
         && fds[0].revents().is_some_and(|found| found.contains(PollFlags::POLLERR))

@@ -8,7 +8,6 @@ use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
 use rtec_correct::explain::Explained;
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write as _};
 use std::time::Duration;
 
 /// Show what the corrector is doing; exit 4 while a fault is latched
@@ -46,22 +45,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
     let mut client = daemon.view()?;
-    let mut out = std::io::stdout();
-    let terminal = out.is_terminal();
     loop {
         let status = status(&mut client)?;
-        // Home, then clear to the end: no flicker, and no rest of a longer view.
-        let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
         let text = if daemon.json {
             line(&status)?
         } else {
-            let way = on_their_way(&mut client, &status);
-            format!("{clear}{}", table(&status, &way, Screen::here()))
+            table(&status, &on_their_way(&mut client, &status), Screen::here())
         };
-        let written = write!(out, "{text}").and_then(|()| out.flush());
-        match written {
-            Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
-            other => other?,
+        if !terminal::redraw(&text, !daemon.json)? {
+            return Ok(());
         }
         std::thread::sleep(every);
     }
@@ -331,111 +323,14 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, RtStatus, RunningModel};
     use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
-    use std::collections::BTreeMap;
 
     const PLAIN: Screen = Screen { colour: false, width: None };
 
-    fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> AxisReport {
-        AxisReport {
-            name: name.into(),
-            position_counts,
-            position_mm: position_counts as f64 * 0.5e-3,
-            requested,
-            completed: in_effect,
-            in_effect,
-            mtc_minus_scale: in_effect,
-            inverted: in_effect % 4 != 0,
-            homed: true,
-            mtc_known: true,
-            gate: gate.into(),
-            edge_rate_hz: 12_000.4,
-            faults: Vec::new(),
-            max_correction_counts: 1000,
-            window_counts: 40,
-            insertions: 1234,
-            waited_for_gate: 7,
-            overlaps: 0,
-            late: 0,
-            illegal: 0,
-            beyond_limits: 0,
-            rates: Rates {
-                rapid_mm_min: Some(30_000.0),
-                followed_mm_min: Some(45_000.0),
-                corrected_mm_min: Some(24_000.0),
-            },
-        }
-    }
-
-    fn reading(name: &str, degc: Option<f64>, state: &str, fault: Option<&str>) -> Reading {
-        Reading {
-            sensor: name.into(),
-            place: "spindle".into(),
-            degc,
-            age_s: degc.map(|_| 42.4),
-            state: state.into(),
-            fault: fault.map(str::to_owned),
-        }
-    }
-
     /// A machine that corrects with a model, and a sensor replaced by its last value.
     fn corrects() -> DaemonStatus {
-        let times = Distribution { min: 20, p50: 26, p99: 37, p9999: 145, max: 2107, samples: 9 };
-        DaemonStatus {
-            version: "0.1.0".into(),
-            protocol: PROTOCOL,
-            latched: BTreeMap::new(),
-            record_trouble: None,
-            edited: Vec::new(),
-            machine: "lathe 7".into(),
-            mode: "run".into(),
-            homed: true,
-            enabled: true,
-            hold: None,
-            latched_faults: Vec::new(),
-            uptime_s: 3725.04,
-            balanced: true,
-            faults: Vec::new(),
-            why_not: Vec::new(),
-            model_refused: None,
-            rt: RtStatus {
-                alive: true,
-                card: "mapped".into(),
-                may_arm: true,
-                cpu: Some(3),
-                priority: Some(80),
-                missing: Vec::new(),
-                polls: 1,
-                events_lost: 0,
-                control_stale: false,
-                disable_switch: false,
-                mtc_ready: true,
-                poll_gap_ns: times,
-                edge_to_done_ns: Distribution::default(),
-            },
-            model: Some(RunningModel {
-                name: "lathe 7".into(),
-                file: "/etc/rtec/machine.toml".into(),
-                sha256: "12ab".into(),
-                fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
-                expired: Vec::new(),
-                age_days: Some(30),
-                days_left: Some(335),
-                notes: vec![
-                    "thermal_growth.z (T8-T18) is 2.0 K outside the range it was fitted on: 40 % of it is left".into(),
-                ],
-            }),
-            table: None,
-            table_now: None,
-            sensors: vec![
-                reading("T8", Some(31.5), "good", None),
-                reading("T18", Some(21.04), "frozen", Some("silent (no such device)")),
-                reading("T19", None, "hold", None),
-            ],
-            axes: vec![axis("x", -24_691_357, -14, -14, "done"), axis("z", 10, 30, 28, "waiting_for_edge")],
-        }
+        serde_json::from_str(include_str!("../../tests/golden/status_corrects.json")).unwrap()
     }
 
     #[test]
@@ -461,7 +356,6 @@ mod tests {
         crate::golden("status_fault.txt", &table(&status, &[], PLAIN));
     }
 
-    /// Colours only repeat the words, and nothing is wider than 80 columns.
     #[test]
     fn why_nothing_is_homed_is_what_the_daemon_says() {
         let mut status = corrects();
@@ -476,6 +370,7 @@ mod tests {
         assert!(text.ends_with("`rtecctl home --controller-homed`"), "{text}");
     }
 
+    /// Colours only repeat the words, and nothing is wider than 80 columns.
     #[test]
     fn on_a_terminal_it_has_colours_and_keeps_to_its_width() {
         let mut status = corrects();
