@@ -3,8 +3,7 @@
 mod watch;
 
 use crate::Outcome;
-use crate::document::{pretty, say_pretty};
-use crate::say;
+use crate::document::say_pretty;
 use clap::Subcommand;
 use rtec_control::card::{self, Access, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
@@ -13,7 +12,7 @@ use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{Place, Profile, Register, Space};
+use rtec_driver::profile::{PciPlace, Place, Profile, Register, Space};
 use rtec_files::InputError;
 use rtec_rt::event::MAX_AXES;
 use serde_json::{Value, json};
@@ -88,10 +87,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let config = load(config)?;
             if *live {
                 if *json && during.is_none() {
-                    return Err(Outcome::Bad(
-                        "--watch --json needs --for TIME: the document comes at its end".into(),
-                    )
-                    .into());
+                    let text = "--watch --json needs --for TIME: the document comes at its end";
+                    return Err(Outcome::Bad(text.to_owned()).into());
                 }
                 // A counter is latched to be read, and its flags are cleared, which the daemon would then
                 // miss.
@@ -168,10 +165,8 @@ fn list(as_json: bool) -> anyhow::Result<()> {
         let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
         let names = entries.filter_map(|e| e.file_name().into_string().ok());
         let digits = |rest: &str| !rest.is_empty() && rest.bytes().all(|b| b.is_ascii_digit());
-        let mut found: Vec<_> = names
-            .filter(|n| n.strip_prefix(prefix).is_some_and(digits))
-            .map(|n| format!("/dev/{n}"))
-            .collect();
+        let named = names.filter(|n| n.strip_prefix(prefix).is_some_and(digits));
+        let mut found: Vec<_> = named.map(|n| format!("/dev/{n}")).collect();
         found.sort();
         found
     };
@@ -187,20 +182,14 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     };
     println!("profiles (rtecctl card show NAME):");
     for p in &profiles {
-        println!(
-            "  {:<15} {:<7} {:<10} axes {} ({} with read-back)  {}",
-            text(p, "profile"),
-            text(p, "backend"),
-            text(p, "pci"),
-            text(p, "axes"),
-            text(p, "axes_with_read_back"),
-            text(p, "name")
-        );
+        let [profile, backend, pci, axes, wired_back, name] =
+            ["profile", "backend", "pci", "axes", "axes_with_read_back", "name"].map(|key| text(p, key));
+        println!("  {profile:<15} {backend:<7} {pci:<10} axes {axes} ({wired_back} with read-back)  {name}");
     }
     println!("in this machine:");
     for c in &chips {
         let axes = c["lines"].as_u64().map_or(0, |lines| (lines / 4).min(MAX_AXES as u64));
-        let (chip, label, lines) = (text(c, "chip"), text(c, "label"), text(c, "lines"));
+        let [chip, label, lines] = ["chip", "label", "lines"].map(|key| text(c, key));
         println!("  gpio     {chip} \"{label}\", {lines} lines, axes {axes}");
     }
     for c in &cards {
@@ -212,11 +201,11 @@ fn list(as_json: bool) -> anyhow::Result<()> {
         }
     }
     if chips.is_empty() && cards.is_empty() && parports.is_empty() && uio.is_empty() {
-        println!("  nothing that this program knows, or nothing that you may open");
         println!(
-            "  next: `sudo rtecctl card list` sees what only root may open; /etc/rtec/devices names what the daemon"
+            "  nothing that this program knows, or nothing that you may open\n  \
+             next: `sudo rtecctl card list` sees what only root may open; /etc/rtec/devices names what the daemon\n  \
+             may open (group rtec-dev); `rtecctl card show FILE` checks a profile of your own"
         );
-        println!("  may open (group rtec-dev); `rtecctl card show FILE` checks a profile of your own");
     }
     Ok(())
 }
@@ -267,14 +256,8 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     println!("{}", p.name);
     println!("  source   {}", p.source);
     println!("  backend  {}", backend(&p, name));
-    if let Some(place) = p.pci {
-        println!(
-            "  pci      {:04x}:{:04x}, BAR {}, {}",
-            place.id.0,
-            place.id.1,
-            place.bar,
-            space(place.space)
-        );
+    if let Some(PciPlace { id: (vendor, device), bar, space: of }) = p.pci {
+        println!("  pci      {vendor:04x}:{device:04x}, BAR {bar}, {}", space(of));
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
         let at: Vec<_> =
@@ -282,22 +265,18 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
         println!("  {what:<8} {}", at.join(", "));
     }
     for s in &p.setup {
-        let (offset, value) = (s.order.register.offset, s.order.value);
-        println!(
-            "  set up   {offset:#x} = {value:#x}, once, when it reads {:#x} after a reset",
-            s.after_reset
-        );
+        let (offset, value, reset) = (s.order.register.offset, s.order.value, s.after_reset);
+        println!("  set up   {offset:#x} = {value:#x}, once, when it reads {reset:#x} after a reset");
     }
     for c in &p.counters {
-        let flags = [("overflow", c.overflow), ("error", c.error)];
-        let flags: Vec<_> = flags.iter().filter_map(|(name, f)| f.map(|_| *name)).collect();
-        println!(
-            "  counter  of inputs {} and {} at {:#x}; flags: {}",
-            c.lines.0,
-            c.lines.1,
-            c.count.offset,
-            if flags.is_empty() { "none".to_owned() } else { flags.join(", ") }
-        );
+        let ((a, b), offset) = (c.lines, c.count.offset);
+        let flags = match (c.overflow, c.error) {
+            (Some(_), Some(_)) => "overflow, error",
+            (Some(_), None) => "overflow",
+            (None, Some(_)) => "error",
+            (None, None) => "none",
+        };
+        println!("  counter  of inputs {a} and {b} at {offset:#x}; flags: {flags}");
     }
     for (line, place) in &p.lines {
         let (what, bit, low) = described(&p, *place);
@@ -403,12 +382,11 @@ fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
     })
     .map_err(|e| refused(config, e))?;
     if as_json {
-        say(&pretty(&json!({ "outputs": outputs }))?);
+        say_pretty(&json!({ "outputs": outputs }))?;
     }
-    match outputs.iter().filter(|o| !o.reads_back).count() {
-        0 => Ok(()),
-        wrong => {
-            Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into())
-        }
+    let wrong = outputs.iter().filter(|o| !o.reads_back).count();
+    if wrong == 0 {
+        return Ok(());
     }
+    Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into())
 }

@@ -5,7 +5,9 @@ use crate::daemon::{Daemon, explained, status};
 use crate::document::line;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
+use rtec_control::protocol::{
+    AxisReport, ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow,
+};
 use rtec_correct::explain::Explained;
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -132,12 +134,10 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
     };
     // Hold and probing hide whether corrections resume when they end.
     let disabled = if matches!(s.mode.as_str(), "hold" | "probe") && !s.enabled { ", DISABLED" } else { "" };
+    let DaemonStatus { machine, uptime_s, .. } = s;
+    let (mode, homed) = (tone(&s.mode.to_uppercase(), mode), yes(s.homed));
     format!(
-        "machine \"{}\"   mode {}{disabled}   homed {}   up {:.1} s   ledger {ledger}\n",
-        s.machine,
-        tone(&s.mode.to_uppercase(), mode),
-        yes(s.homed),
-        s.uptime_s
+        "machine \"{machine}\"   mode {mode}{disabled}   homed {homed}   up {uptime_s:.1} s   ledger {ledger}\n"
     )
 }
 
@@ -150,14 +150,9 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
         _ => "ordinary thread".to_owned(),
     };
     // Writing to a String does not fail.
-    let _ = writeln!(
-        text,
-        "card {}, {thread}; poll gap {}; edge to done {}; {} events lost",
-        s.rt.card,
-        times(&s.rt.poll_gap_ns),
-        times(&s.rt.edge_to_done_ns),
-        s.rt.events_lost
-    );
+    let (card, lost) = (&s.rt.card, s.rt.events_lost);
+    let (gap, done) = (times(&s.rt.poll_gap_ns), times(&s.rt.edge_to_done_ns));
+    let _ = writeln!(text, "card {card}, {thread}; poll gap {gap}; edge to done {done}; {lost} events lost");
     for a in s.axes.iter().filter(|a| a.rates.rapid_mm_min.is_some()) {
         let _ = writeln!(text, "  {}: {}", a.name, a.rates);
     }
@@ -192,10 +187,10 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     }
     // One axis may hold while another corrects, and a total may be in effect without the model.
     let some = s.mode == "run" && s.axes.iter().any(|a| a.requested != 0 || a.in_effect != 0);
+    let what = if some { "in part only:" } else { "not correcting:" };
+    let what = tone(what, if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful });
     for why in &s.why_not {
-        let tone_of = if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful };
-        let _ =
-            writeln!(text, "{} {why}", tone(if some { "in part only:" } else { "not correcting:" }, tone_of));
+        let _ = writeln!(text, "{what} {why}");
     }
     if some || s.mode == "run" && s.why_not.is_empty() {
         let _ = writeln!(text, "{}", correcting(s, way));
@@ -204,36 +199,31 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
         .map(|a| format!("{} {:+}", a.name, a.in_effect))
         .collect();
     if s.mode != "run" && !still.is_empty() {
-        let _ = writeln!(
-            text,
-            "{} {} counts",
-            tone("still in the controller's count:", Tone::Doubtful),
-            still.join(", ")
-        );
+        let what = tone("still in the controller's count:", Tone::Doubtful);
+        let _ = writeln!(text, "{what} {} counts", still.join(", "));
     }
     text
 }
 
 /// The axes, in lines of 80 columns if the terminal is not wide enough for all.
 fn axes(s: &DaemonStatus, screen: Screen) -> String {
-    let head = [
-        "position/mm",
-        "counts",
-        "requested",
-        "completed",
-        "in effect",
-        "inverted",
-        "edges/s",
-        "gate",
-        "insertions",
+    // Each column with its width, and whether it stays on a narrow screen.
+    const COLUMNS: [(&str, usize, bool); 9] = [
+        ("position/mm", 13, true),
+        ("counts", 12, false),
+        ("requested", 10, true),
+        ("completed", 10, true),
+        ("in effect", 10, true),
+        ("inverted", 9, false),
+        ("edges/s", 9, false),
+        ("gate", 17, true),
+        ("insertions", 11, false),
     ];
-    let widths = [13, 12, 10, 10, 10, 9, 9, 17, 11];
-    let kept = |n: usize| !screen.narrow() || ![1, 5, 6, 8].contains(&n);
     let row = |name: &str, cells: [String; 9]| {
-        let cells = cells.iter().zip(widths).enumerate().filter(|(n, _)| kept(*n));
-        cells.fold(format!("{name:<8}"), |row, (_, (cell, width))| format!("{row} {cell:>width$}"))
+        let kept = cells.iter().zip(COLUMNS).filter(|(_, column)| !screen.narrow() || column.2);
+        kept.fold(format!("{name:<8}"), |row, (cell, (_, width, _))| format!("{row} {cell:>width$}"))
     };
-    let mut text = row("axis", head.map(str::to_owned)) + "\n";
+    let mut text = row("axis", COLUMNS.map(|(head, ..)| head.to_owned())) + "\n";
     for a in &s.axes {
         let row = row(
             &a.name,
@@ -261,18 +251,15 @@ fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
     let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
     let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))
         .map(|a| {
-            let gate = a.gate.replace('_', " ");
-            if a.in_effect == a.requested {
-                format!("{} {:+}", a.name, a.in_effect)
-            } else if a.gate == "done" {
-                let left = a.requested - a.in_effect;
-                format!(
-                    "{} {:+} of {:+} ({left:+} left, less than one insertion)",
-                    a.name, a.in_effect, a.requested
-                )
-            } else {
-                format!("{} {:+} of {:+} ({gate})", a.name, a.in_effect, a.requested)
+            let AxisReport { name, requested, in_effect, gate, .. } = a;
+            if in_effect == requested {
+                return format!("{name} {in_effect:+}");
             }
+            let why = match gate.as_str() {
+                "done" => format!("{:+} left, less than one insertion", requested - in_effect),
+                gate => gate.replace('_', " "),
+            };
+            format!("{name} {in_effect:+} of {requested:+} ({why})")
         })
         .collect();
     if !asked.is_empty() {

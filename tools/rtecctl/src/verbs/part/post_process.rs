@@ -3,7 +3,8 @@
 
 use super::{print, usage, write_all};
 use crate::document::pretty;
-use rtec_part::batch::{BatchFinding, Judgement, evaluate_columns};
+use rtec_files::text::short;
+use rtec_part::batch::{BatchFinding, Judgement, PlaceStatistics, WildReading, evaluate_columns};
 use rtec_part::cor::{error_cor, read_arc};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -47,40 +48,32 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(written) = &batch.written {
         eprintln!("note: {written}");
     }
+    let file = args.batch.display();
     if let Some(step) = batch.step_um {
+        let step = short(1e-6 * (1e6 * step).round());
         eprintln!(
-            "warning: the errors are in steps of {} µm, and the parts scatter by little more or less: what rounding may do is in the intervals, \
-             and no mean below half a step is systematic",
-            rtec_files::text::short(1e-6 * (1e6 * step).round())
+            "warning: the errors are in steps of {step} µm, and the parts scatter by little more or less: what rounding may do is in the \
+             intervals, and no mean below half a step is systematic"
         );
     }
     if batch.places.iter().any(|p| p.interval_um.is_none()) {
         eprintln!(
-            "warning: {}: every reading is 0: the step that they are read in does not show, so the means have no interval. Half a step of the \
-             gauge may be hidden: read with a finer one",
-            args.batch.display()
+            "warning: {file}: every reading is 0: the step that they are read in does not show, so the means have no interval. Half a step \
+             of the gauge may be hidden: read with a finer one"
         );
     }
-    for place in &batch.places {
-        if let (false, Some(with)) = (place.left_out.is_empty(), place.with_every_reading) {
-            let readings: Vec<String> = place
-                .left_out
-                .iter()
-                .map(|w| {
-                    format!("part {}, {} µm (line {})", w.part, rtec_files::text::short(w.error_um), w.line)
-                })
-                .collect();
+    for PlaceStatistics { feature, angle_rad, mean_um, sd_um, left_out, with_every_reading, .. } in
+        &batch.places
+    {
+        if let (false, Some(with)) = (left_out.is_empty(), with_every_reading) {
+            let reading =
+                |w: &WildReading| format!("part {}, {} µm (line {})", w.part, short(w.error_um), w.line);
+            let readings = left_out.iter().map(reading).collect::<Vec<_>>().join(", ");
+            let at = angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad"));
             eprintln!(
-                "warning: {}: {}{}: far off the other parts, and in no figure: {}. With every reading the mean would be {:.2} instead of \
-                 {:.2} µm, the SD {:.2} instead of {:.2} µm. Put the reading right, or measure that part again",
-                args.batch.display(),
-                place.feature,
-                place.angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad")),
-                readings.join(", "),
-                with.mean_um,
-                place.mean_um,
-                with.sd_um,
-                place.sd_um
+                "warning: {file}: {feature}{at}: far off the other parts, and in no figure: {readings}. With every reading the mean would be \
+                 {:.2} instead of {mean_um:.2} µm, the SD {:.2} instead of {sd_um:.2} µm. Put the reading right, or measure that part again",
+                with.mean_um, with.sd_um
             );
         }
     }

@@ -112,21 +112,14 @@ fn text(o: &TurningOutcome) -> String {
             r.largest_um, r.bump_um, r.sd_before_um, r.sd_after_um, r.true_form_um
         );
     }
-    let [z, x] = o.insertions;
-    let _ = writeln!(
-        t,
-        "\nat most {} corrections; {z} insertions in Z, {x} in X; ledger balances",
-        o.corrections
-    );
+    let ([z, x], most) = (o.insertions, o.corrections);
+    let _ = writeln!(t, "\nat most {most} corrections; {z} insertions in Z, {x} in X; ledger balances");
     for p in &o.probing {
+        let feed_m_min = p.feed_mm_min / 1e3;
         let _ = writeln!(
             t,
-            "probing at {:>5.3} m/min: {:>6.1} s, capture within {:.2} µm ({:.2} RMS); 25 µs late costs {:.2} µm",
-            p.feed_mm_min / 1e3,
-            p.seconds,
-            p.capture_worst_um,
-            p.capture_rms_um,
-            p.late_25us_um
+            "probing at {feed_m_min:>5.3} m/min: {:>6.1} s, capture within {:.2} µm ({:.2} RMS); 25 µs late costs {:.2} µm",
+            p.seconds, p.capture_worst_um, p.capture_rms_um, p.late_25us_um
         );
     }
     t.push_str("\ndecisions:\n");
