@@ -53,6 +53,20 @@ pub(crate) fn read_records(paths: &[PathBuf]) -> Result<Vec<Record>, InputError>
     paths.iter().map(|p| rtec_measure::record::read(p)).collect()
 }
 
+/// Reads the values of an option as a name and a number each, `x=500`.
+pub(crate) fn pairs(
+    verb: &str,
+    option: &str,
+    given: &[String],
+    expected: &str,
+) -> Result<Vec<(String, f64)>, InputError> {
+    let pair = |text: &String| {
+        let parsed = text.split_once('=').and_then(|(n, v)| Some((n.to_owned(), v.parse().ok()?)));
+        parsed.ok_or_else(|| InputError::whole(Path::new(verb), format!("{option} {text}"), expected))
+    };
+    given.iter().map(pair).collect()
+}
+
 /// Parser of an option that names a file to write.
 /// It checks before the work that the file can be written.
 pub(crate) fn output() -> impl TypedValueParser<Value = PathBuf> {

@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 const FILES: [&str; 10] = ["csv", "cor", "nc", "ngc", "dnc", "svg", "dxf", "cdl", "html", "toml"];
 
 /// Writes the files of one result into a folder, which is made if needed.
-fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
+fn write_all(folder: &Path, files: &[(&str, impl AsRef<[u8]>)]) -> anyhow::Result<()> {
     use anyhow::Context as _;
     let ends = folder.extension().and_then(|e| e.to_str()).unwrap_or_default();
     if !folder.is_dir() && FILES.contains(&ends) {
@@ -79,8 +79,8 @@ fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, content) in files {
         let file = folder.join(name);
-        rtec_files::write::whole(&file, content)
-            .with_context(|| format!("cannot write {}", file.display()))?;
+        let written = rtec_files::write::whole(&file, content.as_ref());
+        written.with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
     Ok(())

@@ -4,7 +4,8 @@ use super::features::DrawingArgs;
 use super::web::{Page, PlanEditor};
 use super::{print, usage, write_all};
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::say_pretty;
+use rtec_part::fit::Zx;
 use rtec_part::path::{Collision, Plan, Probe, ProbingMotion, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
@@ -84,16 +85,12 @@ pub(crate) struct MotionArgs {
 
 impl MotionArgs {
     pub(crate) fn motion(&self) -> anyhow::Result<ProbingMotion> {
-        let Self { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm } = *self;
-        for (name, value) in [
-            ("--feed-mm-min", feed_mm_min),
-            ("--accel-mm-s2", accel_mm_s2),
-            ("--decel-mm-s2", decel_mm_s2),
-            ("--window-mm", window_mm),
-        ] {
-            positive(name, value)?;
-        }
-        Ok(ProbingMotion { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm })
+        Ok(ProbingMotion {
+            feed_mm_min: positive("--feed-mm-min", self.feed_mm_min)?,
+            accel_mm_s2: positive("--accel-mm-s2", self.accel_mm_s2)?,
+            decel_mm_s2: positive("--decel-mm-s2", self.decel_mm_s2)?,
+            window_mm: positive("--window-mm", self.window_mm)?,
+        })
     }
 }
 
@@ -238,14 +235,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if plan.points.is_empty() {
         return Err(usage("--feature", "no point", "--feature, --points or --web"));
     }
-    let made = plan.files(&contour, unit);
-    write_all(&args.out, &made.each_ref().map(|(name, text)| (*name, text.as_bytes())))?;
+    write_all(&args.out, &plan.files(&contour, unit))?;
     let hits = plan.hits(&contour);
     if args.json {
         let expected: Vec<[f64; 2]> = plan.expected().iter().map(|p| [p.z, p.x]).collect();
-        let document = serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
-            "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits});
-        print(&pretty(&document)?)?;
+        say_pretty(&serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
+            "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits}))?;
     } else {
         print(&text(&plan, &hits))?;
     }
@@ -257,19 +252,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn text(plan: &Plan, hits: &[Collision]) -> String {
-    let probe = &plan.probe;
-    let mut t = format!(
-        "{} points, stand-off {:.3} mm, over-travel {:.3} mm\n",
-        plan.points.len(),
-        probe.stand_off_mm,
-        probe.over_travel_mm
-    );
-    for h in hits {
-        let when = if h.touching { "in the touch of" } else { "on the way to" };
+    let (points, Probe { stand_off_mm, over_travel_mm, .. }) = (plan.points.len(), &plan.probe);
+    let mut t =
+        format!("{points} points, stand-off {stand_off_mm:.3} mm, over-travel {over_travel_mm:.3} mm\n");
+    for Collision { by, feature, point, at: Zx { z, x }, touching, .. } in hits {
+        let when = if *touching { "in the touch of" } else { "on the way to" };
         let _ = writeln!(
             t,
-            "COLLISION: the {} meets {} {when} point {}, tip at Z {:.3} X {:.3} mm",
-            h.by, h.feature, h.point, h.at.z, h.at.x
+            "COLLISION: the {by} meets {feature} {when} point {point}, tip at Z {z:.3} X {x:.3} mm"
         );
     }
     t

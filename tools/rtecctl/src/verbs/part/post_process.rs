@@ -2,7 +2,7 @@
 //! Changes are offered, not applied.
 
 use super::{print, usage, write_all};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use rtec_files::text::short;
 use rtec_part::batch::{BatchFinding, Judgement, PlaceStatistics, WildReading, evaluate_columns};
 use rtec_part::cor::{error_cor, read_arc};
@@ -91,10 +91,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             return Err(usage("--out", found, "one feature: offer.cor is one table; a batch file for each"));
         }
         let errors: Vec<_> = offered.iter().map(|o| o.error).collect();
-        write_all(folder, &[("offer.cor", error_cor(&errors).as_bytes())])?;
+        write_all(folder, &[("offer.cor", error_cor(&errors))])?;
     }
     if args.json {
-        return print(&pretty(&batch)?);
+        return say_pretty(&batch);
     }
     let mut t =
         "feature         angle rad  parts  mean µm    SD µm        p   trend µm        p\n".to_owned();

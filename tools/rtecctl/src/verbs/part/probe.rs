@@ -6,7 +6,7 @@ use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use crate::daemon::{self, Daemon, unreachable};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::verbs::one_of;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
@@ -93,21 +93,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let sensors: Vec<&str> = seen.sensors.iter().map(String::as_str).collect();
         let csv = probed_csv(&seen.trips, &approach, &sensors, &seen.degc);
         let record = run_record(&seen.trips, &expected, &approach, seen.origin, &sensors, &seen.degc);
-        write_session(&args.out, &csv, record.as_ref())?;
+        write_session(&args.out, csv, record.as_ref())?;
         return show(args.json, &seen.trips, seen.seconds);
     };
     let part = Workpiece::read(workpiece)?;
     let feed_mm_min = positive("--feed-mm-min", setup.motion.feed_mm_min)?;
     let session =
         setup.probe_path(&part, &records, &expected, &approach, feed_mm_min, setup.seed).map_err(failed)?;
-    write_session(&args.out, &session.csv, session.record.as_ref())?;
+    write_session(&args.out, session.csv, session.record.as_ref())?;
     show(args.json, &session.trips, session.seconds)
 }
 
 fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
     if json {
-        let document = serde_json::json!({"trips": trips, "seconds": seconds});
-        return print(&pretty(&document)?);
+        return say_pretty(&serde_json::json!({"trips": trips, "seconds": seconds}));
     }
     let mut t = "point       Z mm       X mm  within µm\n".to_owned();
     for trip in trips {
@@ -250,11 +249,10 @@ fn follow(
 }
 
 /// Writes the points for `part errors`, and as a run record of the machine.
-fn write_session(folder: &Path, csv: &str, record: Option<&Record>) -> anyhow::Result<()> {
-    let (rows, sidecar) = record.map(|r| (to_csv(r), to_sidecar(r))).unzip();
-    let mut files = vec![("probed.csv", csv.as_bytes())];
-    if let (Some(rows), Some(sidecar)) = (&rows, &sidecar) {
-        files.extend([("probing.csv", rows.as_bytes()), ("probing.run.toml", sidecar.as_bytes())]);
+fn write_session(folder: &Path, csv: String, record: Option<&Record>) -> anyhow::Result<()> {
+    let mut files = vec![("probed.csv", csv)];
+    if let Some(record) = record {
+        files.extend([("probing.csv", to_csv(record)), ("probing.run.toml", to_sidecar(record))]);
     }
     write_all(folder, &files)
 }

@@ -5,7 +5,7 @@ use super::features::{DrawingOptions, write_drawn};
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::say_pretty;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
@@ -75,18 +75,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             write_all(&folder.join(step), &[(file, content)])?;
         }
         for (step, report) in &outcome.reports {
-            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf().as_bytes())])?;
+            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf())])?;
         }
         if let Some(contour) = &drawn {
             write_drawn(folder, contour)?;
         }
-        let log = outcome.decisions.join("\n") + "\n";
-        write_all(folder, &[("decisions.log", log.as_bytes())])?;
+        write_all(folder, &[("decisions.log", outcome.decisions.join("\n") + "\n")])?;
     }
     if args.json {
-        print(&pretty(&outcome)?)?;
+        say_pretty(&outcome)?
     } else {
-        print(&text(&outcome))?;
+        print(&text(&outcome))?
     }
     if !outcome.balanced() {
         return Err(Outcome::No("the ledger does not balance".into()).into());

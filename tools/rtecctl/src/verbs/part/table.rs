@@ -2,7 +2,7 @@
 
 use super::points::positive;
 use super::{print, usage, write_all};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_part::line_table::LineTable;
@@ -73,12 +73,11 @@ pub(crate) struct CutArgs {
 impl CutArgs {
     pub(crate) fn cut(&self) -> anyhow::Result<FinishCut> {
         let given = |name: &str, value: Option<f64>| {
-            value.ok_or_else(|| {
-                usage(name, "nothing", "a number in mm: the errors are those of an arc, by angle")
-            })
+            let expected = "a number in mm: the errors are those of an arc, by angle";
+            value.ok_or_else(|| usage(name, "nothing", expected))
         };
-        let radius_mm =
-            place("--radius-mm", positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?)?;
+        let radius_mm = positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?;
+        let radius_mm = place("--radius-mm", radius_mm)?;
         let centre_z_mm = place("--centre-z-mm", given("--centre-z-mm", self.centre_z_mm)?)?;
         let (nose_mm, origin) = self.tool()?;
         let centre = Zx::new(centre_z_mm, place("--centre-x-mm", self.centre_x_mm)?);
@@ -149,11 +148,8 @@ impl CountArgs {
     pub(crate) fn axes(&self) -> anyhow::Result<[AxisCounts; 2]> {
         let count_um = self.count_um;
         if !(1e-4..=1000.0).contains(&count_um) {
-            return Err(usage(
-                "--count-um",
-                count_um.to_string(),
-                "what a scale's count is worth: 0.0001 to 1000 µm",
-            ));
+            let expected = "what a scale's count is worth: 0.0001 to 1000 µm";
+            return Err(usage("--count-um", count_um.to_string(), expected));
         }
         Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCounts {
             count_um,
@@ -188,26 +184,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     let moves = moves.unwrap_or_default();
-    let mut made: Vec<(&str, &[u8])> = vec![("table.csv", text.as_bytes())];
-    let program = g01(&moves, args.feed_mm_min);
+    let mut made = vec![("table.csv", text)];
     if !moves.is_empty() {
-        made.push(("g01.nc", program.as_bytes()));
+        made.push(("g01.nc", g01(&moves, args.feed_mm_min)));
     }
     write_all(&args.out, &made)?;
-    let most = |axis: usize| rows.iter().map(|r| r.requested[axis].abs()).max().unwrap_or(0);
+    let [z, x] = [0, 1].map(|axis| rows.iter().map(|r| r.requested[axis].abs()).max().unwrap_or(0));
     let left_um = rows.iter().map(|r| r.left_um.abs()).fold(0.0, f64::max);
     let lines = moves.len().saturating_sub(1);
     if args.json {
-        let document = serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [most(0), most(1)],
-            "most_left_um": left_um, "g01_lines": lines});
-        return print(&pretty(&document)?);
+        return say_pretty(&serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [z, x],
+            "most_left_um": left_um, "g01_lines": lines}));
     }
     let mut t = format!(
-        "{} entries, at most {} counts in Z and {} in X, at most {left_um:.2} µm left along the normal\n\
+        "{} entries, at most {z} counts in Z and {x} in X, at most {left_um:.2} µm left along the normal\n\
          sent {lead_mm:.3} mm ahead\n",
-        rows.len(),
-        most(0),
-        most(1)
+        rows.len()
     );
     if lines > 0 {
         let _ = writeln!(t, "the same as {lines} G01 lines in g01.nc");
@@ -217,11 +209,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Straight moves of the nose's centre in part coordinates, mm, X a radius.
 fn g01(moves: &[Zx], feed_mm_min: f64) -> String {
-    moves.iter().enumerate().fold(String::new(), |mut t, (i, p)| {
-        let _ = match i {
-            0 => writeln!(t, "G01 Z{:.4} X{:.4} F{feed_mm_min}", p.z, p.x),
-            _ => writeln!(t, "G01 Z{:.4} X{:.4}", p.z, p.x),
-        };
-        t
-    })
+    let line = |(i, p): (usize, &Zx)| {
+        let feed = if i == 0 { format!(" F{feed_mm_min}") } else { String::new() };
+        format!("G01 Z{:.4} X{:.4}{feed}\n", p.z, p.x)
+    };
+    moves.iter().enumerate().map(line).collect()
 }
