@@ -92,19 +92,15 @@ fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Resul
 }
 
 fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
-    let bad = |why: String| anyhow::Error::from(Outcome::Bad(why));
-    let at: SocketAddr = address.parse().map_err(|_| {
-        bad(format!(
-            "--listen: found {address:?}, expected ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket"
-        ))
-    })?;
+    let Ok(at) = address.parse::<SocketAddr>() else {
+        let expected = "ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket";
+        return Err(Outcome::Bad(format!("--listen: found {address:?}, expected {expected}")).into());
+    };
     if !at.ip().is_loopback() && !beyond_loopback {
-        let text = format!(
-            "--listen: found {at}, which others can reach; expected a loopback address as 127.0.0.1:{}, or --beyond-loopback \
-             beside it",
-            at.port()
-        );
-        return Err(bad(text));
+        let expected =
+            format!("a loopback address as 127.0.0.1:{}, or --beyond-loopback beside it", at.port());
+        let text = format!("--listen: found {at}, which others can reach; expected {expected}");
+        return Err(Outcome::Bad(text).into());
     }
     Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
 }

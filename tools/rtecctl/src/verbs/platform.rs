@@ -2,8 +2,7 @@
 //! It says what to change.
 
 use crate::Outcome;
-use crate::document::pretty;
-use crate::say;
+use crate::document::say_pretty;
 use anyhow::Context;
 use rtec_control::config::{CardConfig, Config, INSTALLED, MappedPlace, PortPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
@@ -66,7 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     report.findings.extend(access::card(&system, &devices, events, cpu));
     if args.json {
-        say(&pretty(&Document { can_arm: report.can_arm(), report: &report })?);
+        say_pretty(&Document { can_arm: report.can_arm(), report: &report })?;
     } else {
         print!("{}", text(&report));
     }
@@ -79,27 +78,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The devices that the card's backend opens, and whether it wakes the thread.
 fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
-    Ok(match card {
-        CardConfig::Mock | CardConfig::Replay { .. } => (Vec::new(), false),
-        CardConfig::Gpio(setup) => (gpio_chips(setup)?, setup.events),
-        CardConfig::Mapped { place, .. } => {
-            let device = match place {
-                MappedPlace::File(file) | MappedPlace::Uio(file, _) => {
-                    Device::of_file(&std::path::absolute(file)?)
-                }
-                MappedPlace::Pci(id, bar) => Device::Bar(id.clone(), *bar),
-            };
-            (vec![device], false)
+    let device = match card {
+        CardConfig::Mock | CardConfig::Replay { .. } => return Ok((Vec::new(), false)),
+        CardConfig::Gpio(setup) => return Ok((gpio_chips(setup)?, setup.events)),
+        CardConfig::Mapped { place: MappedPlace::File(file) | MappedPlace::Uio(file, _), .. }
+        | CardConfig::Port { place: PortPlace::Parport(file), .. } => {
+            Device::of_file(&std::path::absolute(file)?)
         }
-        CardConfig::Port { place, .. } => {
-            let device = match place {
-                PortPlace::Parport(file) => Device::of_file(&std::path::absolute(file)?),
-                PortPlace::Io(_) => Device::Ports(None),
-                PortPlace::Pci(id, _) => Device::Ports(Some(id.clone())),
-            };
-            (vec![device], false)
-        }
-    })
+        CardConfig::Mapped { place: MappedPlace::Pci(id, bar), .. } => Device::Bar(id.clone(), *bar),
+        CardConfig::Port { place: PortPlace::Io(_), .. } => Device::Ports(None),
+        CardConfig::Port { place: PortPlace::Pci(id, _), .. } => Device::Ports(Some(id.clone())),
+    };
+    Ok((vec![device], false))
 }
 
 /// The chips of a configuration.
@@ -162,16 +152,13 @@ fn text(report: &Report) -> String {
             "" => "nothing",
             words => words,
         };
-        line(format_args!(
-            "\nkernel command line\n  to use  {}\n  to add  {lacks}",
-            report.kernel_command_line
-        ));
+        let uses = &report.kernel_command_line;
+        line(format_args!("\nkernel command line\n  to use  {uses}\n  to add  {lacks}"));
     }
     let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
     if stops.is_empty() {
-        line(format_args!(
-            "\nA real card can be armed. `rtecctl selftest latency` measures what the notes cost."
-        ));
+        let next = "`rtecctl selftest latency` measures what the notes cost.";
+        line(format_args!("\nA real card can be armed. {next}"));
     } else {
         line(format_args!("\nA real card will not be armed: {}.", stops.join(", ")));
     }
