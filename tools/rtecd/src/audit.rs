@@ -190,9 +190,7 @@ impl Audit {
         // An earlier question is written before this command; other questions change nothing.
         let new = key.as_ref().is_none_or(|key| !self.repeated.contains_key(key));
         if new && result == "done" && !(looks && request["display_mm"].is_null()) {
-            let (looked, held) = std::mem::take(&mut self.repeated).into_iter().partition(|(_, r)| r.looks);
-            self.repeated = held;
-            self.release(looked);
+            self.release_if(|r| r.looks);
         }
         // Too many kinds: they are counted by verb only, and verbs are few.
         let of_user = || self.repeated.range((uid, String::new())..=(uid, char::MAX.to_string())).count();
@@ -210,16 +208,8 @@ impl Audit {
                 after_at_least = COUNTED;
             }
         }
-        let entry = Entry {
-            by: Some(by),
-            request: Some(request),
-            result: result.to_owned(),
-            text,
-            before,
-            after,
-            model,
-            ..Entry::now("command")
-        };
+        let (by, request, result) = (Some(by), Some(request), result.to_owned());
+        let entry = Entry { by, request, result, text, before, after, model, ..Entry::now("command") };
         match key {
             Some(key) => self.together(key, entry.bounded(), after_at_least, looks),
             None => self.send(entry.bounded()),
@@ -243,9 +233,11 @@ impl Audit {
     /// Writes the repeated lines that are due.
     pub(crate) fn turn(&mut self) {
         let now = Instant::now();
-        let (due, held) = std::mem::take(&mut self.repeated)
-            .into_iter()
-            .partition(|(_, r): &((u32, String), Repeated)| r.is_due(now));
+        self.release_if(|r| r.is_due(now));
+    }
+
+    fn release_if(&mut self, is_due: impl Fn(&Repeated) -> bool) {
+        let (due, held) = std::mem::take(&mut self.repeated).into_iter().partition(|(_, r)| is_due(r));
         self.repeated = held;
         self.release(due);
     }
@@ -279,11 +271,8 @@ impl Audit {
         if shared.state.last_n == 0 {
             return None;
         }
-        let due = self
-            .anchored
-            .as_ref()
-            .is_none_or(|last| last.rotated != shared.rotated || last.at.elapsed() >= ANCHOR_EVERY);
-        if !due {
+        let holds = |last: &Anchored| last.rotated == shared.rotated && last.at.elapsed() < ANCHOR_EVERY;
+        if self.anchored.as_ref().is_some_and(holds) {
             return None;
         }
         let refused = Some((shared.refused.0, shared.refused.1.as_str())).filter(|(n, _)| *n > 0);

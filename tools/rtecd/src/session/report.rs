@@ -174,7 +174,7 @@ impl Session {
     fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
         let mut why = Vec::new();
         if !alive {
-            why.push("the real-time thread has ended: see the log, then restart the daemon".to_owned());
+            why.push(super::orders::ENDED.to_owned());
         }
         for fault in now.faults.iter() {
             why.push(format!("{}: {}", word(fault), explain_fault(fault)));
@@ -249,14 +249,8 @@ fn distribution(reader: &Reader) -> Distribution {
     if s.samples() == 0 {
         return Distribution::default();
     }
-    Distribution {
-        min: s.min(),
-        p50: s.p50(),
-        p99: s.p99(),
-        p9999: s.p9999(),
-        max: s.max(),
-        samples: s.samples(),
-    }
+    let (p50, p99, p9999) = (s.p50(), s.p99(), s.p9999());
+    Distribution { min: s.min(), p50, p99, p9999, max: s.max(), samples: s.samples() }
 }
 
 fn buckets(reader: &Reader) -> Vec<[u64; 3]> {
