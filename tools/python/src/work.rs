@@ -31,8 +31,8 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare};
-use rtec_sim::example::{EXAMPLES, Example};
-use rtec_sim::experiment::{EXPERIMENTS, Experiment, Setting};
+use rtec_sim::example::EXAMPLES;
+use rtec_sim::experiment::{EXPERIMENTS, Setting};
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::Spec;
 use serde_json::json;
@@ -55,7 +55,7 @@ fn pretty(document: &impl serde::Serialize) -> Result<String, Failure> {
     Ok(signed(serde_json::to_string_pretty(document)?))
 }
 
-fn drawn<'p>(pictures: impl Iterator<Item = &'p Picture>) -> Result<String, Failure> {
+fn drawn(pictures: impl Iterator<Item = impl serde::Serialize>) -> Result<String, Failure> {
     Ok(serde_json::to_string(&pictures.collect::<Vec<_>>())?)
 }
 
@@ -74,7 +74,6 @@ fn named<T, const N: usize>(all: [(&'static str, T, &'static str); N]) -> [(&'st
 type Evaluated = ((String, String, String, String), Vec<String>);
 
 #[pyfunction]
-#[pyo3(signature = (records, standard, conditions, one_way, norm))]
 pub(crate) fn evaluate(
     py: Python<'_>,
     records: Vec<Record>,
@@ -165,9 +164,8 @@ pub(crate) fn fit(
             done.is_to_be_written(&paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
         }
         let document = if selection { done.selection()? } else { done.document()? };
-        let pictures: Vec<Picture> = done.reports.iter().map(|r| r.chart().into()).collect();
-        let records = outers(done.records);
-        Ok((pretty(&document)?, Machine { inner: done.machine }, drawn(pictures.iter())?, records))
+        let pictures = drawn(done.reports.iter().map(|r| Picture::from(r.chart())))?;
+        Ok((pretty(&document)?, Machine { inner: done.machine }, pictures, outers(done.records)))
     })
 }
 
@@ -228,9 +226,7 @@ pub(crate) fn fit_chain(
             let record = records.iter().find(|r| r.path == *of)?;
             Some(Picture::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
         });
-        let pictures: Vec<Picture> = pictures.collect();
-        let of = regression_of_chain(&records, &report);
-        Ok((pretty(&report)?, text, drawn(pictures.iter())?, of))
+        Ok((pretty(&report)?, text, drawn(pictures)?, regression_of_chain(&records, &report)))
     })?;
     Ok((document, text, pictures, arrays(py, of)))
 }
@@ -265,17 +261,12 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
         half_width: None,
         derivative: together(&|k, r| vec![f64::from(u8::from(k == n)); r.measured.len()]),
     };
+    let coefficients = report.terms.iter().enumerate().map(coefficient);
     Regression {
         rows: report.rows.iter().map(of_rows).collect(),
         measured: together(&|_, r| r.measured.clone()),
         predicted: together(&|_, r| r.predicted.clone()),
-        columns: report
-            .terms
-            .iter()
-            .enumerate()
-            .map(coefficient)
-            .chain(report.rows.iter().enumerate().map(zero))
-            .collect(),
+        columns: coefficients.chain(report.rows.iter().enumerate().map(zero)).collect(),
     }
 }
 
@@ -291,8 +282,7 @@ pub(crate) fn validate(
             return Err(bad("validate", "no record", "records that the model has not seen"));
         }
         let found = rtec_fit::validate::validate(&machine.inner, &inners(records), say)?;
-        let pictures: Vec<Picture> = found.charts.into_iter().map(Picture::from).collect();
-        Ok((pretty(&found.document)?, drawn(pictures.iter())?))
+        Ok((pretty(&found.document)?, drawn(found.charts.into_iter().map(Picture::from))?))
     })
 }
 
@@ -436,8 +426,7 @@ pub(crate) fn prediction_picture(
             let widths = machine.half_widths_um(&record, &response.role);
             Picture::from(prediction_chart(&record, response, data, widths.as_deref()))
         };
-        let pictures: Vec<Picture> = record.responses().zip(&says).map(chart).collect();
-        drawn(pictures.iter())
+        drawn(record.responses().zip(&says).map(chart))
     })
 }
 
@@ -446,7 +435,6 @@ pub(crate) fn prediction_picture(
 type Reconciled = ((String, Machine, String, String, Option<String>, Vec<Record>), Vec<String>);
 
 #[pyfunction]
-#[pyo3(signature = (train, machine, holdout, level, unexplained, date))]
 pub(crate) fn reconcile(
     py: Python<'_>,
     train: Vec<Record>,
@@ -573,27 +561,23 @@ pub(crate) fn designs(
     quietly(py, move || {
         let all = [("8051", Computer::i8051 as fn() -> Computer), ("dsp", Computer::dsp)];
         let computer = one_of("computer", &computer, &all)?();
-        let within = |name: &str, v: f64, low: f64, high: f64| {
-            let is = (low..=high).contains(&v);
-            is.then_some(v)
-                .ok_or_else(|| bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")))
-        };
-        let motion = TestMotion {
-            encoder_hz: within("encoder_hz", encoder_hz, 0.1, 1e8)?,
-            accel_counts_s2: within("accel_counts_s2", accel_counts_s2, 1.0, 1e12)?,
-            counts: (100..=10_000_000)
-                .contains(&counts)
-                .then_some(counts)
-                .ok_or_else(|| bad("counts", counts.to_string(), "a number from 100 to 10000000"))?,
-            ..TestMotion::default()
-        };
+        for (name, v, low, high) in
+            [("encoder_hz", encoder_hz, 0.1, 1e8), ("accel_counts_s2", accel_counts_s2, 1.0, 1e12)]
+        {
+            if !(low..=high).contains(&v) {
+                return Err(bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")));
+            }
+        }
+        if !(100..=10_000_000).contains(&counts) {
+            return Err(bad("counts", counts.to_string(), "a number from 100 to 10000000"));
+        }
+        let motion = TestMotion { encoder_hz, accel_counts_s2, counts, ..TestMotion::default() };
         let comparison = compare(&computer, motion, seed);
         Ok((pretty(&comparison)?, comparison.to_table()))
     })
 }
 
 #[pyfunction]
-#[pyo3(signature = (trace, requests, columns, design, config, axis))]
 pub(crate) fn replay(
     py: Python<'_>,
     trace: PathBuf,
@@ -607,7 +591,7 @@ pub(crate) fn replay(
         let (engine, large) = match &config {
             None => (AxisConfig::default(), true),
             Some(file) => {
-                let config = Config::load(file).map_err(|e| Failure::Other(e.to_string()))?;
+                let config = Config::load(file)?;
                 let name = axis.as_deref().unwrap_or(config.axes[0].name.as_str());
                 let names = || config.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join(" or ");
                 let n = config.axis(name).ok_or_else(|| {
@@ -681,7 +665,6 @@ pub(crate) fn part_errors(
 /// An experiment's records and its figures.
 /// The records are measured without and with compensation.
 #[pyfunction]
-#[pyo3(signature = (name, truth, known, seed, out))]
 pub(crate) fn simulate(
     py: Python<'_>,
     name: String,
@@ -691,9 +674,7 @@ pub(crate) fn simulate(
     out: PathBuf,
 ) -> PyResult<(Vec<Record>, String)> {
     quietly(py, move || {
-        let all = EXPERIMENTS.each_ref().map(|e| (e.name, ()));
-        one_of("simulate", &name, &all)?;
-        let found = Experiment::find(&name).ok_or_else(|| bad("simulate", name.clone(), "an experiment"))?;
+        let found = one_of("simulate", &name, &EXPERIMENTS.each_ref().map(|e| (e.name, e)))?;
         let truth = match truth {
             Some(machine) => machine.inner,
             None => found.own_machine()?.ok_or_else(|| {
@@ -703,9 +684,8 @@ pub(crate) fn simulate(
         let known = known.map(|m| m.inner);
         let spec = Spec::machining_centre();
         let setting = Setting { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
-        let done = found.run(&setting).map_err(|e| Failure::Other(e.to_string()))?;
-        let records = done.records.into_iter().map(|inner| Record { inner }).collect();
-        Ok((records, serde_json::to_string_pretty(&done.summary)?))
+        let done = found.run(&setting)?;
+        Ok((outers(done.records), serde_json::to_string_pretty(&done.summary)?))
     })
 }
 
@@ -716,11 +696,9 @@ type Texts = Vec<(String, String)>;
 #[pyfunction]
 pub(crate) fn example(py: Python<'_>, name: String, folder: PathBuf) -> PyResult<(Vec<Record>, Texts)> {
     quietly(py, move || {
-        one_of("example", &name, &EXAMPLES.each_ref().map(|e| (e.name, ())))?;
-        let found = Example::find(&name).ok_or_else(|| bad("example", name.clone(), "an example"))?;
-        let records = found.records(&folder).map_err(|e| Failure::Other(e.to_string()))?;
+        let found = one_of("example", &name, &EXAMPLES.each_ref().map(|e| (e.name, e)))?;
         let files = found.files.iter().map(|(n, t)| ((*n).to_owned(), (*t).to_owned())).collect();
-        Ok((records.into_iter().map(|inner| Record { inner }).collect(), files))
+        Ok((outers(found.records(&folder)?), files))
     })
 }
 
@@ -740,7 +718,7 @@ pub(crate) fn history(
             None => Limits::of(limits),
         };
         let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p)));
-        let made = made.into_iter().map(|r| (r.inner.path.display().to_string(), Ok(r.inner)));
+        let made = inners(made).into_iter().map(|r| (r.path.display().to_string(), Ok(r)));
         let all: Vec<_> = read.chain(made).collect();
         let found = rtec_measure::history::history(&machine, &all, &limits);
         let report = found.report()?;
