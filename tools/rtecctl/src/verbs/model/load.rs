@@ -125,26 +125,8 @@ mod tests {
 
     #[test]
     fn what_changes_is_shown_per_axis_in_counts_and_micrometres() {
-        let change = |axis: &str, now, then, then_um, holds: Option<&str>| Change {
-            axis: axis.into(),
-            now_counts: now,
-            now_um: now as f64 * 0.5,
-            then_counts: then,
-            then_um,
-            holds: holds.map(str::to_owned),
-        };
-        let preview = ModelPreview {
-            name: "lathe 7".into(),
-            file: "/etc/rtec/machine.toml".into(),
-            sha256: "12ab".into(),
-            fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
-            warnings: vec!["error.x: the fit's validity ended on 2026-01-01".into()],
-            expired: Vec::new(),
-            axes: vec![
-                change("x", 0, -24, -12.2, None),
-                change("z", 10, 10, 5.1, Some("sensor T3: not read yet")),
-            ],
-        };
+        let preview: ModelPreview =
+            serde_json::from_str(include_str!("../../../tests/golden/model_load.json")).unwrap();
         crate::golden("model_load.txt", &table(&preview));
     }
 }

@@ -350,7 +350,7 @@ mod tests {
     use super::*;
     use ratatui_core::backend::TestBackend;
     use ratatui_core::terminal::Terminal;
-    use rtec_control::protocol::{EventReport, Histograms, LogState};
+    use serde_json::Value;
 
     /// The screen as text, and its cells' colours.
     fn screen(view: &View, width: u16, height: u16) -> (String, Vec<Color>) {
@@ -364,57 +364,14 @@ mod tests {
 
     /// The status of the golden files, with other data to match.
     fn view(colour: bool) -> View {
-        let mut status: DaemonStatus =
-            serde_json::from_str(include_str!("../../../tests/golden/status.json")).unwrap();
-        status.uptime_s = 4000.0;
-        let part = |name: &str, um| Contribution {
-            name: name.into(),
-            um,
-            sensors: Vec::new(),
-            outside_k: None,
-            weight: None,
-        };
-        let parts = [part("operator", 2.0), part("thermal_growth.x (T8-T18)", -9.25), part("rounding", 0.0)];
-        let explained = status.axes.iter().map(|a| Explained {
-            axis: a.name.clone(),
-            requested: a.requested,
-            total_um: -7.25,
-            parts: parts.to_vec(),
-            holds: None,
-        });
-        let explained: Vec<_> = explained.collect();
-        let event = |n, axis: Option<&str>, kind: &str, text: &str| NumberedEvent {
-            n,
-            at_s: 86_400.0 + 3_723.5 * n as f64,
-            event: EventReport {
-                t_ns: 1,
-                axis: axis.map(str::to_owned),
-                kind: kind.into(),
-                text: text.into(),
-                trip: None,
-            },
-        };
-        let events = vec![event(1, None, "mode", "mode run"), event(2, Some("x"), "homed", "homed")];
-        let seen = |explained| Observed {
-            status: status.clone(),
-            explained,
-            events: events.clone(),
-            events_missed: 0,
-            histograms: Histograms::default(),
-            log: LogState {
-                file: String::new(),
-                last_n: 0,
-                last_hash: String::new(),
-                lost: 0,
-                trouble: None,
-            },
-            clients: Vec::new(),
-        };
+        let json = |text| serde_json::from_str::<Value>(text).unwrap();
+        let mut seen = json(include_str!("../../../tests/golden/top.json"));
+        seen["status"] = json(include_str!("../../../tests/golden/status.json"));
+        seen["status"]["uptime_s"] = 4000.into();
         let mut view = View::new(colour, Duration::from_millis(500));
         for n in 0..40 {
-            let mut axes = explained.clone();
-            axes[0].total_um = f64::from(n) - 20.0;
-            view.take(seen(axes));
+            seen["explained"][0]["total_um"] = (n - 20).into();
+            view.take(serde_json::from_value(seen.clone()).unwrap());
         }
         view
     }
