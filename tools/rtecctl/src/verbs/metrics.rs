@@ -66,9 +66,8 @@ fn seen(daemon: &Daemon) -> anyhow::Result<Observed> {
 fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Result<()> {
     if file.extension().is_none_or(|e| e != "prom") {
         let found = format!("the name {}", file.display());
-        return Err(
-            InputError::whole(file, found, "a name that ends in .prom: collectors read no other").into()
-        );
+        let expected = "a name that ends in .prom: collectors read no other";
+        return Err(InputError::whole(file, found, expected).into());
     }
     loop {
         let seen = seen(daemon);

@@ -35,9 +35,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return args.daemon.order(&ClientRequest::Probe { on: true }, "probing on");
     }
     if args.daemon.json && args.captures.is_none() {
-        return Err(
-            Outcome::Bad("one JSON document needs an end: --captures N beside --json".to_owned()).into()
-        );
+        let text = "one JSON document needs an end: --captures N beside --json";
+        return Err(Outcome::Bad(text.to_owned()).into());
     }
     // The watch starts first, so that no trip can come in between.
     let mut watch = args.daemon.connect()?;

@@ -49,9 +49,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let every = args.every;
     let bad = |text: &str| anyhow::Error::from(Outcome::Bad(text.to_owned()));
     if args.daemon.json || !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
-        return Err(bad(
-            "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json",
-        ));
+        let text = "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json";
+        return Err(bad(text));
     }
     if every < FASTEST {
         return Err(bad("--every: expected 50ms or more"));

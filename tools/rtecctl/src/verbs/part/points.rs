@@ -144,17 +144,15 @@ impl FromStr for Choice {
         let expected = "NAME:NUMBER or NAME:SPACINGmm, as F1:20 or F1:5mm";
         let (feature, points) = text.split_once(':').ok_or(expected)?;
         let by = if let Some(mm) = points.strip_suffix("mm") {
-            PointSelection::SpacingMm(
-                mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?,
-            )
+            let mm = mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
+            PointSelection::SpacingMm(mm.ok_or(expected)?)
         } else {
             let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
             // A number too large for an integer is still a number.
             let number = points.parse().ok().or_else(|| is_whole.then_some(usize::MAX)).ok_or(expected)?;
             if !(1..=MOST_POINTS).contains(&number) {
-                return Err(format!(
-                    "{feature}:{points} asks for {points} points; 1 to {MOST_POINTS} are expected"
-                ));
+                let asks = format!("{feature}:{points} asks for {points} points");
+                return Err(format!("{asks}; 1 to {MOST_POINTS} are expected"));
             }
             PointSelection::Number(number)
         };

@@ -211,40 +211,36 @@ fn follow(
             }
             Err(error) => return Err(unreachable(error)),
         };
-        match (happened.kind.as_str(), happened.trip) {
+        let trip = match (happened.kind.as_str(), happened.trip) {
             ("fault", _) => return Err(Outcome::Fault(happened.text).into()),
-            ("bounce", _) => captured.bounces.push(captured.trips.len() + 1),
             ("mode", _) if ["disabled", "run", "shadow"].iter().any(|m| happened.text.ends_with(m)) => {
                 return Err(Outcome::No("probing was switched off by somebody else".to_owned()).into());
             }
-            (_, Some(trip)) => {
-                let name = happened.axis.as_deref().unwrap_or_default();
-                let Some(n) = [&args.z_axis, &args.x_axis].iter().position(|a| *a == name) else { continue };
-                match half.take() {
-                    Some((other, first)) if other != n && first.at_ns == trip.at_ns => {
-                        let (z, x) = if n == 0 { (&trip, &first) } else { (&first, &trip) };
-                        let at_ns = u64::midpoint(trip.at_ns[0], trip.at_ns[1]);
-                        let zero_ns = *zero_ns.get_or_insert(at_ns);
-                        captured.trips.push((
-                            [z.position_mm * 1e3, x.position_mm * 1e3],
-                            z.uncertainty_um.hypot(x.uncertainty_um),
-                            at_ns.saturating_sub(zero_ns) as f64 / 1e9,
-                        ));
-                        degc.push(trip.degc);
-                        // A wrong trip ends the session at once; trips still missing do not.
-                        match assign(&captured, expected, 1.0, origin, window_mm) {
-                            Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
-                            judged => {
-                                judged.map_err(no)?;
-                            }
-                        }
-                        eprintln!("point {} of {}", captured.trips.len(), expected.len());
-                    }
-                    _ => half = Some((n, trip)),
-                }
+            ("bounce", _) => {
+                captured.bounces.push(captured.trips.len() + 1);
+                continue;
             }
-            _ => {}
+            (_, Some(trip)) => trip,
+            _ => continue,
+        };
+        let name = happened.axis.as_deref().unwrap_or_default();
+        let Some(n) = [&args.z_axis, &args.x_axis].iter().position(|a| *a == name) else { continue };
+        let Some((_, first)) = half.take_if(|(other, first)| *other != n && first.at_ns == trip.at_ns) else {
+            half = Some((n, trip));
+            continue;
+        };
+        let (z, x) = if n == 0 { (&trip, &first) } else { (&first, &trip) };
+        let at_ns = u64::midpoint(trip.at_ns[0], trip.at_ns[1]);
+        let after_s = at_ns.saturating_sub(*zero_ns.get_or_insert(at_ns)) as f64 / 1e9;
+        let at_um = [z.position_mm * 1e3, x.position_mm * 1e3];
+        captured.trips.push((at_um, z.uncertainty_um.hypot(x.uncertainty_um), after_s));
+        degc.push(trip.degc);
+        // A wrong trip ends the session at once; trips still missing do not.
+        match assign(&captured, expected, 1.0, origin, window_mm) {
+            Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
+            judged => drop(judged.map_err(no)?),
         }
+        eprintln!("point {} of {}", captured.trips.len(), expected.len());
     }
 }
 
