@@ -435,7 +435,9 @@ mod tests {
         }
     }
 
-    fn lines(path: &Path) -> Vec<Entry> {
+    /// The lines of a record that has ended.
+    fn ended(audit: Audit, path: &Path) -> Vec<Entry> {
+        audit.end(Duration::from_secs(30));
         let mut all = Vec::new();
         read(path, &mut |line: Line| all.push(line.entry.unwrap())).unwrap();
         all
@@ -449,8 +451,7 @@ mod tests {
             audit.command(command(2, "refused"));
         }
         audit.command(command(1, "done"));
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         assert_eq!(all.len(), 5, "{all:?}");
         let repeated: Vec<_> = all.iter().filter_map(|e| e.times).collect();
         assert_eq!(repeated, [999, 999]);
@@ -477,12 +478,12 @@ mod tests {
         audit.command(Command { request: go_on, ..command(1, "done") });
         // Another user's question is another line.
         audit.command(Command { request: jog(None), ..command(2, "done") });
-        audit.end(Duration::from_secs(30));
+        let all = ended(audit, &path);
         let told = |e: &Entry| {
             let request = e.request.as_ref().unwrap();
             (request["do"].as_str().unwrap().to_owned(), request["display_mm"].as_f64(), e.times)
         };
-        let all: Vec<_> = lines(&path).iter().map(told).collect();
+        let all: Vec<_> = all.iter().map(told).collect();
         let round = |mm| {
             [("jog", Some(mm), None), ("jog", None, None), ("jog", None, Some(399)), ("enable", None, None)]
         };
@@ -503,8 +504,7 @@ mod tests {
         }
         let by = Caller { uid: 8, ..Caller::default() };
         audit.command(Command { by, ..command(1, "refused") });
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         let of =
             |uid| all.iter().filter(|e| e.by.as_ref().is_some_and(|by| by.uid == uid)).collect::<Vec<_>>();
         assert_eq!((of(7).len(), of(8).len()), (KINDS + 2, 1));
@@ -519,8 +519,7 @@ mod tests {
             let happened = EventReport { t_ns: 0, axis, kind: kind.to_owned(), text, trip: None };
             audit.happened(&happened, Totals::new());
         }
-        audit.end(Duration::from_secs(30));
-        let all: Vec<_> = lines(&path).into_iter().map(|e| (e.what, e.axis)).collect();
+        let all: Vec<_> = ended(audit, &path).into_iter().map(|e| (e.what, e.axis)).collect();
         assert_eq!(all, [("fault".to_owned(), Some("x".to_owned())), ("mode".to_owned(), None)]);
     }
 
@@ -535,8 +534,7 @@ mod tests {
         std::fs::create_dir(directory.path().join("later")).unwrap();
         wait_until(|| audit.state().last_n > 0);
         audit.command(command(1, "done"));
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         assert_eq!((all[0].what.as_str(), all[0].times, all.len()), ("lost", Some(1), 2));
         assert!(all[0].text.contains("No such file"), "{}", all[0].text);
     }
@@ -559,12 +557,11 @@ mod tests {
             }
             catch_up(&mut audit);
         }
-        audit.end(Duration::from_secs(30));
+        let all = ended(audit, &path);
         let bytes = |path: &Path| std::fs::metadata(path).unwrap().len();
         assert!(bytes(&path) < 100_000, "{}", bytes(&path));
         // A few hundred lines, and then a count of each verb.
         assert!(bytes(&refused_path(&path)) < 2_000_000, "{}", bytes(&refused_path(&path)));
-        let all = lines(&path);
         assert!(all.iter().any(|e| e.result == "done" && e.n == 1));
         let told: u64 = all.iter().filter(|e| e.result == "refused").map(|e| e.times.unwrap_or(1)).sum();
         assert_eq!(told, u64::try_from(refusals).unwrap());
@@ -586,8 +583,7 @@ mod tests {
         for _ in 0..3 {
             audit.command(Command { by: by("set_up"), ..command(1, "done") });
         }
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         let of = |role: &str| all.iter().filter(|e| e.by.as_ref().is_some_and(|by| by.role == role)).count();
         // Each command to set up has its line, whichever budget is used up.
         assert_eq!(of("set_up"), 3);

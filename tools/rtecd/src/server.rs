@@ -323,21 +323,17 @@ impl ServingContext<'_> {
     /// Reports when the writing of the record of commands fails, and when it resumes.
     fn watch_record(&mut self) {
         let state = self.audit.state();
-        if state.trouble.is_some() != self.record.is_some() {
-            let text = match &state.trouble {
-                Some(why) => {
-                    format!("the record of commands {} is not written: {why}; corrections go on", state.file)
-                }
-                None => format!("the record of commands {} is written again", state.file),
-            };
-            log::event(Level::Warning, "record", &text);
+        let (file, trouble) = (&state.file, &state.trouble);
+        if trouble.is_some() != self.record.is_some() {
+            let now = trouble.as_ref().map(|why| format!("not written: {why}; corrections go on"));
+            let now = now.unwrap_or_else(|| "written again".to_owned());
+            log::event(Level::Warning, "record", &format!("the record of commands {file} is {now}"));
         }
         self.record = state.in_words();
         if self.audit.has_moved() {
             let text = format!(
-                "a file of the record of commands {} was removed or renamed by others: another one was begun; `rtecctl log \
-                 --verify` shows what is missing",
-                state.file
+                "a file of the record of commands {file} was removed or renamed by others: another one was begun; `rtecctl log \
+                 --verify` shows what is missing"
             );
             log::event(Level::Warning, "record", &text);
         }
@@ -462,11 +458,8 @@ fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64
                 return;
             }
         };
-        let client = stream
-            .set_nonblocking(true)
-            .map_err(anyhow::Error::from)
-            .and_then(|()| Ok(Client::new(*next_id, stream, socket.role, &socket.path)?));
-        match client {
+        let set = stream.set_nonblocking(true).map_err(anyhow::Error::from);
+        match set.and_then(|()| Ok(Client::new(*next_id, stream, socket.role, &socket.path)?)) {
             Ok(client) => {
                 *next_id += 1;
                 seat(client, clients);

@@ -51,11 +51,9 @@ pub(crate) enum LoadPurpose {
 /// Refusal of a request that only names its files.
 /// The daemon may read files that its caller may not.
 fn by_name(file: &Path) -> Response {
-    let text = format!(
-        "{}: found a name alone, expected the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its \
-         caller's rights",
-        file.display()
-    );
+    let expected =
+        "the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its caller's rights";
+    let text = format!("{}: found a name alone, expected {expected}", file.display());
     Response::refused("no_descriptor", text)
 }
 

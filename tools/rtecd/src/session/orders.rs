@@ -31,12 +31,8 @@ impl Session {
         let stuck = self.unanswered == Some(control.status().polls);
         let deadline = self.time.now() + self.patience;
         // Waits for the corrector's requests, so that their events do not answer this one.
-        while control.pending() > 0
-            && control.pending() < REQUESTS
-            && !stuck
-            && self.time.now() < deadline
-            && !control.ended()
-        {
+        let waits = |now| !stuck && now < deadline;
+        while (1..REQUESTS).contains(&control.pending()) && waits(self.time.now()) && !control.ended() {
             control.beat();
             self.time.sleep(Duration::from_micros(200));
         }
@@ -304,15 +300,12 @@ impl Session {
     /// The counts that enabling would insert, axis by axis.
     pub(super) fn jumps(&self, status: &Status) -> Vec<Jump> {
         let all = self.config.axes.iter().zip(status.axes()).enumerate();
-        all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect))
-            .filter(|(_, counts)| *counts != 0)
-            .map(|(axis, counts)| Jump {
-                axis: axis.name.clone(),
-                counts,
-                um: counts as f64 * axis.count_um,
-                window_counts: axis.engine.window_counts,
-            })
-            .collect()
+        let all = all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect));
+        let jump = |(axis, counts): (&ConfiguredAxis, i64)| {
+            let (um, window_counts) = (counts as f64 * axis.count_um, axis.engine.window_counts);
+            Jump { axis: axis.name.clone(), counts, um, window_counts }
+        };
+        all.filter(|(_, counts)| *counts != 0).map(jump).collect()
     }
 
     /// Why corrections must not be enabled, as far as this side knows.
