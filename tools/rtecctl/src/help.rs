@@ -68,7 +68,6 @@ const BEGIN: [(&str, &str); 8] = [
 pub(crate) fn begin() -> String {
     let mut text = "Where to begin:\n".to_owned();
     for (want, command) in BEGIN {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "  {want:<51}  {command}");
     }
     text + "The guide: /usr/share/doc/rtec/guide of the package, tools/guide of the source.\n"
@@ -79,7 +78,6 @@ pub(crate) fn command() -> Command {
     let mut command = crate::with_negative_values(Cli::command());
     let mut list = String::new();
     for (n, (role, who)) in ROLES.iter().enumerate() {
-        // Writing to a String does not fail.
         let _ = writeln!(list, "{}{role}: {who}", if n == 0 { "" } else { "\n" });
         for (verb, ..) in all().filter(|v| v.1 == n) {
             let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
@@ -177,7 +175,6 @@ pub(crate) fn next(words: &[OsString], said: &str) -> String {
     let mut text = format!("Example: {example}\n");
     let mut options = found.into_iter().flat_map(Command::get_arguments);
     if options.any(|a| a.get_long() == Some("list")) && !example.ends_with("--list") {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "Names: rtecctl {verb} --list");
     }
     text

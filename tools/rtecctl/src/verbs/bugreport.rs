@@ -69,7 +69,6 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
         let text = match text {
             Ok(text) => text,
             Err(error) => {
-                // Writing to a String does not fail.
                 let _ = writeln!(contents.text, "{name}: missing: {error:#}");
                 contents.missing.push(name);
                 return Ok(());

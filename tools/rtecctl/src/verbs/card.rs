@@ -128,6 +128,11 @@ fn backend(profile: &Profile, name: &str) -> &'static str {
     if ports { "port" } else { "mapped" }
 }
 
+/// Vendor and device of a PCI card, as `lspci` writes them.
+fn hex((vendor, device): (u16, u16)) -> String {
+    format!("{vendor:04x}:{device:04x}")
+}
+
 /// Largest number of axes that a profile's lines allow, by two counts.
 /// The first is without lines of the machine, the second with read-back and feed hold.
 fn axes_that_fit(profile: &Profile) -> [usize; 2] {
@@ -142,25 +147,20 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     for (name, _) in SHIPPED {
         // Every name is from the list itself, so it is found.
         let Some(p) = profile::shipped(name) else { continue };
-        let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
         let [axes, wired_back] = axes_that_fit(&p);
         profiles.push(json!({
-            "profile": name, "backend": backend(&p, name), "name": p.name, "pci": id, "axes": axes,
+            "profile": name, "backend": backend(&p, name), "name": p.name, "pci": p.pci.map(|p| hex(p.id)), "axes": axes,
             "axes_with_read_back": wired_back,
         }));
     }
-    let chips: Vec<_> = gpio::chips()
-        .into_iter()
-        .map(|(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines}))
-        .collect();
-    let cards: Vec<_> = pci::functions()
-        .into_iter()
-        .filter_map(|f| {
-            let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
-            let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
-            Some(json!({"address": f.address, "pci": format!("{:04x}:{:04x}", f.id.0, f.id.1), "profile": name}))
-        })
-        .collect();
+    let chip = |(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines});
+    let chips: Vec<_> = gpio::chips().into_iter().map(chip).collect();
+    let card = |f: pci::Function| {
+        let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
+        let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
+        Some(json!({"address": f.address, "pci": hex(f.id), "profile": name}))
+    };
+    let cards: Vec<_> = pci::functions().into_iter().filter_map(card).collect();
     let devices = |prefix: &str| -> Vec<String> {
         let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
         let names = entries.filter_map(|e| e.file_name().into_string().ok());
@@ -227,14 +227,10 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     if as_json {
         let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});
         let registers = |list: &[Register]| list.iter().map(register).collect::<Vec<_>>();
-        let lines: Vec<_> = p
-            .lines
-            .iter()
-            .map(|(line, place)| {
-                let (what, bit, low) = described(&p, *place);
-                json!({"line": line, "direction": what, "bit": bit, "active_low": low})
-            })
-            .collect();
+        let lines = p.lines.iter().map(|(line, place)| {
+            let (what, bit, low) = described(&p, *place);
+            json!({"line": line, "direction": what, "bit": bit, "active_low": low})
+        });
         let setup = p.setup.iter().map(|s| {
             json!({"offset": s.order.register.offset, "value": s.order.value, "after_reset": s.after_reset})
         });
@@ -242,22 +238,18 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
             json!({"a": c.lines.0, "b": c.lines.1, "offset": c.count.offset, "bits": c.count.width.bits(),
                    "overflow": c.overflow.is_some(), "error": c.error.is_some()})
         });
-        let pci = p.pci.map(|place| {
-            let id = format!("{:04x}:{:04x}", place.id.0, place.id.1);
-            json!({"id": id, "bar": place.bar, "space": space(place.space)})
-        });
-        let document = json!({
-            "name": p.name, "source": p.source, "backend": backend(&p, name), "pci": pci,
-            "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines,
+        let pci = |p: PciPlace| json!({"id": hex(p.id), "bar": p.bar, "space": space(p.space)});
+        return say_pretty(&json!({
+            "name": p.name, "source": p.source, "backend": backend(&p, name), "pci": p.pci.map(pci),
+            "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines.collect::<Vec<_>>(),
             "setup": setup.collect::<Vec<_>>(), "counters": counters.collect::<Vec<_>>(),
-        });
-        return say_pretty(&document);
+        }));
     }
     println!("{}", p.name);
     println!("  source   {}", p.source);
     println!("  backend  {}", backend(&p, name));
-    if let Some(PciPlace { id: (vendor, device), bar, space: of }) = p.pci {
-        println!("  pci      {vendor:04x}:{device:04x}, BAR {bar}, {}", space(of));
+    if let Some(PciPlace { id, bar, space: of }) = p.pci {
+        println!("  pci      {}, BAR {bar}, {}", hex(id), space(of));
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
         let at: Vec<_> =

@@ -46,7 +46,6 @@ fn without_effect(axes: &[Explained]) -> bool {
 fn table(axes: &[Explained]) -> String {
     let mut text = String::new();
     for Explained { axis, requested, total_um, parts, holds } in axes {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "axis {axis}: {} µm, {requested:+} counts", um_text(*total_um));
         for Contribution { name, um, sensors, outside_k, weight } in parts {
             let sensors: Vec<String> = sensors.iter().map(shown).collect();

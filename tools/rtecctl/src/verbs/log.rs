@@ -230,7 +230,6 @@ fn text(e: &Entry, zone: &TimeZone) -> String {
     let mut text = format!("{} ", local(&e.t, zone));
     if let Some(by) = &e.by {
         let user = if by.user.is_empty() { by.uid.to_string() } else { by.user.clone() };
-        // Writing to a String does not fail.
         let _ = write!(text, "{user} ({} {}, {}) ", by.pid, by.exe, by.role.replace('_', " "));
     }
     if let Some(request) = e.request.as_ref().and_then(Value::as_object) {

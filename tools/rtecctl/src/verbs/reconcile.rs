@@ -213,14 +213,13 @@ fn values(x: &Refined) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();
     let each = law.parameters.iter().enumerate().filter(|(i, p)| !p.array && half[*i] > 0.0);
-    let each: Vec<String> = each
-        .map(|(i, p)| {
-            let name = if p.name == p.unit { String::new() } else { format!("{} ", p.name) };
-            let [was, now] = [x.before.scalar(i), after.scalar(i)].map(|v| with_half(v, half[i]));
-            let was = was.split(' ').next().unwrap_or_default();
-            format!("{name}{was} -> {now} {}", p.unit)
-        })
-        .collect();
+    let each = each.map(|(i, p)| {
+        let name = if p.name == p.unit { String::new() } else { format!("{} ", p.name) };
+        let [was, now] = [x.before.scalar(i), after.scalar(i)].map(|v| with_half(v, half[i]));
+        let was = was.split(' ').next().unwrap_or_default();
+        format!("{name}{was} -> {now} {}", p.unit)
+    });
+    let each: Vec<String> = each.collect();
     if each.is_empty() { String::new() } else { format!(": {}", each.join(", ")) }
 }
 

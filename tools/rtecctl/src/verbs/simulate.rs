@@ -132,7 +132,6 @@ fn text(summary: &Map<String, Value>) -> String {
     let mut text = String::new();
     for (what, found) in summary {
         let Value::Object(figures) = found else {
-            // Writing to a String does not fail.
             let _ = writeln!(text, "{what}: {}", shown(found));
             continue;
         };

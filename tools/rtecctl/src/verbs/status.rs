@@ -149,7 +149,6 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
         (Some(cpu), Some(priority)) => format!("CPU {cpu}, SCHED_FIFO {priority}"),
         _ => "ordinary thread".to_owned(),
     };
-    // Writing to a String does not fail.
     let (card, lost) = (&s.rt.card, s.rt.events_lost);
     let (gap, done) = (times(&s.rt.poll_gap_ns), times(&s.rt.edge_to_done_ns));
     let _ = writeln!(text, "card {card}, {thread}; poll gap {gap}; edge to done {done}; {lost} events lost");
@@ -249,19 +248,18 @@ fn axes(s: &DaemonStatus, screen: Screen) -> String {
 fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
     let way: Vec<String> = way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")).collect();
     let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
-    let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))
-        .map(|a| {
-            let AxisReport { name, requested, in_effect, gate, .. } = a;
-            if in_effect == requested {
-                return format!("{name} {in_effect:+}");
-            }
-            let why = match gate.as_str() {
-                "done" => format!("{:+} left, less than one insertion", requested - in_effect),
-                gate => gate.replace('_', " "),
-            };
-            format!("{name} {in_effect:+} of {requested:+} ({why})")
-        })
-        .collect();
+    let axis = |AxisReport { name, requested, in_effect, gate, .. }: &AxisReport| {
+        if in_effect == requested {
+            return format!("{name} {in_effect:+}");
+        }
+        let why = match gate.as_str() {
+            "done" => format!("{:+} left, less than one insertion", requested - in_effect),
+            gate => gate.replace('_', " "),
+        };
+        format!("{name} {in_effect:+} of {requested:+} ({why})")
+    };
+    let asked = s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0);
+    let asked: Vec<String> = asked.map(axis).collect();
     if !asked.is_empty() {
         let way = way.map_or_else(String::new, |way| format!("; {way}"));
         return format!("correcting: {} counts{way}", asked.join(", "));

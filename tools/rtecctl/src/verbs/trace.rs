@@ -557,15 +557,14 @@ impl Record {
                 let unit = unit_of(&header, place, args.time_unit.as_deref(), TIMES, "--time-unit")?;
                 (place, unit.unwrap_or(TIMES[0]))
             }
-            None => header
-                .names()
-                .enumerate()
-                .find_map(|(place, name)| Some((place, time_of(name)?)))
-                .ok_or_else(|| {
+            None => {
+                let mut named = header.names().enumerate();
+                named.find_map(|(place, name)| Some((place, time_of(name)?))).ok_or_else(|| {
                     let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
                     let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
                     rows.instead_of(&header, finding)
-                })?,
+                })?
+            }
         };
         let position = if let Some(column) = &args.column {
             header.place_or_number(column)?

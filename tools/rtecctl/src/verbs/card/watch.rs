@@ -176,7 +176,6 @@ impl Watch {
         let longest_us = self.longest_ns as f64 / 1e3;
         let mut out = format!("{card}: {seconds:.1} s, {looks} looks, at most {longest_us:.1} µs apart\n");
         out += "line             bit level        edges    edges/s  edges seen\n";
-        // Writing to a String does not fail.
         for line in &self.lines {
             let Line { name, bit, rate_hz, .. } = line;
             let (level, edges, seen) = (u8::from(line.level), line.edges(), line.seen());
@@ -260,14 +259,11 @@ mod tests {
         min_separation_ns = 500\nmax_accel_mm_s2 = 1000.0\nlines = { a = A, b = B, invert_a = A, invert_b = B }\n";
 
     fn config() -> Config {
-        let axes: String = ["x", "y", "z", "w"]
-            .iter()
-            .enumerate()
-            .map(|(n, name)| {
-                let (a, b) = (2 * n, 2 * n + 1);
-                AXIS.replace("NAME", name).replace("= A", &format!("= {a}")).replace("= B", &format!("= {b}"))
-            })
-            .collect();
+        let axis = |(n, name): (usize, &str)| {
+            let (a, b) = (2 * n, 2 * n + 1);
+            AXIS.replace("NAME", name).replace("= A", &format!("= {a}")).replace("= B", &format!("= {b}"))
+        };
+        let axes: String = ["x", "y", "z", "w"].into_iter().enumerate().map(axis).collect();
         Config::parse(Path::new("rtec.toml"), &CONFIG.replace("AXES", &axes)).unwrap()
     }
 

@@ -99,7 +99,6 @@ fn agreed() -> anyhow::Result<bool> {
 fn table(p: &ModelPreview) -> String {
     let mut text = format!("model \"{}\", {}\nSHA-256 {}\n", p.name, p.file, p.sha256);
     for fit in &p.fits {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "{fit}");
     }
     for warning in &p.warnings {
