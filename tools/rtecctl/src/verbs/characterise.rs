@@ -49,19 +49,9 @@ pub(crate) struct Args {
     verb: Verb,
 }
 
-#[derive(Debug, clap::Subcommand)]
-enum Verb {
-    Evaluate(evaluate::Args),
-    Import(import::Args),
-    Plan(plan::Args),
-    Record(record::Args),
-}
-
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.verb {
-        Verb::Evaluate(args) => evaluate::run(args),
-        Verb::Import(args) => import::run(args),
-        Verb::Plan(args) => plan::run(args),
-        Verb::Record(args) => record::run(args),
-    }
+super::verbs_below! {
+    Evaluate evaluate::Args => evaluate::run;
+    Import import::Args => import::run;
+    Plan plan::Args => plan::run;
+    Record record::Args => record::run;
 }

@@ -42,6 +42,23 @@ pub(crate) mod top;
 pub(crate) mod trace;
 pub(crate) mod whoami;
 
+// The verbs below a verb, one per line: the variant, its arguments, the function that runs it.
+macro_rules! verbs_below {
+    ($($(#[$about:meta])* $verb:ident $args:ty => $run:path;)*) => {
+        #[derive(Debug, clap::Subcommand)]
+        enum Verb {
+            $($(#[$about])* $verb($args),)*
+        }
+
+        pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+            match &args.verb {
+                $(Verb::$verb(args) => $run(args),)*
+            }
+        }
+    };
+}
+pub(crate) use verbs_below;
+
 use clap::builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
 use nix::unistd::{AccessFlags, access};
 use rtec_files::InputError;

@@ -3,7 +3,7 @@
 
 use super::bench::BenchArgs;
 use super::points::positive;
-use super::{failed, print, usage, write_all};
+use super::{failed, print, within, write_all};
 use crate::document::say_pretty;
 use rtec_model::machine::Machine;
 use rtec_part::cor::read_arc;
@@ -45,9 +45,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut setup = args.bench.setup()?;
     setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     let radius_mm = positive("--radius-mm", args.radius_mm)?;
-    if !args.centre_z_mm.is_finite() {
-        return Err(usage("--centre-z-mm", args.centre_z_mm.to_string(), "a finite number"));
-    }
+    within("--centre-z-mm", args.centre_z_mm, f64::MIN..=f64::MAX, "a finite number")?;
     let mut part = match &args.workpiece {
         Some(file) => Workpiece::read(file)?,
         None => Workpiece::raw(Zx::new(args.centre_z_mm, 0.0), radius_mm + 1.0),

@@ -1,7 +1,7 @@
 //! `rtecctl part inspect`: before and after in one report.
 
 use super::points::positive;
-use super::{print, usage, write_all};
+use super::{print, usage, within, write_all};
 use crate::Outcome;
 use crate::document::say_pretty;
 use rtec_model::record::span;
@@ -56,9 +56,7 @@ fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let tip_mm = args.tip_mm.unwrap_or(0.0);
-    if !(tip_mm.is_finite() && tip_mm >= 0.0) {
-        return Err(usage("--tip-mm", tip_mm.to_string(), "a radius in mm, 0 or more"));
-    }
+    let tip_mm = within("--tip-mm", tip_mm, 0.0..=f64::MAX, "a radius in mm, 0 or more")?;
     if args.tip_mm.is_none() {
         eprintln!(
             "rtecctl: no --tip-mm: the points are taken as on the part's surface; a tip's radius would be in the size"

@@ -2,7 +2,7 @@
 
 use super::features::DrawingArgs;
 use super::web::{Page, PlanEditor};
-use super::{print, usage, write_all};
+use super::{print, usage, within, write_all};
 use crate::Outcome;
 use crate::document::say_pretty;
 use rtec_part::fit::Zx;
@@ -180,9 +180,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             return Err(usage("--stem", found, "LENGTH,RADIUS,DEG, the first two above 0, as 60,2,90"));
         }
     };
-    if !(args.margin_mm.is_finite() && args.margin_mm >= 0.0) {
-        return Err(usage("--margin-mm", args.margin_mm.to_string(), "a length in mm, 0 or more"));
-    }
+    within("--margin-mm", args.margin_mm, 0.0..=f64::MAX, "a length in mm, 0 or more")?;
     positive("--off-mm", args.off_mm)?;
     args.bypass.map(|clear_mm| positive("--bypass", clear_mm)).transpose()?;
     let probe = Probe {

@@ -1,7 +1,7 @@
 //! `rtecctl part post-process`: systematic errors of a batch of measured parts.
 //! Changes are offered, not applied.
 
-use super::{print, usage, write_all};
+use super::{print, usage, within, write_all};
 use crate::document::say_pretty;
 use rtec_files::text::short;
 use rtec_part::batch::{BatchFinding, Judgement, PlaceStatistics, WildReading, evaluate_columns};
@@ -39,9 +39,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !(args.alpha > 0.0 && args.alpha < 1.0) {
         return Err(usage("--alpha", args.alpha.to_string(), "a rate between 0 and 1"));
     }
-    if !(args.least_um >= 0.0 && args.least_um.is_finite()) {
-        return Err(usage("--least-um", args.least_um.to_string(), "0 or more, in µm"));
-    }
+    within("--least-um", args.least_um, 0.0..=f64::MAX, "0 or more, in µm")?;
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
     let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
     let batch = evaluate_columns(&args.batch, &args.columns, seen.as_deref(), judgement)?;

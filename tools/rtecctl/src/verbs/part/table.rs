@@ -1,7 +1,7 @@
 //! `rtecctl part table`: the finish cut's corrections by position.
 
 use super::points::positive;
-use super::{print, usage, write_all};
+use super::{print, usage, within, write_all};
 use crate::document::say_pretty;
 use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
@@ -104,9 +104,7 @@ impl CutArgs {
     /// Radius of the tool's nose, and position of the part's origin, mm.
     /// The position is the machine's when the nose's centre is at the origin.
     pub(crate) fn tool(&self) -> anyhow::Result<(f64, Zx)> {
-        if !(0.0..=1000.0).contains(&self.nose_mm) {
-            return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 to 1000"));
-        }
+        within("--nose-mm", self.nose_mm, 0.0..=1000.0, "a radius in mm, 0 to 1000")?;
         let (z, x) = (place("--tool-z-mm", self.tool_z_mm)?, place("--tool-x-mm", self.tool_x_mm)?);
         Ok((self.nose_mm, Zx::new(z, x)))
     }
@@ -116,11 +114,7 @@ impl CutArgs {
 const FARTHEST_MM: f64 = 100_000.0;
 
 fn place(name: &str, value: f64) -> anyhow::Result<f64> {
-    if value.abs() <= FARTHEST_MM {
-        Ok(value)
-    } else {
-        Err(usage(name, value.to_string(), "a place in mm, within 100 m of zero"))
-    }
+    within(name, value, -FARTHEST_MM..=FARTHEST_MM, "a place in mm, within 100 m of zero")
 }
 
 /// The corrector's counts
@@ -147,10 +141,7 @@ fn increment(text: &str) -> Result<i64, String> {
 impl CountArgs {
     pub(crate) fn axes(&self) -> anyhow::Result<[AxisCounts; 2]> {
         let count_um = self.count_um;
-        if !(1e-4..=1000.0).contains(&count_um) {
-            let expected = "what a scale's count is worth: 0.0001 to 1000 µm";
-            return Err(usage("--count-um", count_um.to_string(), expected));
-        }
+        within("--count-um", count_um, 1e-4..=1000.0, "what a scale's count is worth: 0.0001 to 1000 µm")?;
         Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCounts {
             count_um,
             increment: self.increment,
@@ -163,10 +154,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let axes = args.counts.axes()?;
     let (nose_mm, origin) = args.cut.tool()?;
     let feed_mm_s = positive("--feed-mm-min", args.feed_mm_min)? / 60.0;
-    if !(args.lead_ms.is_finite() && args.lead_ms >= 0.0) {
-        return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 or more"));
-    }
-    let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
+    let lead_ms = within("--lead-ms", args.lead_ms, 0.0..=f64::MAX, "a time in ms, 0 or more")?;
+    let lead_mm = feed_mm_s * lead_ms * 1e-3;
     let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
         FeatureErrors::Line(errors) => {
