@@ -25,8 +25,7 @@ pub(crate) struct Daemon {
 }
 
 impl Daemon {
-    /// The daemon at this socket, or the installed one.
-    /// It is for verbs that have their own `--json`.
+    /// The daemon at this socket, for verbs that have their own `--json`.
     pub(crate) fn at(socket: Option<PathBuf>) -> Self {
         Self { socket, config: None, json: false }
     }
@@ -56,15 +55,13 @@ impl Daemon {
         Client::connect_to(&[&sockets[0].path, &sockets[1].path, &sockets[2].path]).map_err(unreachable)
     }
 
-    /// Connects by the socket of the role `view`.
-    /// If this user may not use it, tries the others.
+    /// Connects by the socket of the role `view`, else by one of the others.
     pub(crate) fn view(&self) -> anyhow::Result<Client> {
         let sockets = self.control()?.sockets();
         Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path]).map_err(unreachable)
     }
 
-    /// Path of the record of every command.
-    /// A running daemon states it; otherwise it is as configured.
+    /// Path of the record of commands: a running daemon's, else as configured.
     pub(crate) fn log_path(&self) -> anyhow::Result<PathBuf> {
         let seen = self.connect().and_then(|mut client| observe(&mut client, NO_EVENTS));
         seen.map_or_else(|_| Ok(self.control()?.log_path()), |seen| Ok(PathBuf::from(seen.log.file)))

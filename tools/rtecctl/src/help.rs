@@ -94,8 +94,7 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
-/// The command line with one verb only, to parse its arguments.
-/// None if there is no such verb.
+/// The command line with one verb only; none if there is no such verb.
 pub(crate) fn command_of(verb: &str) -> Option<Command> {
     let own = crate::Verb::described(verb)?;
     Some(crate::with_negative_values(Command::new("rtecctl").subcommand(own)))

@@ -29,8 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const AT_ONCE: usize = 128;
 /// Interval of checks whether the server must end, ms.
 const LOOK_MS: u8 = 50;
-/// Time for which input is still read after the answer.
-/// Closing earlier could discard the answer.
+/// Time of reading after the answer, which an earlier close could discard.
 const AFTER: Duration = Duration::from_millis(200);
 
 /// A request.
@@ -175,8 +174,7 @@ impl Server {
 /// Ends a connection from outside its thread.
 type CloseConnection = Box<dyn Fn() + Send>;
 
-/// Open connections, and how to close those whose request is incomplete.
-/// The oldest comes first.
+/// Open connections, and how to close incomplete ones, the oldest first.
 #[derive(Default)]
 struct Seats(Mutex<(u64, usize, BTreeMap<u64, CloseConnection>)>);
 

@@ -26,8 +26,7 @@ pub(crate) fn colour() -> bool {
     io::stdout().is_terminal() && colours_are_wanted()
 }
 
-/// Columns of the terminal on standard output.
-/// None if it is not a terminal, or does not know its width.
+/// Columns of the terminal on standard output; none if they are not known.
 pub(crate) fn width() -> Option<u16> {
     let terminal = io::stdout().is_terminal();
     let size = terminal.then(terminal_size::terminal_size).flatten();
@@ -65,8 +64,7 @@ pub(crate) fn redraw(text: &str, clears: bool) -> io::Result<bool> {
     }
 }
 
-/// Whether the reader of standard output has gone (`| head`).
-/// An endless command then ends.
+/// Whether the reader of standard output has gone: endless commands then end.
 pub(crate) fn reader_has_gone() -> bool {
     let stdout = io::stdout();
     let mut fds = [PollFd::new(stdout.as_fd(), PollFlags::empty())];

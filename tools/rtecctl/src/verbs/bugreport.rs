@@ -136,8 +136,7 @@ fn beside(file: &Path) -> Vec<(String, String)> {
     named.map(|b| (format!("{}/{}", b.kind, name(&b)), text(&b))).collect()
 }
 
-/// The devices that a card may be, as the system lists them.
-/// The text says who may open each, and what it is.
+/// The devices that a card may be: who may open each, and what it is.
 fn devices() -> String {
     let mut text = String::new();
     let show = |text: &mut String, path: &Path| {
@@ -202,8 +201,7 @@ fn without_secrets(text: &str) -> String {
     text.lines().map(|l| line(l) + "\n").collect()
 }
 
-/// Masks the address in a line, as in `tcp://user:word@host`.
-/// It may contain a name and a password.
+/// Masks an address, which may hold a password: `tcp://user:word@host`.
 fn masked(line: &str) -> String {
     let Some(scheme) = line.find("://") else { return line.to_owned() };
     let rest = &line[scheme + 3..];

@@ -38,7 +38,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let all = EXAMPLES.map(|e| json!({"name": e.name, "what": e.what}));
             return say_line(&json!({ "examples": all }));
         }
-        EXAMPLES.iter().for_each(|e| println!("{:<11} {}", e.name, e.what));
+        print!("{}", EXAMPLES.map(|e| format!("{:<11} {}\n", e.name, e.what)).concat());
         return Ok(());
     };
     empty(dir)?;

@@ -197,8 +197,7 @@ fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {
     InputError::whole(file, error.to_string(), expected).into()
 }
 
-/// A time of the record in local time, with its distance from UTC.
-/// Other text stays as it is.
+/// A time of the record in local time; other text stays as it is.
 fn local(t: &str, zone: &TimeZone) -> String {
     let Ok(moment) = t.parse::<Timestamp>() else { return t.to_owned() };
     moment.to_zoned(zone.clone()).strftime("%Y-%m-%d %H:%M:%S%.3f %:z").to_string()

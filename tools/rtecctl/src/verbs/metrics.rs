@@ -104,8 +104,7 @@ fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
     Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
 }
 
-/// Creates a Unix socket for owner and group.
-/// An old one at which nothing listens is replaced.
+/// Creates a Unix socket, also in place of one at which nothing listens.
 fn at_path(path: &Path) -> anyhow::Result<Server> {
     let no = |e: &dyn std::fmt::Display| Outcome::No(format!("cannot listen at {}: {e}", path.display()));
     if let Ok(found) = std::fs::symlink_metadata(path) {

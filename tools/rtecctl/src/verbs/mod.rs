@@ -84,8 +84,7 @@ pub(crate) fn pairs(
     given.iter().map(pair).collect()
 }
 
-/// Parser of an option that names a file to write.
-/// It checks before the work that the file can be written.
+/// Parser of a file to write, which is checked before the work.
 pub(crate) fn output() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|file| can_be_written(&file).map(|()| file))
 }

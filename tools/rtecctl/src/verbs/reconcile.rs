@@ -207,8 +207,7 @@ fn found(answer: &Reconciliation) -> String {
     s
 }
 
-/// Values of a model's effect before and after its correction.
-/// Empty for a curve with many values.
+/// Values of an effect before and after; none for a curve with many.
 fn values(x: &Refined) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();

@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let all = EXPERIMENTS.map(|e| serde_json::json!({"name": e.name, "what": e.what}));
             return say_line(&serde_json::json!({ "experiments": all }));
         }
-        EXPERIMENTS.iter().for_each(|e| println!("{:<26} {}", e.name, e.what));
+        print!("{}", EXPERIMENTS.map(|e| format!("{:<26} {}\n", e.name, e.what)).concat());
         return Ok(());
     }
     // clap reports usage errors: both are required unless the experiments are listed.

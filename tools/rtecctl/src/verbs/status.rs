@@ -64,8 +64,7 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
 /// An axis whose correction ramps, and the rest of its ramp, µm.
 type RampingAxis = (String, f64);
 
-/// The ramps under way, as `explain` reports them.
-/// Empty if the daemon does not answer.
+/// The ramps under way, as `explain` reports them; none without an answer.
 fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> {
     if status.mode != "run" {
         return Vec::new();

@@ -148,8 +148,7 @@ impl Summary {
     }
 }
 
-/// A trace being written, with its summary.
-/// It reports its progress every two seconds.
+/// A trace being written; it reports its progress every two seconds.
 struct Output<'a> {
     path: &'a Path,
     file: TraceFile,
@@ -426,8 +425,7 @@ impl Jumps {
     }
 }
 
-/// A scale with its interpolator.
-/// It moves in straight lines from one sample to the next.
+/// A scale with its interpolator, on straight lines between samples.
 struct Scale {
     hysteresis: f64,
     /// Time in ns and position in counts of the last sample.
@@ -551,20 +549,17 @@ impl Record {
             rows.header_of(expected, &named)?
         };
         let columns = || format!("the columns {}", header.text());
-        let (time, (time_unit, ns_per_unit)) = match &args.time_column {
-            Some(column) => {
-                let place = header.place_or_number(column)?;
-                let unit = unit_of(&header, place, args.time_unit.as_deref(), TIMES, "--time-unit")?;
-                (place, unit.unwrap_or(TIMES[0]))
-            }
-            None => {
-                let mut named = header.names().enumerate();
-                named.find_map(|(place, name)| Some((place, time_of(name)?))).ok_or_else(|| {
-                    let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
-                    let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
-                    rows.instead_of(&header, finding)
-                })?
-            }
+        let (time, (time_unit, ns_per_unit)) = if let Some(column) = &args.time_column {
+            let place = header.place_or_number(column)?;
+            let unit = unit_of(&header, place, args.time_unit.as_deref(), TIMES, "--time-unit")?;
+            (place, unit.unwrap_or(TIMES[0]))
+        } else {
+            let mut named = header.names().enumerate();
+            named.find_map(|(place, name)| Some((place, time_of(name)?))).ok_or_else(|| {
+                let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
+                let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
+                rows.instead_of(&header, finding)
+            })?
         };
         let position = if let Some(column) = &args.column {
             header.place_or_number(column)?

@@ -189,8 +189,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let (part, mut file) = rows_apart(out, &columns)?;
     let (start, begun) = (Instant::now(), rtec_files::date::format(rtec_files::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
-    let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let mut came_s = vec![0.0; columns.len()];
+    let (mut last, mut came_s) = (vec![None::<f64>; columns.len()], vec![0.0; columns.len()]);
     let (mut taken, mut left_out, mut incomplete, mut shown_s) = (0_u64, 0_u64, 0_u64, 0.0);
     let (mut said, mut lost, mut looked) = (String::new(), false, 0);
     for row in 0..rows {
@@ -214,9 +213,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             say_lost(feed, now, &mut lost);
         }
         last[0] = Some(now);
-        for (value, w) in last[1..own].iter_mut().zip(bank.sensors()) {
-            *value = w.value_degc();
-        }
+        last[1..own].iter_mut().zip(bank.sensors()).for_each(|(value, w)| *value = w.value_degc());
         let silent = silent(&bank, now, &last[own..], &columns[own..]);
         // A row has all its values or is left out.
         let whole = last.iter().zip(&columns).map(|(value, c)| {
@@ -248,8 +245,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     if taken == 0 {
         std::fs::remove_file(&part).ok();
         let quiet = || silent(&bank, duration, &last[own..], &columns[own..]).join(", ");
-        let trouble = |f: &Feed| columns[gauges..].iter().find_map(|c| f.value(&c.name).err());
-        let what = feed.as_ref().map_or_else(quiet, |f| trouble(f).unwrap_or_default());
+        let what = feed.as_ref().map_or_else(quiet, |f| trouble(f, &columns[gauges..]));
         let faulty = match left_out {
             0 => String::new(),
             rows => format!(", {rows} with a reading that is none"),
@@ -288,8 +284,7 @@ fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::f
     Ok((part, file))
 }
 
-/// Reports lines of the feed that cannot be read.
-/// A repeated line is reported once.
+/// Reports lines of the feed that cannot be read, a repeated one once.
 fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
     for odd in feed.odd_lines() {
         if odd != *said {
@@ -338,12 +333,16 @@ fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>
     }
 }
 
+/// What is wrong with a feed that gave no row.
+fn trouble(feed: &Feed, gauges: &[Column]) -> String {
+    gauges.iter().find_map(|c| feed.value(&c.name).err()).unwrap_or_default()
+}
+
 fn stays(role: &Role) -> bool {
     matches!(role, Role::Temperature | Role::Channel | Role::Coolant | Role::SpindleSpeed)
 }
 
-/// The first value of a row that its column cannot contain.
-/// Returns its index, and what is wrong with it.
+/// Index of the first value that its column cannot contain, and why.
 fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
     values.iter().zip(columns).enumerate().find_map(|(place, (v, c))| {
         let (found, expected) = check(&c.role, *v, c.data.last().copied()).err()?;
@@ -352,7 +351,6 @@ fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
 }
 
 /// Finds two columns of one name, or of a role that may not repeat.
-/// It is called before a run, not after it.
 fn twice(columns: &[Column]) -> Option<String> {
     columns.iter().enumerate().find_map(|(i, c)| {
         let before = &columns[..i];

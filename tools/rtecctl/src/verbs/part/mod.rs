@@ -45,8 +45,7 @@ super::verbs_below! {
     Run Box<run::Args> => run::run;
 }
 
-/// Extensions of files that the steps read and write.
-/// A folder may not be named like such a file.
+/// Extensions of the steps' files, after which no folder may be named.
 const FILES: [&str; 10] = ["csv", "cor", "nc", "ngc", "dnc", "svg", "dxf", "cdl", "html", "toml"];
 
 /// Writes the files of one result into a folder, which is made if needed.

@@ -130,8 +130,7 @@ struct ProbedSession {
 /// Wait for a second trip after the last one.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// Switches probing on, compares every trip with the plan, and switches it off.
-/// It is switched off whatever happens.
+/// Compares every trip with the plan; probing ends whatever happens.
 fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbedSession> {
     let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
     let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {

@@ -82,11 +82,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         write_all(folder, &[("decisions.log", outcome.decisions.join("\n") + "\n")])?;
     }
-    if args.json {
-        say_pretty(&outcome)?
-    } else {
-        print(&text(&outcome))?
-    }
+    let printed = if args.json { say_pretty(&outcome) } else { print(&text(&outcome)) };
+    printed?;
     if !outcome.balanced() {
         return Err(Outcome::No("the ledger does not balance".into()).into());
     }

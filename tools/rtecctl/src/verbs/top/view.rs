@@ -230,8 +230,7 @@ impl View {
         other.into_iter().chain(good).map(line).collect()
     }
 
-    /// Reasons why nothing is corrected.
-    /// Faults of the machine come first.
+    /// Reasons why nothing is corrected, faults of the machine first.
     fn why(&self) -> Vec<Line<'static>> {
         let Some(s) = &self.status else { return Vec::new() };
         let style = if s.mode == "fault" { self.wrong() } else { self.doubtful() };
