@@ -47,6 +47,9 @@ impl Failure {
 /// Interval at which a call checks for Ctrl-C and reports progress.
 const LOOK: Duration = Duration::from_millis(40);
 
+/// An answer with its messages, or an error.
+pub(crate) type Answered<T> = PyResult<(T, Vec<String>)>;
+
 type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 
 /// Works in a separate thread, without the interpreter's lock.
@@ -55,7 +58,7 @@ type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
     of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send + 'static,
-) -> PyResult<(T, Vec<String>)> {
+) -> Answered<T> {
     let watch = Arc::new(Watch::default());
     let (send, done) = mpsc::channel::<Done<T>>();
     let watched = Arc::clone(&watch);

@@ -1,6 +1,6 @@
 //! Calls of the libraries: documents as text, plots as data.
 
-use crate::border::{Failure, quietly, work};
+use crate::border::{Answered, Failure, quietly, work};
 use crate::machine::Machine;
 use crate::record::Record;
 use numpy::PyArray1;
@@ -50,6 +50,10 @@ fn bad(argument: &str, found: impl Into<String>, expected: impl Into<String>) ->
     InputError::whole(Path::new(argument), found, expected).into()
 }
 
+fn day(text: &str) -> Result<i64, Failure> {
+    date::parse(text).ok_or_else(|| bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"))
+}
+
 /// A document as `rtecctl … --json` prints it.
 fn pretty(document: &impl serde::Serialize) -> Result<String, Failure> {
     Ok(signed(serde_json::to_string_pretty(document)?))
@@ -70,8 +74,8 @@ fn named<T, const N: usize>(all: [(&'static str, T, &'static str); N]) -> [(&'st
     all.map(|(name, value, _)| (name, value))
 }
 
-/// Document, text, page and plots, then messages.
-type Evaluated = ((String, String, String, String), Vec<String>);
+/// Document, text, page and plots.
+type Evaluated = (String, String, String, String);
 
 #[pyfunction]
 pub(crate) fn evaluate(
@@ -81,7 +85,7 @@ pub(crate) fn evaluate(
     conditions: Option<PathBuf>,
     one_way: bool,
     norm: u8,
-) -> PyResult<Evaluated> {
+) -> Answered<Evaluated> {
     work(py, move |say| {
         let names = || Standard::ALL.map(|s| s.0).join(", ");
         let parsed = |name: &String| {
@@ -120,15 +124,12 @@ pub(crate) struct FitAsked {
 
 impl FitAsked {
     fn asked(self) -> Result<workflow::Asked, Failure> {
-        let day = |text: String| {
-            date::parse(&text).ok_or_else(|| bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"))
-        };
         if !(3..=50).contains(&self.folds) {
             return Err(bad("folds", self.folds.to_string(), "3 to 50 blocks"));
         }
         Ok(workflow::Asked {
             sensors: self.sensors,
-            date: self.date.map(day).transpose()?,
+            date: self.date.map(|text| day(&text)).transpose()?,
             despite_suspicions: self.despite_suspicions,
             options: thermal::Options {
                 environment: self.environment,
@@ -143,8 +144,8 @@ impl FitAsked {
     }
 }
 
-/// Document, model, plots and the records as fitted, then messages.
-type Fitted = ((String, Machine, String, Vec<Record>), Vec<String>);
+/// Document, model, plots and the records as fitted.
+type Fitted = (String, Machine, String, Vec<Record>);
 
 /// Fits growth by chosen sensors; with `selection` it only chooses them.
 #[pyfunction]
@@ -154,7 +155,7 @@ pub(crate) fn fit(
     holdout: Vec<Record>,
     asked: FitAsked,
     selection: bool,
-) -> PyResult<Fitted> {
+) -> Answered<Fitted> {
     work(py, move |say| {
         let asked = asked.asked()?;
         let (train, holdout) = (inners(train), inners(holdout));
@@ -175,7 +176,7 @@ pub(crate) fn fit_named(
     records: Vec<Record>,
     effects: Vec<String>,
     asked: FitAsked,
-) -> PyResult<Fitted> {
+) -> Answered<Fitted> {
     work(py, move |say| {
         if effects.is_empty() {
             return Err(bad("effects", "none", "names of effects, as scale.x"));
@@ -270,13 +271,9 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
     }
 }
 
-/// Document and plots, then messages.
+/// Document and plots.
 #[pyfunction]
-pub(crate) fn validate(
-    py: Python<'_>,
-    machine: Machine,
-    records: Vec<Record>,
-) -> PyResult<((String, String), Vec<String>)> {
+pub(crate) fn validate(py: Python<'_>, machine: Machine, records: Vec<Record>) -> Answered<(String, String)> {
     work(py, move |say| {
         if records.is_empty() {
             return Err(bad("validate", "no record", "records that the model has not seen"));
@@ -311,13 +308,13 @@ pub(crate) struct ExportAsked {
     form: Option<PathBuf>,
 }
 
-/// Document and the table's text, then messages.
+/// Document and the table's text.
 #[pyfunction]
 pub(crate) fn export_table(
     py: Python<'_>,
     machine: Machine,
     asked: ExportAsked,
-) -> PyResult<((String, String), Vec<String>)> {
+) -> Answered<(String, String)> {
     work(py, move |say| {
         let order = export::order::TableOrder {
             axis: asked.axis,
@@ -376,7 +373,7 @@ pub(crate) struct ImportAsked {
 
 /// Another tool's file as a record, which is not yet written.
 #[pyfunction]
-pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Record, Vec<String>)> {
+pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> Answered<Record> {
     work(py, move |say| {
         let circle = match (asked.radius_mm, asked.plane) {
             (Some(radius_mm), Some([a, b])) => {
@@ -413,11 +410,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
 
 /// A plot of measured and predicted over time, with the interval if known.
 #[pyfunction]
-pub(crate) fn prediction_picture(
-    py: Python<'_>,
-    machine: &Machine,
-    record: &Record,
-) -> PyResult<(String, Vec<String>)> {
+pub(crate) fn prediction_picture(py: Python<'_>, machine: &Machine, record: &Record) -> Answered<String> {
     let (machine, record) = (machine.inner.clone(), record.inner.clone());
     work(py, move |say| {
         let record = plausible::only_good(record, say);
@@ -430,9 +423,9 @@ pub(crate) fn prediction_picture(
     })
 }
 
-/// Document, model, page, plots, a law's file, records as used, then messages.
+/// Document, model, page, plots, a law's file, records as used.
 /// The law's file exists if a curve was requested and something was unexplained.
-type Reconciled = ((String, Machine, String, String, Option<String>, Vec<Record>), Vec<String>);
+type Reconciled = (String, Machine, String, String, Option<String>, Vec<Record>);
 
 #[pyfunction]
 pub(crate) fn reconcile(
@@ -443,7 +436,7 @@ pub(crate) fn reconcile(
     level: f64,
     unexplained: bool,
     date: Option<String>,
-) -> PyResult<Reconciled> {
+) -> Answered<Reconciled> {
     work(py, move |say| {
         if train.is_empty() {
             return Err(bad("reconcile", "no record", "a record to learn from"));
@@ -451,14 +444,9 @@ pub(crate) fn reconcile(
         if !(level > 0.0 && level < 0.5) {
             return Err(bad("level", level.to_string(), "a probability above 0 and below 0.5"));
         }
-        let day = match date {
-            Some(text) if date::parse(&text).is_none() => {
-                return Err(bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"));
-            }
-            Some(text) => text,
-            None => date::format(date::today()),
-        };
-        let options = Options { level, date: Some(day), unexplained, figures: true };
+        date.as_deref().map(day).transpose()?;
+        let date = date.or_else(|| Some(date::format(date::today())));
+        let options = Options { level, date, unexplained, figures: true };
         let (train, holdout) = (inners(train), inners(holdout));
         let answer = rtec_reconcile::reconcile(&train, &holdout, &machine.inner, &options)?;
         for note in &answer.derived {
@@ -531,7 +519,7 @@ pub(crate) fn where_they_disagree(
     })
 }
 
-/// The document, and the same as Markdown, then messages.
+/// The document, and the same as Markdown.
 #[pyfunction]
 pub(crate) fn plan(
     py: Python<'_>,
@@ -539,7 +527,7 @@ pub(crate) fn plan(
     machine: String,
     max_rpm: f64,
     ballbar_mm: Option<f64>,
-) -> PyResult<((String, String), Vec<String>)> {
+) -> Answered<(String, String)> {
     work(py, move |say| {
         let axes: Vec<PlanAxis> =
             axes.into_iter().map(|(name, travel_mm)| PlanAxis { name, travel_mm }).collect();
@@ -594,9 +582,8 @@ pub(crate) fn replay(
                 let config = Config::load(file)?;
                 let name = axis.as_deref().unwrap_or(config.axes[0].name.as_str());
                 let names = || config.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join(" or ");
-                let n = config.axis(name).ok_or_else(|| {
-                    Failure::from(InputError::whole(file, format!("no axis {name}"), names()))
-                })?;
+                let missing = || InputError::whole(file, format!("no axis {name}"), names());
+                let n = config.axis(name).ok_or_else(missing)?;
                 (config.axes[n].engine, false)
             }
         };
@@ -632,12 +619,9 @@ pub(crate) struct PartAsked {
     with_size: bool,
 }
 
-/// The document, `error.cor` and the whiskers as SVG, then messages.
+/// The document, `error.cor` and the whiskers as SVG.
 #[pyfunction]
-pub(crate) fn part_errors(
-    py: Python<'_>,
-    asked: PartAsked,
-) -> PyResult<((String, String, String), Vec<String>)> {
+pub(crate) fn part_errors(py: Python<'_>, asked: PartAsked) -> Answered<(String, String, String)> {
     work(py, move |say| {
         let features = named(determine::Feature::ALL);
         let report = determine::determine(
@@ -677,9 +661,10 @@ pub(crate) fn simulate(
         let found = one_of("simulate", &name, &EXPERIMENTS.each_ref().map(|e| (e.name, e)))?;
         let truth = match truth {
             Some(machine) => machine.inner,
-            None => found.own_machine()?.ok_or_else(|| {
-                bad("simulate", "no machine", format!("a machine: {name} brings none of its own"))
-            })?,
+            None => {
+                let expected = format!("a machine: {name} brings none of its own");
+                found.own_machine()?.ok_or_else(|| bad("simulate", "no machine", expected))?
+            }
         };
         let known = known.map(|m| m.inner);
         let spec = Spec::machining_centre();
