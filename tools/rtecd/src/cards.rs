@@ -144,15 +144,14 @@ pub(crate) fn replay(
     let mut axes = Vec::new();
     let mut held = 0;
     for (axis, file) in config.axes.iter().zip(traces) {
-        let mut points = Vec::new();
-        for point in TraceReader::open(file)?.playable() {
-            points.push(point?);
-            held += 1;
-            if held > MAX_POINTS {
-                let found = format!("more than {MAX_POINTS} points in all traces");
-                let expected = "shorter recordings; `rtecctl replay` takes them of any length";
-                return Err(InputError::whole(file, found, expected));
-            }
+        // One more than may be held is enough to refuse the file.
+        let played = TraceReader::open(file)?.playable().take(MAX_POINTS + 1 - held);
+        let points = played.collect::<Result<Vec<_>, _>>()?;
+        held += points.len();
+        if held > MAX_POINTS {
+            let found = format!("more than {MAX_POINTS} points in all traces");
+            let expected = "shorter recordings; `rtecctl replay` takes them of any length";
+            return Err(InputError::whole(file, found, expected));
         }
         axes.push(Recorded { lines: axis.engine.lines, points, at: 0 });
     }

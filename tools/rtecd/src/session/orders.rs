@@ -14,17 +14,16 @@ use std::time::Duration;
 /// It then moves by less than half a count in the milliseconds between setting its counter and reading it back.
 const STANDSTILL_HZ: f64 = 50.0;
 
+/// The events of a request, or its refusal.
+type Carried = Result<Vec<Event>, Response>;
+
 /// What to do when the real-time thread has ended.
 pub(super) const ENDED: &str = "the real-time thread has ended: see the log, then restart the daemon";
 
 impl Session {
     /// Sends a request and waits until it is completed.
     /// Returns the events of the meantime.
-    pub(super) fn send(
-        &mut self,
-        request: Request,
-        control: &mut ControlEnd,
-    ) -> Result<Vec<Event>, Response> {
+    pub(super) fn send(&mut self, request: Request, control: &mut ControlEnd) -> Carried {
         let silent =
             "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
         // No look since a request was last left unanswered, so this one is not waited for.
@@ -73,11 +72,7 @@ impl Session {
     }
 
     /// Sends a request and makes an answer from the events.
-    pub(super) fn carry_out(
-        &mut self,
-        request: Request,
-        control: &mut ControlEnd,
-    ) -> Result<Vec<Event>, Response> {
+    pub(super) fn carry_out(&mut self, request: Request, control: &mut ControlEnd) -> Carried {
         let events = self.send(request, control)?;
         for event in &events {
             let text = match event.kind {
