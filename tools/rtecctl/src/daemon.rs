@@ -158,15 +158,16 @@ pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
             eprintln!("warning: {warning}");
         }
     }
-    match response {
+    let outcome = match response {
         Response::Refused { text, jumps, .. } => {
             let lines: Vec<String> = std::iter::once(text).chain(jumps.iter().map(describe)).collect();
-            Err(Outcome::No(lines.join("\n  ")).into())
+            Outcome::No(lines.join("\n  "))
         }
-        Response::Fault { text } => Err(Outcome::Fault(text).into()),
-        Response::Bad { text } => Err(Outcome::Bad(text).into()),
-        good => Ok(good),
-    }
+        Response::Fault { text } => Outcome::Fault(text),
+        Response::Bad { text } => Outcome::Bad(text),
+        good => return Ok(good),
+    };
+    Err(outcome.into())
 }
 
 /// Describes a jump in words.
@@ -177,7 +178,6 @@ pub(crate) fn describe(jump: &Jump) -> String {
 
 #[allow(clippy::needless_pass_by_value)] // As `map_err` gives it.
 pub(crate) fn unreachable(error: ClientError) -> anyhow::Error {
-    let said = error.to_string();
-    if matches!(error, ClientError::TooLong { .. }) { Outcome::Bad(said) } else { Outcome::Unreachable(said) }
-        .into()
+    let outcome = if let ClientError::TooLong { .. } = error { Outcome::Bad } else { Outcome::Unreachable };
+    outcome(error.to_string()).into()
 }

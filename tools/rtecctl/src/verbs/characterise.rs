@@ -26,19 +26,17 @@ impl CircleOptions {
     pub(crate) fn circle(&self) -> Result<Option<Circle>, InputError> {
         let (Some(radius_mm), Some(plane)) = (self.radius_mm, &self.plane) else { return Ok(None) };
         let axes: Option<Vec<Axis>> = plane.split(',').map(|n| Axis::new(n.trim())).collect();
-        let axes: Option<[Axis; 2]> = axes.and_then(|a| a.try_into().ok());
-        let axes = axes.ok_or_else(|| {
-            InputError::whole(Path::new("--plane"), format!("`{plane}`"), "two axes, as --plane x,y")
-        })?;
-        Ok(Some(Circle { radius_mm, plane: axes, centre_mm: None }))
+        let wrong =
+            || InputError::whole(Path::new("--plane"), format!("`{plane}`"), "two axes, as --plane x,y");
+        let plane = axes.and_then(|a| a.try_into().ok()).ok_or_else(wrong)?;
+        Ok(Some(Circle { radius_mm, plane, centre_mm: None }))
     }
 
     /// The record with the circle, if one was given.
     pub(crate) fn apply(&self, record: Record) -> Result<Record, InputError> {
         let Some(circle) = self.circle()? else { return Ok(record) };
-        record.with_circle(circle).map_err(|(found, expected)| {
-            InputError::whole(Path::new("--radius-mm, --plane"), found, expected)
-        })
+        let options = Path::new("--radius-mm, --plane");
+        record.with_circle(circle).map_err(|(found, expected)| InputError::whole(options, found, expected))
     }
 }
 

@@ -317,10 +317,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if small || !args.jog_mm.is_finite() || !args.far_mm.is_finite() || args.counts == Some(0) {
         let counts = args.counts.map_or_else(String::new, |counts| format!(" --counts {counts}"));
         let found = format!("--jog-mm {} --far-mm {}{counts}", args.jog_mm, args.far_mm);
-        let text = format!(
-            "found {found}, expected a jog beyond ten times the tolerance, and counts that are not 0"
-        );
-        return Err(Outcome::Bad(text).into());
+        let expected = "a jog beyond ten times the tolerance, and counts that are not 0";
+        return Err(Outcome::Bad(format!("found {found}, expected {expected}")).into());
     }
     let model = args.model.as_deref().map(Machine::read).transpose()?;
     let mut guide = Guide::connect(args)?;
@@ -380,9 +378,8 @@ fn in_the_way(status: &DaemonStatus, axis: &AxisReport) -> Option<String> {
         return Some(other("a part table is loaded", "part"));
     }
     if *requested != 0 {
-        return Some(format!(
-            "axis {name}: {requested:+} counts are requested already: `rtecctl correct {name} 0`"
-        ));
+        let what = format!("axis {name}: {requested:+} counts are requested already");
+        return Some(format!("{what}: `rtecctl correct {name} 0`"));
     }
     (*in_effect != 0).then(|| {
         format!(

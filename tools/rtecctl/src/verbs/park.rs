@@ -64,9 +64,9 @@ fn unknown(now: &DaemonStatus) -> Option<String> {
     let axes: Vec<&str> = axes.map(|a| a.name.as_str()).collect();
     let names = axes.join(", ");
     let first = if now.mode == "fault" { "`rtecctl clear`, then " } else { "" };
-    (!axes.is_empty()).then(|| {
-        format!("parked, but what the controller counts is not known: {names}; {first}home both: `rtecctl home --controller-homed`")
-    })
+    let next = format!("{first}home both: `rtecctl home --controller-homed`");
+    (!axes.is_empty())
+        .then(|| format!("parked, but what the controller counts is not known: {names}; {next}"))
 }
 
 /// Withdraws all counts; returns whether a model was unloaded for it.

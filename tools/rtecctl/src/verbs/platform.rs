@@ -104,9 +104,10 @@ fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
     let named: Option<BTreeSet<String>> = lines.map(|line| line.chip.as_ref().and_then(direct)).collect();
     let names = match named {
         Some(names) => names,
-        None => chip_names(setup).map_err(|e| {
-            Outcome::Unreachable(format!("{e}; only root may ask all chips for their labels and lines"))
-        })?,
+        None => {
+            let only = "only root may ask all chips for their labels and lines";
+            chip_names(setup).map_err(|e| Outcome::Unreachable(format!("{e}; {only}")))?
+        }
     };
     Ok(names.into_iter().map(Device::Gpio).collect())
 }

@@ -60,9 +60,8 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     }
     println!("{}", machine.name());
     if machine.listed().is_empty() && machine.chain().is_none() {
-        eprintln!(
-            "rtecctl: no effects: an ideal machine; `rtecctl model fit` or `rtecctl reconcile` find them"
-        );
+        let next = "`rtecctl model fit` or `rtecctl reconcile` find them";
+        eprintln!("rtecctl: no effects: an ideal machine; {next}");
     }
     for l in machine.listed() {
         println!("{}", heading(&l.effect));

@@ -72,9 +72,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ("--before", "--before-radius-mm", &args.before, &before, args.before_radius_mm),
         ("--after", "--radius-mm", &args.after, &after, args.radius_mm),
     ];
-    let is_of = |r: &ErrorReport, radius_mm: f64| {
-        r.radius_mm.is_none_or(|own| (own - radius_mm).abs() <= OTHER_SIZE * radius_mm)
-    };
+    let near = |own: f64, radius_mm: f64| (own - radius_mm).abs() <= OTHER_SIZE * radius_mm;
+    let is_of = |r: &ErrorReport, radius_mm: f64| r.radius_mm.is_none_or(|own| near(own, radius_mm));
     for (n, (name, option, file, report, radius_mm)) in asked.iter().enumerate() {
         if !is_of(report, *radius_mm) {
             let other = &asked[1 - n];
