@@ -1,5 +1,6 @@
 //! The help: verbs by the role of their user, with examples and exit codes.
 
+use crate::terminal::flowed;
 use crate::{Cli, VERBS};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory};
@@ -82,7 +83,7 @@ pub(crate) fn command() -> Command {
         for (verb, ..) in all().filter(|v| v.1 == n) {
             let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
             let about = about.unwrap_or_else(|| "Print this, or the help of a verb".to_owned());
-            let _ = writeln!(list, "  {verb:<13} {}", wrapped(&about));
+            let _ = writeln!(list, "  {verb:<13} {}", flowed(&about, 16, 16, 79));
         }
     }
     for (verb, _, example, codes) in VERBS {
@@ -175,23 +176,6 @@ pub(crate) fn next(words: &[OsString], said: &str) -> String {
     let mut options = found.into_iter().flat_map(Command::get_arguments);
     if options.any(|a| a.get_long() == Some("list")) && !example.ends_with("--list") {
         let _ = writeln!(text, "Names: rtecctl {verb} --list");
-    }
-    text
-}
-
-/// A description next to its verb, wrapped at 80 columns.
-fn wrapped(about: &str) -> String {
-    let (mut text, mut column) = (String::new(), 16);
-    for word in about.split(' ') {
-        let width = word.chars().count() + 1;
-        if column + width > 80 {
-            text += "\n                ";
-            column = 16;
-        } else if column > 16 {
-            text.push(' ');
-        }
-        text += word;
-        column += width;
     }
     text
 }

@@ -102,13 +102,9 @@ fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
         number.parse::<u32>().ok().map(|_| name.to_owned())
     };
     let named: Option<BTreeSet<String>> = lines.map(|line| line.chip.as_ref().and_then(direct)).collect();
-    let names = match named {
-        Some(names) => names,
-        None => {
-            let only = "only root may ask all chips for their labels and lines";
-            chip_names(setup).map_err(|e| Outcome::Unreachable(format!("{e}; {only}")))?
-        }
-    };
+    let only = "only root may ask all chips for their labels and lines";
+    let asked = || chip_names(setup).map_err(|e| Outcome::Unreachable(format!("{e}; {only}")));
+    let names = named.map_or_else(asked, Ok)?;
     Ok(names.into_iter().map(Device::Gpio).collect())
 }
 
