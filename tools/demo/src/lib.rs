@@ -14,7 +14,7 @@ use rtec_files::stamp::signed;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{EventKind, Fault, Mode, Request, Status};
+use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Mode, Request, Status};
 use rtec_rt::thread::{Running, ThreadOptions, spawn};
 use rtec_sim::strokes::{MovingAxes, StrokeMotion, Truth, moving_axes};
 use std::f64::consts::TAU;
@@ -169,36 +169,27 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     }
     let (ended, mut control) = running.stop();
     let status = ended.status;
-    let mut faults = Vec::new();
-    while let Some(event) = control.event() {
-        if let EventKind::Fault(fault) = event.kind {
-            faults.push(fault);
-        }
-    }
-    let axis = status.axes[0];
-    let mtc_minus_scale = truth[0].mtc_counts() - axis.position_counts;
-    let balanced = mtc_minus_scale == axis.completed && truth[0].illegal() == 0 && status.balanced();
+    let events = std::iter::from_fn(|| control.event());
+    let fault = |event: Event| if let EventKind::Fault(fault) = event.kind { Some(fault) } else { None };
+    let faults: Vec<Fault> = events.filter_map(fault).collect();
+    let AxisStatus { position_counts, requested, completed, insertions, .. } = status.axes[0];
+    let (mtc_counts, illegal, polls) = (truth[0].mtc_counts(), truth[0].illegal(), status.polls);
+    let mtc_minus_scale = mtc_counts - position_counts;
+    let balanced = mtc_minus_scale == completed && illegal == 0 && status.balanced();
     let (without_um, with_um) = squares.rms_um();
     if options.json {
         let document = serde_json::json!({
-            "position_counts": axis.position_counts, "mtc_counts": truth[0].mtc_counts(),
-            "requested": axis.requested, "completed": axis.completed, "insertions": axis.insertions,
-            "illegal_out": truth[0].illegal(), "faults": faults, "balanced": balanced,
-            "rms_without_um": without_um, "rms_with_um": with_um,
+            "position_counts": position_counts, "mtc_counts": mtc_counts, "requested": requested,
+            "completed": completed, "insertions": insertions, "illegal_out": illegal, "faults": faults,
+            "balanced": balanced, "rms_without_um": without_um, "rms_with_um": with_um,
         });
         print(&(signed(document.to_string()) + "\n"))?;
     } else {
+        let ledger = if balanced { "balanced" } else { "NOT BALANCED" };
         print(&format!(
             "tool error, RMS over the run: {without_um:.2} µm without, {with_um:.2} µm with correction\n\
-             ledger: MTC {} − scale {} = {mtc_minus_scale:+}, completed {:+}: {}\n\
-             {} insertions, {} illegal states at the MTC, {} looks at the card\n",
-            truth[0].mtc_counts(),
-            axis.position_counts,
-            axis.completed,
-            if balanced { "balanced" } else { "NOT BALANCED" },
-            axis.insertions,
-            truth[0].illegal(),
-            status.polls
+             ledger: MTC {mtc_counts} − scale {position_counts} = {mtc_minus_scale:+}, completed {completed:+}: {ledger}\n\
+             {insertions} insertions, {illegal} illegal states at the MTC, {polls} looks at the card\n"
         ))?;
     }
     if !faults.is_empty() {
@@ -277,28 +268,20 @@ struct View {
 
 impl View {
     fn draw(&mut self, at: Duration, status: &Status, without_um: f64, with_um: f64) -> anyhow::Result<()> {
-        let axis = &status.axes[0];
-        let seconds = at.as_secs_f64();
+        let AxisStatus { position_counts, requested, completed, insertions, edge_rate_hz, .. } =
+            status.axes[0];
+        let (seconds, mm) = (at.as_secs_f64(), position_counts as f64 * COUNT_UM / 1000.0);
         if !self.live {
             return print(&format!(
-                "{seconds:5.1} s  X {:8.3} mm  requested {:+4}  completed {:+4}  error {without_um:+6.2} µm without, {with_um:+6.2} µm with\n",
-                axis.position_counts as f64 * COUNT_UM / 1000.0,
-                axis.requested,
-                axis.completed,
+                "{seconds:5.1} s  X {mm:8.3} mm  requested {requested:+4}  completed {completed:+4}  error {without_um:+6.2} µm \
+                 without, {with_um:+6.2} µm with\n"
             ));
         }
         // Back to the first row.
         let mut text = if self.lines > 0 { format!("\x1b[{}A", self.lines) } else { String::new() };
         let rows = [
-            format!(
-                "{seconds:5.1} s   X {:8.3} mm   {:>6.0} counts/s",
-                axis.position_counts as f64 * COUNT_UM / 1000.0,
-                axis.edge_rate_hz
-            ),
-            format!(
-                "  requested {:+4}   completed {:+4}   insertions {}",
-                axis.requested, axis.completed, axis.insertions
-            ),
+            format!("{seconds:5.1} s   X {mm:8.3} mm   {edge_rate_hz:>6.0} counts/s"),
+            format!("  requested {requested:+4}   completed {completed:+4}   insertions {insertions}"),
             format!("  without {without_um:+6.2} µm  {}", bar(without_um)),
             format!("  with    {with_um:+6.2} µm  {}", bar(with_um)),
         ];
@@ -313,17 +296,12 @@ impl View {
 /// ±20 µm as a line of 41 characters.
 fn bar(um: f64) -> String {
     let at = (um.clamp(-20.0, 20.0) + 20.0).round() as usize;
-    (0..=40)
-        .map(|n| {
-            if n == at {
-                '●'
-            } else if n == 20 {
-                '│'
-            } else {
-                '·'
-            }
-        })
-        .collect()
+    let mark = |n| match n {
+        n if n == at => '●',
+        20 => '│',
+        _ => '·',
+    };
+    (0..=40).map(mark).collect()
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! Passes errors and long work between Rust and Python.
 
 use pyo3::prelude::*;
-use rtec_files::Said;
 use rtec_files::watch::Watch;
+use rtec_files::{InputError, Said};
+use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -15,58 +16,39 @@ fn raised<'py, A: pyo3::call::PyCallArgs<'py>>(py: Python<'py>, class: &str, arg
 }
 
 /// Whether a file does not exist, by the system's error (ENOENT).
-fn is_missing(error: &rtec_files::InputError) -> bool {
+fn is_missing(error: &InputError) -> bool {
     const ENOENT: i32 = 2;
     error.found.contains(&std::io::Error::from_raw_os_error(ENOENT).to_string())
 }
 
-/// The reason why work ended without an answer.
-pub(crate) enum Failure {
-    Input(Box<rtec_files::InputError>),
-    Io(std::io::Error),
-    Other(String),
-}
+/// The error that ended work without an answer.
+pub(crate) struct Failure(Box<dyn Error + Send + Sync>);
 
-impl From<rtec_files::InputError> for Failure {
-    fn from(error: rtec_files::InputError) -> Self {
-        Self::Input(Box::new(error))
-    }
-}
-
-impl From<std::io::Error> for Failure {
-    fn from(error: std::io::Error) -> Self {
-        Self::Io(error)
-    }
-}
-
-impl From<serde_json::Error> for Failure {
-    fn from(error: serde_json::Error) -> Self {
-        Self::Other(error.to_string())
-    }
-}
-
-impl From<rtec_measure::plot::PlotError> for Failure {
-    fn from(error: rtec_measure::plot::PlotError) -> Self {
-        Self::Other(error.to_string())
+impl<E: Error + Send + Sync + 'static> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self(Box::new(error))
     }
 }
 
 impl Failure {
     fn raise(self, py: Python<'_>) -> PyErr {
-        match self {
-            Self::Input(e) => {
-                let file = e.file.display().to_string();
-                let about = (e.to_string(), file, e.line, e.column, &e.found, &e.expected, is_missing(&e));
-                raised(py, "input_error", about)
-            }
-            Self::Io(e) => e.into(),
-            Self::Other(text) => raised(py, "RtecError", (text,)),
+        if let Some(e) = self.0.downcast_ref::<InputError>() {
+            let file = e.file.display().to_string();
+            let about = (e.to_string(), file, e.line, e.column, &e.found, &e.expected, is_missing(e));
+            return raised(py, "input_error", about);
+        }
+        match self.0.downcast::<std::io::Error>() {
+            Ok(error) => (*error).into(),
+            Err(other) => raised(py, "RtecError", (other.to_string(),)),
         }
     }
 }
 
 /// Interval at which a call checks for Ctrl-C and reports progress.
 const LOOK: Duration = Duration::from_millis(40);
+
+/// An answer with its messages, or an error.
+pub(crate) type Answered<T> = PyResult<(T, Vec<String>)>;
 
 type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 
@@ -76,7 +58,7 @@ type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
     of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send + 'static,
-) -> PyResult<(T, Vec<String>)> {
+) -> Answered<T> {
     let watch = Arc::new(Watch::default());
     let (send, done) = mpsc::channel::<Done<T>>();
     let watched = Arc::clone(&watch);

@@ -1,6 +1,6 @@
 //! Machine models: reading, properties, prediction, writing.
 
-use crate::border::{quietly, work};
+use crate::border::{Answered, quietly, work};
 use crate::record::Record;
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -87,19 +87,14 @@ impl Machine {
 
     /// Predicted response of every row, by the response's column name.
     /// The second value holds the messages.
-    fn predict<'py>(&self, py: Python<'py>, record: &Record) -> PyResult<(Predicted<'py>, Vec<String>)> {
+    fn predict<'py>(&self, py: Python<'py>, record: &Record) -> Answered<Predicted<'py>> {
         let (machine, record) = (self.inner.clone(), record.inner.clone());
         let (columns, said) =
             work(py, move |say| Ok(rtec_measure::prediction::predict(&machine, &record, say)?))?;
         Ok((columns.into_iter().map(|(name, data)| (name, PyArray1::from_vec(py, data))).collect(), said))
     }
 
-    fn predicted_csv(
-        &self,
-        py: Python<'_>,
-        record: &Record,
-        interval: bool,
-    ) -> PyResult<(String, Vec<String>)> {
+    fn predicted_csv(&self, py: Python<'_>, record: &Record, interval: bool) -> Answered<String> {
         let (machine, record) = (self.inner.clone(), record.inner.clone());
         work(py, move |say| Ok(rtec_measure::prediction::csv(&machine, &record, interval, say)?))
     }

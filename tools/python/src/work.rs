@@ -1,6 +1,6 @@
 //! Calls of the libraries: documents as text, plots as data.
 
-use crate::border::{Failure, quietly, work};
+use crate::border::{Answered, Failure, quietly, work};
 use crate::machine::Machine;
 use crate::record::Record;
 use numpy::PyArray1;
@@ -31,8 +31,8 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare};
-use rtec_sim::example::{EXAMPLES, Example};
-use rtec_sim::experiment::{EXPERIMENTS, Experiment, Setting};
+use rtec_sim::example::EXAMPLES;
+use rtec_sim::experiment::{EXPERIMENTS, Setting};
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::Spec;
 use serde_json::json;
@@ -50,12 +50,16 @@ fn bad(argument: &str, found: impl Into<String>, expected: impl Into<String>) ->
     InputError::whole(Path::new(argument), found, expected).into()
 }
 
+fn day(text: &str) -> Result<i64, Failure> {
+    date::parse(text).ok_or_else(|| bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"))
+}
+
 /// A document as `rtecctl … --json` prints it.
 fn pretty(document: &impl serde::Serialize) -> Result<String, Failure> {
     Ok(signed(serde_json::to_string_pretty(document)?))
 }
 
-fn drawn<'p>(pictures: impl Iterator<Item = &'p Picture>) -> Result<String, Failure> {
+fn drawn(pictures: impl Iterator<Item = impl serde::Serialize>) -> Result<String, Failure> {
     Ok(serde_json::to_string(&pictures.collect::<Vec<_>>())?)
 }
 
@@ -70,11 +74,10 @@ fn named<T, const N: usize>(all: [(&'static str, T, &'static str); N]) -> [(&'st
     all.map(|(name, value, _)| (name, value))
 }
 
-/// Document, text, page and plots, then messages.
-type Evaluated = ((String, String, String, String), Vec<String>);
+/// Document, text, page and plots.
+type Evaluated = (String, String, String, String);
 
 #[pyfunction]
-#[pyo3(signature = (records, standard, conditions, one_way, norm))]
 pub(crate) fn evaluate(
     py: Python<'_>,
     records: Vec<Record>,
@@ -82,7 +85,7 @@ pub(crate) fn evaluate(
     conditions: Option<PathBuf>,
     one_way: bool,
     norm: u8,
-) -> PyResult<Evaluated> {
+) -> Answered<Evaluated> {
     work(py, move |say| {
         let names = || Standard::ALL.map(|s| s.0).join(", ");
         let parsed = |name: &String| {
@@ -121,15 +124,12 @@ pub(crate) struct FitAsked {
 
 impl FitAsked {
     fn asked(self) -> Result<workflow::Asked, Failure> {
-        let day = |text: String| {
-            date::parse(&text).ok_or_else(|| bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"))
-        };
         if !(3..=50).contains(&self.folds) {
             return Err(bad("folds", self.folds.to_string(), "3 to 50 blocks"));
         }
         Ok(workflow::Asked {
             sensors: self.sensors,
-            date: self.date.map(day).transpose()?,
+            date: self.date.map(|text| day(&text)).transpose()?,
             despite_suspicions: self.despite_suspicions,
             options: thermal::Options {
                 environment: self.environment,
@@ -144,8 +144,8 @@ impl FitAsked {
     }
 }
 
-/// Document, model, plots and the records as fitted, then messages.
-type Fitted = ((String, Machine, String, Vec<Record>), Vec<String>);
+/// Document, model, plots and the records as fitted.
+type Fitted = (String, Machine, String, Vec<Record>);
 
 /// Fits growth by chosen sensors; with `selection` it only chooses them.
 #[pyfunction]
@@ -155,7 +155,7 @@ pub(crate) fn fit(
     holdout: Vec<Record>,
     asked: FitAsked,
     selection: bool,
-) -> PyResult<Fitted> {
+) -> Answered<Fitted> {
     work(py, move |say| {
         let asked = asked.asked()?;
         let (train, holdout) = (inners(train), inners(holdout));
@@ -165,9 +165,8 @@ pub(crate) fn fit(
             done.is_to_be_written(&paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
         }
         let document = if selection { done.selection()? } else { done.document()? };
-        let pictures: Vec<Picture> = done.reports.iter().map(|r| r.chart().into()).collect();
-        let records = outers(done.records);
-        Ok((pretty(&document)?, Machine { inner: done.machine }, drawn(pictures.iter())?, records))
+        let pictures = drawn(done.reports.iter().map(|r| Picture::from(r.chart())))?;
+        Ok((pretty(&document)?, Machine { inner: done.machine }, pictures, outers(done.records)))
     })
 }
 
@@ -177,7 +176,7 @@ pub(crate) fn fit_named(
     records: Vec<Record>,
     effects: Vec<String>,
     asked: FitAsked,
-) -> PyResult<Fitted> {
+) -> Answered<Fitted> {
     work(py, move |say| {
         if effects.is_empty() {
             return Err(bad("effects", "none", "names of effects, as scale.x"));
@@ -228,9 +227,7 @@ pub(crate) fn fit_chain(
             let record = records.iter().find(|r| r.path == *of)?;
             Some(Picture::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
         });
-        let pictures: Vec<Picture> = pictures.collect();
-        let of = regression_of_chain(&records, &report);
-        Ok((pretty(&report)?, text, drawn(pictures.iter())?, of))
+        Ok((pretty(&report)?, text, drawn(pictures)?, regression_of_chain(&records, &report)))
     })?;
     Ok((document, text, pictures, arrays(py, of)))
 }
@@ -265,34 +262,24 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
         half_width: None,
         derivative: together(&|k, r| vec![f64::from(u8::from(k == n)); r.measured.len()]),
     };
+    let coefficients = report.terms.iter().enumerate().map(coefficient);
     Regression {
         rows: report.rows.iter().map(of_rows).collect(),
         measured: together(&|_, r| r.measured.clone()),
         predicted: together(&|_, r| r.predicted.clone()),
-        columns: report
-            .terms
-            .iter()
-            .enumerate()
-            .map(coefficient)
-            .chain(report.rows.iter().enumerate().map(zero))
-            .collect(),
+        columns: coefficients.chain(report.rows.iter().enumerate().map(zero)).collect(),
     }
 }
 
-/// Document and plots, then messages.
+/// Document and plots.
 #[pyfunction]
-pub(crate) fn validate(
-    py: Python<'_>,
-    machine: Machine,
-    records: Vec<Record>,
-) -> PyResult<((String, String), Vec<String>)> {
+pub(crate) fn validate(py: Python<'_>, machine: Machine, records: Vec<Record>) -> Answered<(String, String)> {
     work(py, move |say| {
         if records.is_empty() {
             return Err(bad("validate", "no record", "records that the model has not seen"));
         }
         let found = rtec_fit::validate::validate(&machine.inner, &inners(records), say)?;
-        let pictures: Vec<Picture> = found.charts.into_iter().map(Picture::from).collect();
-        Ok((pretty(&found.document)?, drawn(pictures.iter())?))
+        Ok((pretty(&found.document)?, drawn(found.charts.into_iter().map(Picture::from))?))
     })
 }
 
@@ -321,13 +308,13 @@ pub(crate) struct ExportAsked {
     form: Option<PathBuf>,
 }
 
-/// Document and the table's text, then messages.
+/// Document and the table's text.
 #[pyfunction]
 pub(crate) fn export_table(
     py: Python<'_>,
     machine: Machine,
     asked: ExportAsked,
-) -> PyResult<((String, String), Vec<String>)> {
+) -> Answered<(String, String)> {
     work(py, move |say| {
         let order = export::order::TableOrder {
             axis: asked.axis,
@@ -386,7 +373,7 @@ pub(crate) struct ImportAsked {
 
 /// Another tool's file as a record, which is not yet written.
 #[pyfunction]
-pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Record, Vec<String>)> {
+pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> Answered<Record> {
     work(py, move |say| {
         let circle = match (asked.radius_mm, asked.plane) {
             (Some(radius_mm), Some([a, b])) => {
@@ -423,11 +410,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> PyResult<(Rec
 
 /// A plot of measured and predicted over time, with the interval if known.
 #[pyfunction]
-pub(crate) fn prediction_picture(
-    py: Python<'_>,
-    machine: &Machine,
-    record: &Record,
-) -> PyResult<(String, Vec<String>)> {
+pub(crate) fn prediction_picture(py: Python<'_>, machine: &Machine, record: &Record) -> Answered<String> {
     let (machine, record) = (machine.inner.clone(), record.inner.clone());
     work(py, move |say| {
         let record = plausible::only_good(record, say);
@@ -436,17 +419,15 @@ pub(crate) fn prediction_picture(
             let widths = machine.half_widths_um(&record, &response.role);
             Picture::from(prediction_chart(&record, response, data, widths.as_deref()))
         };
-        let pictures: Vec<Picture> = record.responses().zip(&says).map(chart).collect();
-        drawn(pictures.iter())
+        drawn(record.responses().zip(&says).map(chart))
     })
 }
 
-/// Document, model, page, plots, a law's file, records as used, then messages.
+/// Document, model, page, plots, a law's file, records as used.
 /// The law's file exists if a curve was requested and something was unexplained.
-type Reconciled = ((String, Machine, String, String, Option<String>, Vec<Record>), Vec<String>);
+type Reconciled = (String, Machine, String, String, Option<String>, Vec<Record>);
 
 #[pyfunction]
-#[pyo3(signature = (train, machine, holdout, level, unexplained, date))]
 pub(crate) fn reconcile(
     py: Python<'_>,
     train: Vec<Record>,
@@ -455,7 +436,7 @@ pub(crate) fn reconcile(
     level: f64,
     unexplained: bool,
     date: Option<String>,
-) -> PyResult<Reconciled> {
+) -> Answered<Reconciled> {
     work(py, move |say| {
         if train.is_empty() {
             return Err(bad("reconcile", "no record", "a record to learn from"));
@@ -463,14 +444,9 @@ pub(crate) fn reconcile(
         if !(level > 0.0 && level < 0.5) {
             return Err(bad("level", level.to_string(), "a probability above 0 and below 0.5"));
         }
-        let day = match date {
-            Some(text) if date::parse(&text).is_none() => {
-                return Err(bad("date", format!("`{text}`"), "a day as YYYY-MM-DD"));
-            }
-            Some(text) => text,
-            None => date::format(date::today()),
-        };
-        let options = Options { level, date: Some(day), unexplained, figures: true };
+        date.as_deref().map(day).transpose()?;
+        let date = date.or_else(|| Some(date::format(date::today())));
+        let options = Options { level, date, unexplained, figures: true };
         let (train, holdout) = (inners(train), inners(holdout));
         let answer = rtec_reconcile::reconcile(&train, &holdout, &machine.inner, &options)?;
         for note in &answer.derived {
@@ -543,7 +519,7 @@ pub(crate) fn where_they_disagree(
     })
 }
 
-/// The document, and the same as Markdown, then messages.
+/// The document, and the same as Markdown.
 #[pyfunction]
 pub(crate) fn plan(
     py: Python<'_>,
@@ -551,7 +527,7 @@ pub(crate) fn plan(
     machine: String,
     max_rpm: f64,
     ballbar_mm: Option<f64>,
-) -> PyResult<((String, String), Vec<String>)> {
+) -> Answered<(String, String)> {
     work(py, move |say| {
         let axes: Vec<PlanAxis> =
             axes.into_iter().map(|(name, travel_mm)| PlanAxis { name, travel_mm }).collect();
@@ -573,27 +549,23 @@ pub(crate) fn designs(
     quietly(py, move || {
         let all = [("8051", Computer::i8051 as fn() -> Computer), ("dsp", Computer::dsp)];
         let computer = one_of("computer", &computer, &all)?();
-        let within = |name: &str, v: f64, low: f64, high: f64| {
-            let is = (low..=high).contains(&v);
-            is.then_some(v)
-                .ok_or_else(|| bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")))
-        };
-        let motion = TestMotion {
-            encoder_hz: within("encoder_hz", encoder_hz, 0.1, 1e8)?,
-            accel_counts_s2: within("accel_counts_s2", accel_counts_s2, 1.0, 1e12)?,
-            counts: (100..=10_000_000)
-                .contains(&counts)
-                .then_some(counts)
-                .ok_or_else(|| bad("counts", counts.to_string(), "a number from 100 to 10000000"))?,
-            ..TestMotion::default()
-        };
+        for (name, v, low, high) in
+            [("encoder_hz", encoder_hz, 0.1, 1e8), ("accel_counts_s2", accel_counts_s2, 1.0, 1e12)]
+        {
+            if !(low..=high).contains(&v) {
+                return Err(bad(name, v.to_string(), format!("a number from {low:e} to {high:e}")));
+            }
+        }
+        if !(100..=10_000_000).contains(&counts) {
+            return Err(bad("counts", counts.to_string(), "a number from 100 to 10000000"));
+        }
+        let motion = TestMotion { encoder_hz, accel_counts_s2, counts, ..TestMotion::default() };
         let comparison = compare(&computer, motion, seed);
         Ok((pretty(&comparison)?, comparison.to_table()))
     })
 }
 
 #[pyfunction]
-#[pyo3(signature = (trace, requests, columns, design, config, axis))]
 pub(crate) fn replay(
     py: Python<'_>,
     trace: PathBuf,
@@ -607,12 +579,11 @@ pub(crate) fn replay(
         let (engine, large) = match &config {
             None => (AxisConfig::default(), true),
             Some(file) => {
-                let config = Config::load(file).map_err(|e| Failure::Other(e.to_string()))?;
+                let config = Config::load(file)?;
                 let name = axis.as_deref().unwrap_or(config.axes[0].name.as_str());
                 let names = || config.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join(" or ");
-                let n = config.axis(name).ok_or_else(|| {
-                    Failure::from(InputError::whole(file, format!("no axis {name}"), names()))
-                })?;
+                let missing = || InputError::whole(file, format!("no axis {name}"), names());
+                let n = config.axis(name).ok_or_else(missing)?;
                 (config.axes[n].engine, false)
             }
         };
@@ -648,12 +619,9 @@ pub(crate) struct PartAsked {
     with_size: bool,
 }
 
-/// The document, `error.cor` and the whiskers as SVG, then messages.
+/// The document, `error.cor` and the whiskers as SVG.
 #[pyfunction]
-pub(crate) fn part_errors(
-    py: Python<'_>,
-    asked: PartAsked,
-) -> PyResult<((String, String, String), Vec<String>)> {
+pub(crate) fn part_errors(py: Python<'_>, asked: PartAsked) -> Answered<(String, String, String)> {
     work(py, move |say| {
         let features = named(determine::Feature::ALL);
         let report = determine::determine(
@@ -681,7 +649,6 @@ pub(crate) fn part_errors(
 /// An experiment's records and its figures.
 /// The records are measured without and with compensation.
 #[pyfunction]
-#[pyo3(signature = (name, truth, known, seed, out))]
 pub(crate) fn simulate(
     py: Python<'_>,
     name: String,
@@ -691,21 +658,19 @@ pub(crate) fn simulate(
     out: PathBuf,
 ) -> PyResult<(Vec<Record>, String)> {
     quietly(py, move || {
-        let all = EXPERIMENTS.each_ref().map(|e| (e.name, ()));
-        one_of("simulate", &name, &all)?;
-        let found = Experiment::find(&name).ok_or_else(|| bad("simulate", name.clone(), "an experiment"))?;
+        let found = one_of("simulate", &name, &EXPERIMENTS.each_ref().map(|e| (e.name, e)))?;
         let truth = match truth {
             Some(machine) => machine.inner,
-            None => found.own_machine()?.ok_or_else(|| {
-                bad("simulate", "no machine", format!("a machine: {name} brings none of its own"))
-            })?,
+            None => {
+                let expected = format!("a machine: {name} brings none of its own");
+                found.own_machine()?.ok_or_else(|| bad("simulate", "no machine", expected))?
+            }
         };
         let known = known.map(|m| m.inner);
         let spec = Spec::machining_centre();
         let setting = Setting { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
-        let done = found.run(&setting).map_err(|e| Failure::Other(e.to_string()))?;
-        let records = done.records.into_iter().map(|inner| Record { inner }).collect();
-        Ok((records, serde_json::to_string_pretty(&done.summary)?))
+        let done = found.run(&setting)?;
+        Ok((outers(done.records), serde_json::to_string_pretty(&done.summary)?))
     })
 }
 
@@ -716,11 +681,9 @@ type Texts = Vec<(String, String)>;
 #[pyfunction]
 pub(crate) fn example(py: Python<'_>, name: String, folder: PathBuf) -> PyResult<(Vec<Record>, Texts)> {
     quietly(py, move || {
-        one_of("example", &name, &EXAMPLES.each_ref().map(|e| (e.name, ())))?;
-        let found = Example::find(&name).ok_or_else(|| bad("example", name.clone(), "an example"))?;
-        let records = found.records(&folder).map_err(|e| Failure::Other(e.to_string()))?;
+        let found = one_of("example", &name, &EXAMPLES.each_ref().map(|e| (e.name, e)))?;
         let files = found.files.iter().map(|(n, t)| ((*n).to_owned(), (*t).to_owned())).collect();
-        Ok((records.into_iter().map(|inner| Record { inner }).collect(), files))
+        Ok((outers(found.records(&folder)?), files))
     })
 }
 
@@ -740,7 +703,7 @@ pub(crate) fn history(
             None => Limits::of(limits),
         };
         let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p)));
-        let made = made.into_iter().map(|r| (r.inner.path.display().to_string(), Ok(r.inner)));
+        let made = inners(made).into_iter().map(|r| (r.path.display().to_string(), Ok(r)));
         let all: Vec<_> = read.chain(made).collect();
         let found = rtec_measure::history::history(&machine, &all, &limits);
         let report = found.report()?;

@@ -25,8 +25,7 @@ pub(crate) struct Daemon {
 }
 
 impl Daemon {
-    /// The daemon at this socket, or the installed one.
-    /// It is for verbs that have their own `--json`.
+    /// The daemon at this socket, for verbs that have their own `--json`.
     pub(crate) fn at(socket: Option<PathBuf>) -> Self {
         Self { socket, config: None, json: false }
     }
@@ -56,15 +55,13 @@ impl Daemon {
         Client::connect_to(&[&sockets[0].path, &sockets[1].path, &sockets[2].path]).map_err(unreachable)
     }
 
-    /// Connects by the socket of the role `view`.
-    /// If this user may not use it, tries the others.
+    /// Connects by the socket of the role `view`, else by one of the others.
     pub(crate) fn view(&self) -> anyhow::Result<Client> {
         let sockets = self.control()?.sockets();
         Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path]).map_err(unreachable)
     }
 
-    /// Path of the record of every command.
-    /// A running daemon states it; otherwise it is as configured.
+    /// Path of the record of commands: a running daemon's, else as configured.
     pub(crate) fn log_path(&self) -> anyhow::Result<PathBuf> {
         let seen = self.connect().and_then(|mut client| observe(&mut client, NO_EVENTS));
         seen.map_or_else(|_| Ok(self.control()?.log_path()), |seen| Ok(PathBuf::from(seen.log.file)))
@@ -161,15 +158,16 @@ pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
             eprintln!("warning: {warning}");
         }
     }
-    match response {
+    let outcome = match response {
         Response::Refused { text, jumps, .. } => {
             let lines: Vec<String> = std::iter::once(text).chain(jumps.iter().map(describe)).collect();
-            Err(Outcome::No(lines.join("\n  ")).into())
+            Outcome::No(lines.join("\n  "))
         }
-        Response::Fault { text } => Err(Outcome::Fault(text).into()),
-        Response::Bad { text } => Err(Outcome::Bad(text).into()),
-        good => Ok(good),
-    }
+        Response::Fault { text } => Outcome::Fault(text),
+        Response::Bad { text } => Outcome::Bad(text),
+        good => return Ok(good),
+    };
+    Err(outcome.into())
 }
 
 /// Describes a jump in words.
@@ -180,7 +178,6 @@ pub(crate) fn describe(jump: &Jump) -> String {
 
 #[allow(clippy::needless_pass_by_value)] // As `map_err` gives it.
 pub(crate) fn unreachable(error: ClientError) -> anyhow::Error {
-    let said = error.to_string();
-    if matches!(error, ClientError::TooLong { .. }) { Outcome::Bad(said) } else { Outcome::Unreachable(said) }
-        .into()
+    let outcome = if let ClientError::TooLong { .. } = error { Outcome::Bad } else { Outcome::Unreachable };
+    outcome(error.to_string()).into()
 }

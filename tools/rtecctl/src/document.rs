@@ -1,7 +1,6 @@
 //! JSON documents, as every verb prints and writes them.
 //! Each ends with its format and the program that wrote it; a list has neither.
 
-use crate::say;
 use anyhow::Context;
 use rtec_files::stamp::signed;
 use serde::Serialize;
@@ -19,7 +18,13 @@ pub(crate) fn line(document: &impl Serialize) -> anyhow::Result<String> {
 
 /// Prints the document over several lines.
 pub(crate) fn say_pretty(document: &impl Serialize) -> anyhow::Result<()> {
-    say(&pretty(document)?);
+    crate::say(&pretty(document)?);
+    Ok(())
+}
+
+/// Prints the document on one line.
+pub(crate) fn say_line(document: &impl Serialize) -> anyhow::Result<()> {
+    crate::say(&line(document)?);
     Ok(())
 }
 

@@ -1,7 +1,8 @@
 //! The whole terminal: raw mode, alternate screen, cells and keys.
 //! Cells are written with ECMA-48 sequences.
 
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use crate::terminal::signs;
+use nix::poll::PollFlags;
 use nix::sys::termios::{SetArg, Termios, cfmakeraw, tcgetattr, tcsetattr};
 use ratatui_core::backend::{Backend, ClearType, WindowSize};
 use ratatui_core::buffer::Cell;
@@ -58,19 +59,14 @@ impl Drop for Screen {
 pub(crate) fn keys() -> io::Result<Vec<Key>> {
     let stdin = io::stdin();
     let mut pressed = Vec::new();
-    loop {
-        let mut fds = [PollFd::new(stdin.as_fd(), PollFlags::POLLIN)];
-        poll(&mut fds, PollTimeout::ZERO)?;
-        if !fds[0].revents().is_some_and(|found| found.contains(PollFlags::POLLIN)) {
-            return Ok(pressed);
-        }
+    while signs(stdin.as_fd(), PollFlags::POLLIN)?.contains(PollFlags::POLLIN) {
         let mut bytes = [0; 64];
-        let n = nix::unistd::read(stdin.as_fd(), &mut bytes)?;
-        if n == 0 {
-            return Ok(pressed);
+        match nix::unistd::read(stdin.as_fd(), &mut bytes)? {
+            0 => break,
+            n => pressed.extend(keys_of(&bytes[..n])),
         }
-        pressed.extend(keys_of(&bytes[..n]));
     }
+    Ok(pressed)
 }
 
 /// The keys that a terminal sent.

@@ -1,5 +1,6 @@
 //! The help: verbs by the role of their user, with examples and exit codes.
 
+use crate::terminal::flowed;
 use crate::{Cli, VERBS};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory};
@@ -68,7 +69,6 @@ const BEGIN: [(&str, &str); 8] = [
 pub(crate) fn begin() -> String {
     let mut text = "Where to begin:\n".to_owned();
     for (want, command) in BEGIN {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "  {want:<51}  {command}");
     }
     text + "The guide: /usr/share/doc/rtec/guide of the package, tools/guide of the source.\n"
@@ -79,12 +79,11 @@ pub(crate) fn command() -> Command {
     let mut command = crate::with_negative_values(Cli::command());
     let mut list = String::new();
     for (n, (role, who)) in ROLES.iter().enumerate() {
-        // Writing to a String does not fail.
         let _ = writeln!(list, "{}{role}: {who}", if n == 0 { "" } else { "\n" });
         for (verb, ..) in all().filter(|v| v.1 == n) {
             let about = command.find_subcommand(verb).and_then(Command::get_about).map(ToString::to_string);
             let about = about.unwrap_or_else(|| "Print this, or the help of a verb".to_owned());
-            let _ = writeln!(list, "  {verb:<13} {}", wrapped(&about));
+            let _ = writeln!(list, "  {verb:<13} {}", flowed(&about, 16, 16, 79));
         }
     }
     for (verb, _, example, codes) in VERBS {
@@ -96,8 +95,7 @@ pub(crate) fn command() -> Command {
         .after_help(list)
 }
 
-/// The command line with one verb only, to parse its arguments.
-/// None if there is no such verb.
+/// The command line with one verb only; none if there is no such verb.
 pub(crate) fn command_of(verb: &str) -> Option<Command> {
     let own = crate::Verb::described(verb)?;
     Some(crate::with_negative_values(Command::new("rtecctl").subcommand(own)))
@@ -177,25 +175,7 @@ pub(crate) fn next(words: &[OsString], said: &str) -> String {
     let mut text = format!("Example: {example}\n");
     let mut options = found.into_iter().flat_map(Command::get_arguments);
     if options.any(|a| a.get_long() == Some("list")) && !example.ends_with("--list") {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "Names: rtecctl {verb} --list");
-    }
-    text
-}
-
-/// A description next to its verb, wrapped at 80 columns.
-fn wrapped(about: &str) -> String {
-    let (mut text, mut column) = (String::new(), 16);
-    for word in about.split(' ') {
-        let width = word.chars().count() + 1;
-        if column + width > 80 {
-            text += "\n                ";
-            column = 16;
-        } else if column > 16 {
-            text.push(' ');
-        }
-        text += word;
-        column += width;
     }
     text
 }

@@ -10,8 +10,8 @@
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::os::fd::AsFd;
+use std::net::{Shutdown, SocketAddr, TcpListener};
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,8 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const AT_ONCE: usize = 128;
 /// Interval of checks whether the server must end, ms.
 const LOOK_MS: u8 = 50;
-/// Time for which input is still read after the answer.
-/// Closing earlier could discard the answer.
+/// Time of reading after the answer, which an earlier close could discard.
 const AFTER: Duration = Duration::from_millis(200);
 
 /// A request.
@@ -142,9 +141,10 @@ impl Server {
                 Listener::Unix(listener) => listener.as_fd(),
             };
             poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(LOOK_MS)).ok();
+            // Only calls that every socket knows are made on it, so a TCP connection goes as one of the other kind.
             let accepted = match &self.0 {
-                Listener::Tcp(listener) => listener.accept().map(|(s, _)| Box::new(s) as Box<dyn Stream>),
-                Listener::Unix(listener) => listener.accept().map(|(s, _)| Box::new(s) as Box<dyn Stream>),
+                Listener::Tcp(listener) => listener.accept().map(|(s, _)| UnixStream::from(OwnedFd::from(s))),
+                Listener::Unix(listener) => listener.accept().map(|(s, _)| s),
             };
             let stream = match accepted {
                 Ok(stream) => stream,
@@ -156,9 +156,9 @@ impl Server {
                     continue;
                 }
             };
-            let Some(seat) = stream.end_both().ok().and_then(|hand| Seats::take(&seats, hand)) else {
-                continue;
-            };
+            let Ok(other) = stream.try_clone() else { continue };
+            let close = Box::new(move || drop(other.shutdown(Shutdown::Both)));
+            let Some(seat) = Seats::take(&seats, close) else { continue };
             let handler = Arc::clone(handler);
             let started = std::thread::Builder::new().name("http".into()).spawn(move || {
                 // A client may close early; that needs no report.
@@ -174,8 +174,7 @@ impl Server {
 /// Ends a connection from outside its thread.
 type CloseConnection = Box<dyn Fn() + Send>;
 
-/// Open connections, and how to close those whose request is incomplete.
-/// The oldest comes first.
+/// Open connections, and how to close incomplete ones, the oldest first.
 #[derive(Default)]
 struct Seats(Mutex<(u64, usize, BTreeMap<u64, CloseConnection>)>);
 
@@ -221,41 +220,19 @@ impl Drop for Seat {
     }
 }
 
-trait Stream: Read + Write + Send {
-    fn patience(&self, time: Duration) -> io::Result<()>;
-    fn end(&self) -> io::Result<()>;
-    /// Returns a function that ends both directions from any thread.
-    fn end_both(&self) -> io::Result<CloseConnection>;
+/// Limits the next reads to a time, and the writes to [`PATIENCE`].
+fn limit(stream: &UnixStream, time: Duration) -> io::Result<()> {
+    // An accepted socket may block, whatever mode its listener has.
+    stream.set_nonblocking(false)?;
+    stream.set_read_timeout(Some(time.max(Duration::from_millis(1))))?;
+    stream.set_write_timeout(Some(PATIENCE))
 }
-
-macro_rules! stream {
-    ($($kind:ty),*) => {$(
-        impl Stream for $kind {
-            fn patience(&self, time: Duration) -> io::Result<()> {
-                // An accepted socket may block, whatever mode its listener has.
-                self.set_nonblocking(false)?;
-                self.set_read_timeout(Some(time.max(Duration::from_millis(1))))?;
-                self.set_write_timeout(Some(PATIENCE))
-            }
-
-            fn end(&self) -> io::Result<()> {
-                self.shutdown(Shutdown::Write)
-            }
-
-            fn end_both(&self) -> io::Result<CloseConnection> {
-                let other = self.try_clone()?;
-                Ok(Box::new(move || drop(other.shutdown(Shutdown::Both))))
-            }
-        }
-    )*};
-}
-stream!(TcpStream, UnixStream);
 
 /// Handles one request and its answer.
-fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler, seat: &Seat) -> io::Result<()> {
+fn converse(mut stream: UnixStream, handler: &dyn Handler, seat: &Seat) -> io::Result<()> {
     let mut bytes = Vec::new();
     let answer =
-        |request: &mut Request, stream: &mut dyn Stream, bytes: &mut Vec<u8>| -> io::Result<Answer> {
+        |request: &mut Request, stream: &mut UnixStream, bytes: &mut Vec<u8>| -> io::Result<Answer> {
             let deadline = Instant::now() + PATIENCE;
             let (head, end) = loop {
                 match Request::parse(bytes) {
@@ -288,23 +265,23 @@ fn converse(mut stream: Box<dyn Stream>, handler: &dyn Handler, seat: &Seat) -> 
             Ok(handler.answer(request))
         };
     let mut request = Request::default();
-    let found = answer(&mut request, &mut *stream, &mut bytes)?;
-    send(&mut *stream, &found, request.method == "HEAD")?;
-    stream.end()?;
+    let found = answer(&mut request, &mut stream, &mut bytes)?;
+    send(&mut stream, &found, request.method == "HEAD")?;
+    stream.shutdown(Shutdown::Write)?;
     let deadline = Instant::now() + AFTER;
-    while more(&mut *stream, &mut bytes, deadline).is_ok() {
+    while more(&mut stream, &mut bytes, deadline).is_ok() {
         bytes.clear();
     }
     Ok(())
 }
 
 /// Reads more, until the deadline at most.
-fn more(stream: &mut dyn Stream, bytes: &mut Vec<u8>, deadline: Instant) -> io::Result<()> {
+fn more(stream: &mut UnixStream, bytes: &mut Vec<u8>, deadline: Instant) -> io::Result<()> {
     let left = deadline.saturating_duration_since(Instant::now());
     if left.is_zero() {
         return Err(ErrorKind::TimedOut.into());
     }
-    stream.patience(left)?;
+    limit(stream, left)?;
     let mut buffer = [0; 1024];
     match stream.read(&mut buffer)? {
         0 => Err(ErrorKind::UnexpectedEof.into()),
@@ -315,7 +292,7 @@ fn more(stream: &mut dyn Stream, bytes: &mut Vec<u8>, deadline: Instant) -> io::
     }
 }
 
-fn send(stream: &mut dyn Stream, answer: &Answer, head_only: bool) -> io::Result<()> {
+fn send(stream: &mut UnixStream, answer: &Answer, head_only: bool) -> io::Result<()> {
     let Answer { status, kind, body } = answer;
     let reason = match status {
         200 => "OK",

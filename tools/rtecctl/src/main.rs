@@ -275,8 +275,7 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
     1
 }
 
-/// Compares a text with a golden file of `tests/golden`.
-/// `RTEC_BLESS=1` rewrites it.
+/// Compares a text with a golden file, which `RTEC_BLESS=1` rewrites.
 #[cfg(test)]
 #[track_caller]
 pub(crate) fn golden(name: &str, text: &str) {

@@ -1,8 +1,8 @@
 //! The output: a terminal with colours and a width, a file, or a closed pipe.
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use std::io::IsTerminal;
-use std::os::fd::AsFd;
+use std::io::{self, IsTerminal, Write as _};
+use std::os::fd::{AsFd, BorrowedFd};
 
 /// Meaning of a colour, one of the eight that every terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,13 +23,12 @@ pub(crate) fn colours_are_wanted() -> bool {
 
 /// Whether standard output shows colours.
 pub(crate) fn colour() -> bool {
-    std::io::stdout().is_terminal() && colours_are_wanted()
+    io::stdout().is_terminal() && colours_are_wanted()
 }
 
-/// Columns of the terminal on standard output.
-/// None if it is not a terminal, or does not know its width.
+/// Columns of the terminal on standard output; none if they are not known.
 pub(crate) fn width() -> Option<u16> {
-    let terminal = std::io::stdout().is_terminal();
+    let terminal = io::stdout().is_terminal();
     let size = terminal.then(terminal_size::terminal_size).flatten();
     size.and_then(|(width, _)| readable(width.0))
 }
@@ -53,40 +52,55 @@ pub(crate) fn toned(text: &str, tone: Tone, colour: bool) -> String {
     format!("\x1b[{code}m{text}\x1b[0m")
 }
 
-/// Whether the reader of standard output has gone (`| head`).
-/// An endless command then ends.
+/// Shows a text, with `clears` in place of the one before on a terminal.
+/// `false` if the reader of standard output has gone.
+pub(crate) fn redraw(text: &str, clears: bool) -> io::Result<bool> {
+    let mut out = io::stdout();
+    // Home, then clear to the end: no flicker, and no rest of a longer view.
+    let clear = if clears && out.is_terminal() { "\x1b[H\x1b[J" } else { "" };
+    match write!(out, "{clear}{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        written => written.map(|()| true),
+    }
+}
+
+/// Whether the reader of standard output has gone: endless commands then end.
 pub(crate) fn reader_has_gone() -> bool {
-    let stdout = std::io::stdout();
-    let mut fds = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
-    poll(&mut fds, PollTimeout::ZERO).is_ok()
-        && fds[0].revents().is_some_and(|found| found.contains(PollFlags::POLLERR))
+    signs(io::stdout().as_fd(), PollFlags::empty()).is_ok_and(|found| found.contains(PollFlags::POLLERR))
+}
+
+/// What the system says of a descriptor now.
+pub(crate) fn signs(fd: BorrowedFd<'_>, asked: PollFlags) -> nix::Result<PollFlags> {
+    let mut fds = [PollFd::new(fd, asked)];
+    poll(&mut fds, PollTimeout::ZERO)?;
+    Ok(fds[0].revents().unwrap_or(PollFlags::empty()))
 }
 
 /// Wraps a text between words at a number of columns.
 /// Continuation lines are indented by four columns. A word longer than a line stays whole. The sequences of a
 /// tone take no columns.
 pub(crate) fn wrapped(text: &str, width: usize) -> String {
-    let mut out = String::new();
-    for line in text.lines() {
-        let begin = line.len() - line.trim_start_matches(' ').len();
-        let (indent, words) = line.split_at(begin);
-        let mut at = 0;
-        for word in words.split(' ') {
-            let columns = columns(word);
-            if at == 0 {
-                out += indent;
-                at = begin;
-            } else if at + 1 + columns > width {
-                out = out + "\n    " + indent;
-                at = begin + 4;
-            } else {
-                out.push(' ');
-                at += 1;
-            }
-            out += word;
-            at += columns;
+    let line = |line: &str| {
+        let indent = line.len() - line.trim_start_matches(' ').len();
+        format!("{}{}\n", &line[..indent], flowed(&line[indent..], indent, indent + 4, width))
+    };
+    text.lines().map(line).collect()
+}
+
+/// Words from the column `begin` on, wrapped at `width`; further lines have `indent` blanks.
+pub(crate) fn flowed(words: &str, begin: usize, indent: usize, width: usize) -> String {
+    let (mut out, mut at) = (String::new(), begin);
+    for (n, word) in words.split(' ').enumerate() {
+        let columns = columns(word);
+        if n > 0 && at + 1 + columns > width {
+            out = out + "\n" + &" ".repeat(indent);
+            at = indent;
+        } else if n > 0 {
+            out.push(' ');
+            at += 1;
         }
-        out.push('\n');
+        out += word;
+        at += columns;
     }
     out
 }

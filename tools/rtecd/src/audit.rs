@@ -190,9 +190,7 @@ impl Audit {
         // An earlier question is written before this command; other questions change nothing.
         let new = key.as_ref().is_none_or(|key| !self.repeated.contains_key(key));
         if new && result == "done" && !(looks && request["display_mm"].is_null()) {
-            let (looked, held) = std::mem::take(&mut self.repeated).into_iter().partition(|(_, r)| r.looks);
-            self.repeated = held;
-            self.release(looked);
+            self.release_if(|r| r.looks);
         }
         // Too many kinds: they are counted by verb only, and verbs are few.
         let of_user = || self.repeated.range((uid, String::new())..=(uid, char::MAX.to_string())).count();
@@ -210,16 +208,8 @@ impl Audit {
                 after_at_least = COUNTED;
             }
         }
-        let entry = Entry {
-            by: Some(by),
-            request: Some(request),
-            result: result.to_owned(),
-            text,
-            before,
-            after,
-            model,
-            ..Entry::now("command")
-        };
+        let (by, request, result) = (Some(by), Some(request), result.to_owned());
+        let entry = Entry { by, request, result, text, before, after, model, ..Entry::now("command") };
         match key {
             Some(key) => self.together(key, entry.bounded(), after_at_least, looks),
             None => self.send(entry.bounded()),
@@ -243,9 +233,11 @@ impl Audit {
     /// Writes the repeated lines that are due.
     pub(crate) fn turn(&mut self) {
         let now = Instant::now();
-        let (due, held) = std::mem::take(&mut self.repeated)
-            .into_iter()
-            .partition(|(_, r): &((u32, String), Repeated)| r.is_due(now));
+        self.release_if(|r| r.is_due(now));
+    }
+
+    fn release_if(&mut self, is_due: impl Fn(&Repeated) -> bool) {
+        let (due, held) = std::mem::take(&mut self.repeated).into_iter().partition(|(_, r)| is_due(r));
         self.repeated = held;
         self.release(due);
     }
@@ -279,11 +271,8 @@ impl Audit {
         if shared.state.last_n == 0 {
             return None;
         }
-        let due = self
-            .anchored
-            .as_ref()
-            .is_none_or(|last| last.rotated != shared.rotated || last.at.elapsed() >= ANCHOR_EVERY);
-        if !due {
+        let holds = |last: &Anchored| last.rotated == shared.rotated && last.at.elapsed() < ANCHOR_EVERY;
+        if self.anchored.as_ref().is_some_and(holds) {
             return None;
         }
         let refused = Some((shared.refused.0, shared.refused.1.as_str())).filter(|(n, _)| *n > 0);
@@ -446,7 +435,9 @@ mod tests {
         }
     }
 
-    fn lines(path: &Path) -> Vec<Entry> {
+    /// The lines of a record that has ended.
+    fn ended(audit: Audit, path: &Path) -> Vec<Entry> {
+        audit.end(Duration::from_secs(30));
         let mut all = Vec::new();
         read(path, &mut |line: Line| all.push(line.entry.unwrap())).unwrap();
         all
@@ -460,8 +451,7 @@ mod tests {
             audit.command(command(2, "refused"));
         }
         audit.command(command(1, "done"));
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         assert_eq!(all.len(), 5, "{all:?}");
         let repeated: Vec<_> = all.iter().filter_map(|e| e.times).collect();
         assert_eq!(repeated, [999, 999]);
@@ -488,12 +478,12 @@ mod tests {
         audit.command(Command { request: go_on, ..command(1, "done") });
         // Another user's question is another line.
         audit.command(Command { request: jog(None), ..command(2, "done") });
-        audit.end(Duration::from_secs(30));
+        let all = ended(audit, &path);
         let told = |e: &Entry| {
             let request = e.request.as_ref().unwrap();
             (request["do"].as_str().unwrap().to_owned(), request["display_mm"].as_f64(), e.times)
         };
-        let all: Vec<_> = lines(&path).iter().map(told).collect();
+        let all: Vec<_> = all.iter().map(told).collect();
         let round = |mm| {
             [("jog", Some(mm), None), ("jog", None, None), ("jog", None, Some(399)), ("enable", None, None)]
         };
@@ -514,8 +504,7 @@ mod tests {
         }
         let by = Caller { uid: 8, ..Caller::default() };
         audit.command(Command { by, ..command(1, "refused") });
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         let of =
             |uid| all.iter().filter(|e| e.by.as_ref().is_some_and(|by| by.uid == uid)).collect::<Vec<_>>();
         assert_eq!((of(7).len(), of(8).len()), (KINDS + 2, 1));
@@ -530,8 +519,7 @@ mod tests {
             let happened = EventReport { t_ns: 0, axis, kind: kind.to_owned(), text, trip: None };
             audit.happened(&happened, Totals::new());
         }
-        audit.end(Duration::from_secs(30));
-        let all: Vec<_> = lines(&path).into_iter().map(|e| (e.what, e.axis)).collect();
+        let all: Vec<_> = ended(audit, &path).into_iter().map(|e| (e.what, e.axis)).collect();
         assert_eq!(all, [("fault".to_owned(), Some("x".to_owned())), ("mode".to_owned(), None)]);
     }
 
@@ -546,8 +534,7 @@ mod tests {
         std::fs::create_dir(directory.path().join("later")).unwrap();
         wait_until(|| audit.state().last_n > 0);
         audit.command(command(1, "done"));
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         assert_eq!((all[0].what.as_str(), all[0].times, all.len()), ("lost", Some(1), 2));
         assert!(all[0].text.contains("No such file"), "{}", all[0].text);
     }
@@ -570,12 +557,11 @@ mod tests {
             }
             catch_up(&mut audit);
         }
-        audit.end(Duration::from_secs(30));
+        let all = ended(audit, &path);
         let bytes = |path: &Path| std::fs::metadata(path).unwrap().len();
         assert!(bytes(&path) < 100_000, "{}", bytes(&path));
         // A few hundred lines, and then a count of each verb.
         assert!(bytes(&refused_path(&path)) < 2_000_000, "{}", bytes(&refused_path(&path)));
-        let all = lines(&path);
         assert!(all.iter().any(|e| e.result == "done" && e.n == 1));
         let told: u64 = all.iter().filter(|e| e.result == "refused").map(|e| e.times.unwrap_or(1)).sum();
         assert_eq!(told, u64::try_from(refusals).unwrap());
@@ -597,8 +583,7 @@ mod tests {
         for _ in 0..3 {
             audit.command(Command { by: by("set_up"), ..command(1, "done") });
         }
-        audit.end(Duration::from_secs(30));
-        let all = lines(&path);
+        let all = ended(audit, &path);
         let of = |role: &str| all.iter().filter(|e| e.by.as_ref().is_some_and(|by| by.role == role)).count();
         // Each command to set up has its line, whichever budget is used up.
         assert_eq!(of("set_up"), 3);

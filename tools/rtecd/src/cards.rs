@@ -2,7 +2,7 @@
 
 use crate::Failure;
 use nix::sys::statfs::{SYSFS_MAGIC, statfs};
-use rtec_control::config::{Config, Simulated};
+use rtec_control::config::{Config, ConfiguredAxis, Simulated};
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::{MockCard, Wires};
@@ -60,19 +60,13 @@ impl SimulatedOperator {
 /// Simulated axes that are at rest until they are homed.
 /// They then move to and fro over a quarter of their travel, with a probe in the middle of the first one's stroke.
 pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, SimulatedOperator) {
-    let motions: Vec<_> = config
-        .axes
-        .iter()
-        .map(|axis| {
-            let motion = StrokeMotion {
-                stroke_counts: (axis.travel_mm / 4.0 * 1000.0 / axis.count_um).max(1.0),
-                feed_counts_s: (FEED_MM_S * 1000.0 / axis.count_um).min(FEED_COUNTS_S),
-                dwell_s: 0.2,
-                on_feedback: !axis.simulated.ignores,
-            };
-            (axis.engine.lines, motion)
-        })
-        .collect();
+    let motion = |axis: &ConfiguredAxis| StrokeMotion {
+        stroke_counts: (axis.travel_mm / 4.0 * 1000.0 / axis.count_um).max(1.0),
+        feed_counts_s: (FEED_MM_S * 1000.0 / axis.count_um).min(FEED_COUNTS_S),
+        dwell_s: 0.2,
+        on_feedback: !axis.simulated.ignores,
+    };
+    let motions: Vec<_> = config.axes.iter().map(|axis| (axis.engine.lines, motion(axis))).collect();
     let (axes, operator) = moving_axes(&motions, config.lines);
     let both = operator.truth.iter().cloned().zip(config.axes.iter().map(|a| a.simulated));
     let stand = SimulatedOperator { axes: both.collect(), operator };
@@ -85,9 +79,8 @@ pub(crate) fn lathe(
     file: &Path,
 ) -> Result<(MockCard<MachineWires<Lathe>, Monotonic>, Cuts), InputError> {
     let axis = |name: &str| {
-        let found = config.axes.iter().find(|a| a.name == name);
-        found
-            .ok_or_else(|| InputError::whole(file, format!("a configuration without axis {name}"), "z and x"))
+        let missing = || InputError::whole(file, format!("a configuration without axis {name}"), "z and x");
+        config.axes.iter().find(|a| a.name == name).ok_or_else(missing)
     };
     let (z, x) = (axis("z")?, axis("x")?);
     let mut duty = Duty::read(file)?;
@@ -151,15 +144,14 @@ pub(crate) fn replay(
     let mut axes = Vec::new();
     let mut held = 0;
     for (axis, file) in config.axes.iter().zip(traces) {
-        let mut points = Vec::new();
-        for point in TraceReader::open(file)?.playable() {
-            points.push(point?);
-            held += 1;
-            if held > MAX_POINTS {
-                let found = format!("more than {MAX_POINTS} points in all traces");
-                let expected = "shorter recordings; `rtecctl replay` takes them of any length";
-                return Err(InputError::whole(file, found, expected));
-            }
+        // One more than may be held is enough to refuse the file.
+        let played = TraceReader::open(file)?.playable().take(MAX_POINTS + 1 - held);
+        let points = played.collect::<Result<Vec<_>, _>>()?;
+        held += points.len();
+        if held > MAX_POINTS {
+            let found = format!("more than {MAX_POINTS} points in all traces");
+            let expected = "shorter recordings; `rtecctl replay` takes them of any length";
+            return Err(InputError::whole(file, found, expected));
         }
         axes.push(Recorded { lines: axis.engine.lines, points, at: 0 });
     }

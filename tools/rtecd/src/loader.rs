@@ -266,11 +266,8 @@ impl<'s> Reader<'s> {
         let (mut content, mut buffer) = (Vec::with_capacity(found.len() as usize), vec![0; 64 << 10]);
         loop {
             if !self.told.go_on() {
-                return Err(InputError::whole(
-                    path,
-                    "a file that takes too long to read",
-                    "a disk that answers",
-                ));
+                let found = "a file that takes too long to read";
+                return Err(InputError::whole(path, found, "a disk that answers"));
             }
             // From its beginning, wherever the caller has read to.
             let n = file.read_at(&mut buffer, content.len() as u64).map_err(unreadable)?;
@@ -288,11 +285,8 @@ impl<'s> Reader<'s> {
 }
 
 fn missing(path: &Path) -> InputError {
-    InputError::whole(
-        path,
-        "a file that did not come with the request",
-        "every file that the first one names",
-    )
+    let found = "a file that did not come with the request";
+    InputError::whole(path, found, "every file that the first one names")
 }
 
 #[cfg(test)]

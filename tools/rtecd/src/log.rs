@@ -20,6 +20,7 @@ use std::io::Write;
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Levels of syslog(3).
@@ -56,38 +57,41 @@ struct Window {
     left_out: u32,
 }
 
-pub(crate) struct Log {
+/// The log of this process.
+static LOG: LazyLock<Log> = LazyLock::new(Log::new);
+
+/// Writes a message. Unit tests write none.
+pub(crate) fn say(level: Level, text: &str) {
+    LOG.say(level, text);
+}
+
+/// Writes as [`say`] does, but limits the number of messages of one `kind`.
+pub(crate) fn event(level: Level, kind: &str, text: &str) {
+    LOG.event(level, kind, text);
+}
+
+/// Writes as [`event`] does, with fields for the journal.
+/// `RTEC_EVENT` is `event`.
+pub(crate) fn record(level: Level, event: &str, text: &str, fields: &[(&str, &str)]) {
+    LOG.record(level, event, text, fields);
+}
+
+struct Log {
     journal: bool,
     /// The journal's native socket, where it reads standard error too.
     native: Option<(UnixDatagram, PathBuf)>,
-    kinds: BTreeMap<String, Window>,
-    #[cfg(test)]
-    silent: bool,
+    kinds: Mutex<BTreeMap<String, Window>>,
 }
 
 impl Log {
-    /// A log that writes nothing.
-    #[cfg(test)]
-    pub(crate) fn silent() -> Self {
-        Self { silent: true, ..Self::new() }
-    }
-
-    pub(crate) fn new() -> Self {
+    fn new() -> Self {
         // systemd sets this where standard error is its journal (systemd.exec(5)).
         let journal = std::env::var_os("JOURNAL_STREAM").is_some();
         let native = journal.then(|| native(Path::new(JOURNALD))).flatten();
-        Self {
-            journal,
-            native,
-            kinds: BTreeMap::new(),
-            #[cfg(test)]
-            silent: false,
-        }
+        Self { journal, native, kinds: Mutex::default() }
     }
 
-    /// Logs as [`Log::event`] does, with fields for the journal.
-    /// `RTEC_EVENT` is `event`.
-    pub(crate) fn record(&mut self, level: Level, event: &str, text: &str, fields: &[(&str, &str)]) {
+    fn record(&self, level: Level, event: &str, text: &str, fields: &[(&str, &str)]) {
         let message = datagram(level, event, text, fields);
         let native = self.native.as_ref().is_some_and(|(socket, to)| socket.send_to(&message, to).is_ok());
         if native {
@@ -96,9 +100,8 @@ impl Log {
         self.event(level, event, text);
     }
 
-    pub(crate) fn say(&self, level: Level, text: &str) {
-        #[cfg(test)]
-        if self.silent {
+    fn say(&self, level: Level, text: &str) {
+        if cfg!(test) {
             return;
         }
         let line = if self.journal {
@@ -119,28 +122,29 @@ impl Log {
         }
     }
 
-    /// Logs as [`Log::say`] does, but limits the number of messages of one `kind`.
-    pub(crate) fn event(&mut self, level: Level, kind: &str, text: &str) {
-        let now = Instant::now();
-        let window =
-            self.kinds.entry(kind.to_owned()).or_insert(Window { begun: now, written: 0, left_out: 0 });
-        let mut before = 0;
-        if now.duration_since(window.begun) > PERIOD {
-            before = window.left_out;
-            *window = Window { begun: now, written: 0, left_out: 0 };
-        }
-        let write = window.written < BURST;
-        if write {
-            window.written += 1;
-        } else {
-            window.left_out += 1;
-        }
+    fn event(&self, level: Level, kind: &str, text: &str) {
+        let (write, before) = self.admits(kind);
         if before > 0 {
             self.say(level, &format!("{kind}: {before} more of these were left out"));
         }
         if write {
             self.say(level, text);
         }
+    }
+
+    /// Whether a message of this kind is written now, and how many were left out before it.
+    fn admits(&self, kind: &str) -> (bool, u32) {
+        let now = Instant::now();
+        let mut kinds = self.kinds.lock().unwrap_or_else(PoisonError::into_inner);
+        let window = kinds.entry(kind.to_owned()).or_insert(Window { begun: now, written: 0, left_out: 0 });
+        let mut before = 0;
+        if now.duration_since(window.begun) > PERIOD {
+            before = window.left_out;
+            *window = Window { begun: now, written: 0, left_out: 0 };
+        }
+        let write = window.written < BURST;
+        *(if write { &mut window.written } else { &mut window.left_out }) += 1;
+        (write, before)
     }
 }
 
@@ -187,7 +191,7 @@ mod tests {
         let at = directory.path().join("journal");
         let journald = UnixDatagram::bind(&at).unwrap();
         journald.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
-        let mut log = Log { journal: true, native: native(&at), ..Log::new() };
+        let log = Log { journal: true, native: native(&at), ..Log::new() };
         log.record(
             Level::Error,
             "fault",

@@ -36,7 +36,7 @@ use anyhow::Context;
 use audit::Audit;
 use clap::Parser;
 use edited_files::EditedFiles;
-use log::{Level, Log};
+use log::Level;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use rtec_control::card::{self, Access, Found, OpenError};
@@ -47,7 +47,7 @@ use rtec_driver::card::Card;
 use rtec_files::InputError;
 use rtec_rt::event::Fault;
 use rtec_rt::journal::JournalError;
-use rtec_rt::setup::{Report, System, Wanted};
+use rtec_rt::setup::{Finding, Report, System, Wanted};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use rtec_sensors::buses::{Buses, Clock};
 use server::ServingEnd;
@@ -123,12 +123,11 @@ impl From<JournalError> for Failure {
 }
 
 fn main() -> ExitCode {
-    let mut log = Log::new();
-    match run(&Args::parse(), &mut log) {
+    match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             for line in rtec_files::words::whole(error.as_ref()).lines() {
-                log.say(Level::Error, line);
+                log::say(Level::Error, line);
             }
             ExitCode::from(exit_code(&error))
         }
@@ -149,7 +148,7 @@ fn exit_code(error: &anyhow::Error) -> u8 {
     }
 }
 
-fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
+fn run(args: &Args) -> anyhow::Result<()> {
     let mut manager = ServiceManager::from_environment()?;
     let installed = Path::new(INSTALLED);
     let file = args.config.as_deref().or(installed.exists().then_some(installed));
@@ -162,7 +161,7 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         return Err(InputError::whole(file, found, "[card] backend = \"mock\"").into());
     }
     for note in &config.notes {
-        log.say(Level::Warning, note);
+        log::say(Level::Warning, note);
     }
     // Before any thread starts, so that all inherit the mask and signals come through the descriptor only.
     let signals = SigSet::from_iter([Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP]);
@@ -174,7 +173,10 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
     let sockets = sockets::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {
-        log.say(Level::Warning, &format!("stored descriptor {name}: nobody has a use for it; it stays open"));
+        log::say(
+            Level::Warning,
+            &format!("stored descriptor {name}: nobody has a use for it; it stays open"),
+        );
     }
     let patience =
         Patience { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
@@ -183,22 +185,22 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
         CardConfig::Mock if args.lathe.is_some() => {
             let file = args.lathe.as_deref().unwrap_or(Path::new(""));
             let (card, cuts) = cards::lathe(&config, file)?;
-            let done = work(card, config, Kind::Harmless, outside, log);
+            let done = work(card, config, Kind::Harmless, outside);
             cuts.write().with_context(|| format!("writing the workpiece of {}", file.display()))?;
             done
         }
         CardConfig::Mock => {
             let (card, stand) = cards::mock(&config);
-            work(card, config, Kind::Simulated(stand), outside, log)
+            work(card, config, Kind::Simulated(stand), outside)
         }
         CardConfig::Replay { traces } => {
             let card = cards::replay(&config, &traces)?;
-            work(card, config, Kind::Harmless, outside, log)
+            work(card, config, Kind::Harmless, outside)
         }
         CardConfig::Gpio(setup) => {
             let copies = || kept.iter().map(OwnedFd::try_clone).collect::<std::io::Result<Vec<_>>>();
             let kept = || copies().unwrap_or_default();
-            let Some(card) = patience.open(log, || card::gpio(&setup, kept()))? else { return Ok(()) };
+            let Some(card) = patience.open(|| card::gpio(&setup, kept()))? else { return Ok(()) };
             // Before anything is inverted, so that the lines outlive this process.
             for (name, fd) in card.kept() {
                 if !outside.manager.keep(&name, fd)? {
@@ -206,33 +208,33 @@ fn run(args: &Args, log: &mut Log) -> anyhow::Result<()> {
                         "{name}: no service manager keeps the lines; when this process dies they may fall, both \
                          inverters at once"
                     );
-                    log.say(Level::Warning, &text);
+                    log::say(Level::Warning, &text);
                 }
             }
-            work(card, config, Kind::Real, outside, log)
+            work(card, config, Kind::Real, outside)
         }
         CardConfig::Registers { place, profile } => {
             let find = || card::find(&place, &profile, Access::Drive);
-            let Some(found) = patience.open(log, find)? else { return Ok(()) };
+            let Some(found) = patience.open(find)? else { return Ok(()) };
             match found {
                 Found::Parport(file) => {
                     let open = || card::parport(&file, &profile);
-                    let Some(card) = patience.open(log, open)? else { return Ok(()) };
-                    work(card, config, Kind::Real, outside, log)
+                    let Some(card) = patience.open(open)? else { return Ok(()) };
+                    work(card, config, Kind::Real, outside)
                 }
                 Found::Ports(base) => {
                     let open = || card::ports(base, &profile);
-                    let Some(card) = patience.open(log, open)? else { return Ok(()) };
-                    work(card, config, Kind::Real, outside, log)
+                    let Some(card) = patience.open(open)? else { return Ok(()) };
+                    work(card, config, Kind::Real, outside)
                 }
                 Found::Map(file, map) => {
                     let open = || card::mapped(&file, map, &profile);
                     // Opened once before it is locked, because a missing file is waited for.
-                    let Some(()) = patience.open(log, || open().map(drop))? else { return Ok(()) };
+                    let Some(()) = patience.open(|| open().map(drop))? else { return Ok(()) };
                     let _card_lock = lock::card(&file).map_err(Failure::from)?;
                     let card = open()?;
                     let real = cards::drives_a_machine(&file)?;
-                    work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside, log)
+                    work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside)
                 }
             }
         }
@@ -248,11 +250,7 @@ struct Patience<'a> {
 impl Patience<'_> {
     /// Opens a card, and tries again until it is there.
     /// Returns `None` when a signal ends the waiting.
-    fn open<T>(
-        &self,
-        log: &mut Log,
-        mut open: impl FnMut() -> Result<T, OpenError>,
-    ) -> anyhow::Result<Option<T>> {
+    fn open<T>(&self, mut open: impl FnMut() -> Result<T, OpenError>) -> anyhow::Result<Option<T>> {
         let mut said = String::new();
         loop {
             let error = match open() {
@@ -261,7 +259,7 @@ impl Patience<'_> {
                 Err(error) => error.to_string(),
             };
             if error != said {
-                log.say(Level::Warning, &format!("waiting for the card: {error}"));
+                log::say(Level::Warning, &format!("waiting for the card: {error}"));
                 said = error;
             }
             if self.signals.read_signal().context("reading signals")?.is_some() {
@@ -296,7 +294,6 @@ fn work<C: Card + Send + 'static>(
     config: Config,
     kind: Kind,
     mut outside: Outside<'_>,
-    log: &mut Log,
 ) -> anyhow::Result<()> {
     let real = matches!(kind, Kind::Real);
     let directory = config.control.state_path();
@@ -304,7 +301,7 @@ fn work<C: Card + Send + 'static>(
     let clock = Clock::start();
     let log_to = (directory, config.model.log_s);
     let sensors = Buses::start(&config.sensors, clock, log_to, rtec_records::record::read_log)?;
-    let (engine, before, state_file) = start::engine(&mut card, &config, log)?;
+    let (engine, before, state_file) = start::engine(&mut card, &config)?;
     if let Some(file) = &state_file {
         file.outlive_truncation().context("a handler for a state file that is cut short")?;
     }
@@ -316,20 +313,12 @@ fn work<C: Card + Send + 'static>(
     });
     let options = ThreadOptions { wanted, real, stale_after_ns: config.control.stale_ms * 1_000_000 };
     let mut running = spawn(engine, card, options)?;
-    log.say(
-        Level::Notice,
-        &format!(
-            "machine \"{}\": card {}, {} axes, socket {}",
-            config.machine,
-            config.card.backend(),
-            config.axes.len(),
-            config.control.socket.display()
-        ),
-    );
-    for finding in running.report.iter().flat_map(Report::missing) {
-        let text =
-            format!("{}: wanted {}, found {}: {}", finding.name, finding.wanted, finding.got, finding.remedy);
-        log.say(Level::Warning, &text);
+    let (machine, backend, axes) = (&config.machine, config.card.backend(), config.axes.len());
+    let socket = config.control.socket.display();
+    let text = format!("machine \"{machine}\": card {backend}, {axes} axes, socket {socket}");
+    log::say(Level::Notice, &text);
+    for Finding { name, wanted, got, remedy, .. } in running.report.iter().flat_map(Report::missing) {
+        log::say(Level::Warning, &format!("{name}: wanted {wanted}, found {got}: {remedy}"));
     }
     let set_up = session::SetUp {
         real,
@@ -343,9 +332,9 @@ fn work<C: Card + Send + 'static>(
         Audit::start(&log_file, outside.sockets.viewers).context("starting the record of commands")?;
     let mut session = Session::new(config, set_up, (sensors, clock), outside.edited_files.take());
     session.watch_over(state_file);
-    session.take_up_model(log);
+    session.take_up_model();
     if let Some(trouble) = session.spool_trouble() {
-        log.say(Level::Warning, &trouble);
+        log::say(Level::Warning, &trouble);
     }
     if let Kind::Simulated(stand) = kind {
         session.stand_at(stand);
@@ -361,7 +350,7 @@ fn work<C: Card + Send + 'static>(
         audit.happened(&happened, session.totals(&mut running.control));
     }
     outside.manager.ready()?;
-    let served = server::serve(outside, &mut session, &mut running.control, log, &mut audit);
+    let served = server::serve(outside, &mut session, &mut running.control, &mut audit);
     if matches!(served, Ok(ServingEnd::StandsStill)) {
         // The thread cannot be ended and holds the card. The next process finds the fault and asserts feed hold.
         let mut text = explain_fault(Fault::ThreadLost).to_owned();
@@ -372,22 +361,19 @@ fn work<C: Card + Send + 'static>(
         audit.end(LOG_PATIENCE);
         return Err(Failure::Again(LOST).into());
     }
-    session.look_after_state_file(&mut running.control, log);
+    session.look_after_state_file(&mut running.control);
     let (ended, mut control) = running.stop();
-    session.drain(&mut control, log);
-    session.keep_the_rest(LOG_PATIENCE, log);
+    session.drain(&mut control);
+    session.keep_the_rest(LOG_PATIENCE);
     let told = ["record_not_kept", "state_file_lost", "fault"];
     for happened in session.take_happened().iter().filter(|h| told.contains(&h.kind.as_str())) {
         audit.happened(happened, session.totals(&mut control));
     }
     for (axis, status) in session.axes().iter().zip(ended.status.axes()) {
-        let text = format!(
-            "parked axis {}: completed {:+} counts, inverters {}",
-            axis.name,
-            status.in_effect,
-            if status.inverted { "on" } else { "off" }
-        );
-        log.say(Level::Notice, &text);
+        let (name, in_effect) = (&axis.name, status.in_effect);
+        let inverters = if status.inverted { "on" } else { "off" };
+        let text = format!("parked axis {name}: completed {in_effect:+} counts, inverters {inverters}");
+        log::say(Level::Notice, &text);
     }
     audit.end(LOG_PATIENCE);
     match served? {
@@ -454,7 +440,7 @@ mod tests {
             planted.store(true, Ordering::Release);
             (outputs, log_file)
         });
-        let ended = work(card, config, Kind::Harmless, outside, &mut Log::silent()).unwrap_err();
+        let ended = work(card, config, Kind::Harmless, outside).unwrap_err();
         let (outputs, log_file) = served.join().unwrap();
         assert_eq!((exit_code(&ended), ended.to_string()), (1, LOST.to_owned()));
         assert_eq!(outputs.load(Ordering::Acquire) & hold, hold);

@@ -13,7 +13,7 @@ use crate::Outside;
 use crate::audit::{Audit, Command, Totals};
 use crate::client::{Client, Stage, Urgency};
 use crate::loader::Ticket;
-use crate::log::{Level, Log};
+use crate::log::{self, Level};
 use crate::service_manager::ServiceManager;
 use crate::session::{Answer, RequestContext, Session};
 use crate::sockets::{ListeningSocket, ListeningSockets};
@@ -71,7 +71,6 @@ struct Waiting {
 struct ServingContext<'a> {
     session: &'a mut Session,
     control: &'a mut ControlEnd,
-    log: &'a mut Log,
     audit: &'a mut Audit,
     waiting: BTreeMap<Ticket, Waiting>,
     own_uid: u32,
@@ -99,7 +98,6 @@ pub(crate) fn serve(
     outside: Outside<'_>,
     session: &mut Session,
     control: &mut ControlEnd,
-    log: &mut Log,
     audit: &mut Audit,
 ) -> anyhow::Result<ServingEnd> {
     let Outside { sockets, signals, manager, .. } = outside;
@@ -109,7 +107,7 @@ pub(crate) fn serve(
     let own_uid = Uid::effective().as_raw();
     let groups = sockets.all.iter().filter_map(|d| Some((d.role, d.group.clone()?))).collect();
     let waiting = BTreeMap::new();
-    let mut desk = ServingContext { session, control, log, audit, waiting, own_uid, groups, record: None };
+    let mut desk = ServingContext { session, control, audit, waiting, own_uid, groups, record: None };
     let (mut end_reported, mut next_id, mut turn, mut backlog) = (false, 1, 0, false);
     let mut watch = Watch::new(desk.session.stands_still_after(), Instant::now());
     loop {
@@ -130,7 +128,7 @@ pub(crate) fn serve(
         if signalled && let Some(signal) = signals.read_signal().context("reading signals")? {
             manager.stopping();
             let text = format!("signal {}: parking", signal.ssi_signo);
-            desk.log.say(Level::Notice, &text);
+            log::say(Level::Notice, &text);
             let totals = desk.session.totals(desk.control);
             desk.audit.note("stop", text, totals);
             let hung_up = signal.ssi_signo == Signal::SIGHUP as u32;
@@ -147,19 +145,19 @@ pub(crate) fn serve(
         }
         for (socket, ready) in sockets.all.iter().zip(&ready) {
             if ready.contains(PollFlags::POLLIN) {
-                accept(socket, &mut clients, &mut next_id, desk.log);
+                accept(socket, &mut clients, &mut next_id);
             }
         }
         turn += 1;
         backlog = desk.work(&mut clients, turn);
         desk.finish_loads(&mut clients);
-        desk.session.drain(desk.control, desk.log);
-        desk.session.tick(desk.control, desk.log);
+        desk.session.drain(desk.control);
+        desk.session.tick(desk.control);
         desk.audit.turn();
         if desk.control.ended() && !end_reported {
             end_reported = true;
             let text = "the real-time thread has ended; corrections are frozen, status is still served";
-            desk.log.say(Level::Error, text);
+            log::say(Level::Error, text);
         }
         desk.watch_record();
         for happened in desk.session.take_happened() {
@@ -285,7 +283,7 @@ impl ServingContext<'_> {
         let trusted = client.caller.uid == 0 || client.caller.uid == self.own_uid;
         let beside = RequestContext { files, trusted, user: (client.caller.uid, client.caller.user.clone()) };
         let latched = self.session.latched(&self.control.status());
-        let response = match &request {
+        let mut response = match &request {
             ClientRequest::Whoami {} => {
                 let may = client.role.may().into_iter().map(str::to_owned).collect();
                 Response::Whoami(Box::new(Caller { may, ..client.caller.clone() }))
@@ -294,7 +292,7 @@ impl ServingContext<'_> {
                 let connected = connected(clients);
                 self.session.observed(*events_after, self.audit.state(), connected, self.control)
             }
-            request => match self.session.answer(request, beside, self.control, self.log) {
+            request => match self.session.answer(request, beside, self.control) {
                 Answer::Again(_) if since.elapsed() < BUSY => {
                     client.pending = Some(crate::client::Pending { request: Ok(request.clone()), since });
                     return;
@@ -311,13 +309,9 @@ impl ServingContext<'_> {
         };
         let client = &mut clients[n];
         client.watching |= request == ClientRequest::Watch {};
-        let response = match response {
-            Response::Status(mut status) => {
-                status.record_trouble.clone_from(&self.record);
-                Response::Status(status)
-            }
-            other => other,
-        };
+        if let Response::Status(status) = &mut response {
+            status.record_trouble.clone_from(&self.record);
+        }
         if recorded {
             let after = self.session.totals(self.control);
             let released = matches!(request, ClientRequest::Clear {}).then(|| released(&latched));
@@ -329,28 +323,24 @@ impl ServingContext<'_> {
     /// Reports when the writing of the record of commands fails, and when it resumes.
     fn watch_record(&mut self) {
         let state = self.audit.state();
-        if state.trouble.is_some() != self.record.is_some() {
-            let text = match &state.trouble {
-                Some(why) => {
-                    format!("the record of commands {} is not written: {why}; corrections go on", state.file)
-                }
-                None => format!("the record of commands {} is written again", state.file),
-            };
-            self.log.event(Level::Warning, "record", &text);
+        let (file, trouble) = (&state.file, &state.trouble);
+        if trouble.is_some() != self.record.is_some() {
+            let now = trouble.as_ref().map(|why| format!("not written: {why}; corrections go on"));
+            let now = now.unwrap_or_else(|| "written again".to_owned());
+            log::event(Level::Warning, "record", &format!("the record of commands {file} is {now}"));
         }
         self.record = state.in_words();
         if self.audit.has_moved() {
             let text = format!(
-                "a file of the record of commands {} was removed or renamed by others: another one was begun; `rtecctl log \
-                 --verify` shows what is missing",
-                state.file
+                "a file of the record of commands {file} was removed or renamed by others: another one was begun; `rtecctl log \
+                 --verify` shows what is missing"
             );
-            self.log.event(Level::Warning, "record", &text);
+            log::event(Level::Warning, "record", &text);
         }
         if self.session.anchors_record()
             && let Some(text) = self.audit.anchor()
         {
-            self.log.record(Level::Notice, "record_anchor", &text, &[]);
+            log::record(Level::Notice, "record_anchor", &text, &[]);
         }
     }
 
@@ -360,7 +350,7 @@ impl ServingContext<'_> {
         let waits = |ticket: Ticket| {
             waiting.get(&ticket).is_some_and(|w| clients.iter().any(|c| c.id == w.client && !c.gone()))
         };
-        let done = self.session.loaded(waits, self.control, self.log);
+        let done = self.session.loaded(waits, self.control);
         let Some((ticket, response, words)) = done else {
             if !self.session.loads() {
                 // The client has gone.
@@ -418,13 +408,11 @@ fn json(request: &ClientRequest) -> Value {
 
 fn connected(clients: &[Client]) -> Vec<ConnectedClients> {
     let of = |role: Role| clients.iter().filter(move |c| c.role == role);
-    Role::ALL
-        .map(|role| ConnectedClients {
-            role,
-            connected: of(role).count(),
-            watching: of(role).filter(|c| c.watching).count(),
-        })
-        .to_vec()
+    let count = |role| {
+        let (connected, watching) = (of(role).count(), of(role).filter(|c| c.watching).count());
+        ConnectedClients { role, connected, watching }
+    };
+    Role::ALL.map(count).to_vec()
 }
 
 /// Refusal of a request because of the client's role or place, if any.
@@ -457,7 +445,7 @@ fn not_here(
     None
 }
 
-fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64, log: &mut Log) {
+fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64) {
     for _ in 0..ACCEPTS {
         let stream = match socket.listener.accept() {
             Ok((stream, _)) => stream,
@@ -465,21 +453,18 @@ fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64
             Err(e) if e.kind() == ErrorKind::WouldBlock => return,
             Err(error) => {
                 // Out of descriptors. The socket stays ready, so it waits here to give the others time.
-                log.event(Level::Warning, "accept", &format!("a client was not served: {error}"));
+                log::event(Level::Warning, "accept", &format!("a client was not served: {error}"));
                 std::thread::sleep(Duration::from_millis(5));
                 return;
             }
         };
-        let client = stream
-            .set_nonblocking(true)
-            .map_err(anyhow::Error::from)
-            .and_then(|()| Ok(Client::new(*next_id, stream, socket.role, &socket.path)?));
-        match client {
+        let set = stream.set_nonblocking(true).map_err(anyhow::Error::from);
+        match set.and_then(|()| Ok(Client::new(*next_id, stream, socket.role, &socket.path)?)) {
             Ok(client) => {
                 *next_id += 1;
                 seat(client, clients);
             }
-            Err(error) => log.event(Level::Warning, "accept", &format!("a client was not served: {error}")),
+            Err(error) => log::event(Level::Warning, "accept", &format!("a client was not served: {error}")),
         }
     }
 }
@@ -488,15 +473,17 @@ fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64
 fn seat(mut client: Client, clients: &mut Vec<Client>) {
     let (uid, role) = (client.caller.uid, client.role);
     let ordinary = |c: &Client| !c.reserved && c.role == role;
-    let own = clients.iter().filter(|c| ordinary(c) && c.caller.uid == uid).count();
-    let all = clients.iter().filter(|c| ordinary(c)).count();
+    let count =
+        |clients: &[Client], kind: &dyn Fn(&Client) -> bool| clients.iter().filter(|c| kind(c)).count();
+    let own = count(clients, &|c| ordinary(c) && c.caller.uid == uid);
+    let all = count(clients, &ordinary);
     if own >= PER_USER || all >= places(role) && !give_way(clients, own + 2, &ordinary) {
         client.reserved = true;
         let reserved = |c: &Client| c.reserved;
         let of_user = |c: &Client| c.reserved && c.caller.uid == uid;
-        if clients.iter().filter(|c| of_user(c)).count() >= RESERVED_PER_USER {
+        if count(clients, &of_user) >= RESERVED_PER_USER {
             give_way(clients, 0, &of_user);
-        } else if clients.iter().filter(|c| reserved(c)).count() >= RESERVED {
+        } else if count(clients, &reserved) >= RESERVED {
             give_way(clients, 0, &reserved);
         }
     }

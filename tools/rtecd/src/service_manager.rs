@@ -69,17 +69,17 @@ impl ServiceManager {
         // Half the time is what sd_watchdog_enabled(3) advises.
         let watchdog = number("WATCHDOG_USEC")?.filter(|_| for_us);
         let socket = std::env::var_os("NOTIFY_SOCKET").map(|path| connect(&path)).transpose()?;
-        let now = Instant::now();
-        Ok(Self {
-            socket,
-            watchdog_every: watchdog.map(|us| Duration::from_micros(us / 2)),
-            fed: now,
-            polls: 0,
-            reported: now,
-            status: String::new(),
-            in_store: stored.keys().cloned().collect(),
-            stored,
-        })
+        let watchdog_every = watchdog.map(|us| Duration::from_micros(us / 2));
+        Ok(Self::new(socket, watchdog_every, stored))
+    }
+
+    fn new(
+        socket: Option<UnixDatagram>,
+        watchdog_every: Option<Duration>,
+        stored: BTreeMap<String, OwnedFd>,
+    ) -> Self {
+        let (fed, reported, in_store) = (Instant::now(), Instant::now(), stored.keys().cloned().collect());
+        Self { socket, watchdog_every, fed, polls: 0, reported, status: String::new(), stored, in_store }
     }
 
     /// The descriptors stored by an earlier process under names with this beginning.
@@ -195,18 +195,9 @@ mod tests {
     fn manager(watchdog_every: Option<Duration>) -> (ServiceManager, UnixDatagram) {
         let (ours, theirs) = UnixDatagram::pair().unwrap();
         theirs.set_nonblocking(true).unwrap();
-        let now = Instant::now();
-        let manager = ServiceManager {
-            socket: Some(ours),
-            watchdog_every,
-            fed: now,
-            polls: 0,
-            reported: now,
-            status: "as before".to_owned(),
-            stored: BTreeMap::new(),
-            in_store: BTreeSet::new(),
-        };
-        (manager, theirs)
+        let status = "as before".to_owned();
+        let manager = ServiceManager::new(Some(ours), watchdog_every, BTreeMap::new());
+        (ServiceManager { status, ..manager }, theirs)
     }
 
     fn received(socket: &UnixDatagram) -> Vec<String> {

@@ -19,7 +19,7 @@ use crate::client::user_name;
 use crate::edited_files::EditedFiles;
 use crate::history::History;
 use crate::loader::{Loader, Ticket};
-use crate::log::{Level, Log};
+use crate::log::{self, Level};
 use crate::record_spool::{Kept, RecordSpool, Spool};
 use loads::LoadPurpose;
 use rtec_control::config::{Config, ConfiguredAxis, Measured};
@@ -265,7 +265,7 @@ impl Session {
     }
 
     /// Lets the corrector evaluate, if it is due, and sends its requests.
-    pub(crate) fn tick(&mut self, control: &mut ControlEnd, log: &mut Log) {
+    pub(crate) fn tick(&mut self, control: &mut ControlEnd) {
         let status = control.status();
         self.history.look(&status);
         if let Some(HeldBy::User(uid)) = status.held
@@ -277,13 +277,13 @@ impl Session {
         self.set_up.before.other_boot &= status.axes().iter().any(|a| !a.mtc_known);
         self.held_ns = status.held.and(self.held_ns.or(Some(status.t_ns)));
         while let Some(kept) = self.record_spool.done() {
-            self.tell_kept(kept, control.status().t_ns, log);
+            self.tell_kept(kept, control.status().t_ns);
         }
         let now = self.time.now();
-        self.stood_still(now, control, log);
+        self.stood_still(now, control);
         if now >= self.state_file_due {
             self.state_file_due = now + STATE_FILE_EVERY;
-            self.look_after_state_file(control, log);
+            self.look_after_state_file(control);
         }
         if now < self.due {
             return;
@@ -292,7 +292,7 @@ impl Session {
         self.due = (self.due + period).max(now);
         for ended in self.corrector.day_is((self.today)()) {
             let text = format!("machine model: {ended}; it goes on until corrections are next enabled");
-            log.event(Level::Warning, "model_expired", &text);
+            log::event(Level::Warning, "model_expired", &text);
         }
         let status = control.status();
         if let Some(stand) = &self.stand {
@@ -306,7 +306,7 @@ impl Session {
             let request = Request::Correct { axis: axis as u8, total_counts, large: false };
             if let Err(full) = control.send(request) {
                 // The next total makes up for it.
-                return log.event(Level::Warning, "ring_full", &full.to_string());
+                return log::event(Level::Warning, "ring_full", &full.to_string());
             }
         }
     }
@@ -318,14 +318,14 @@ impl Session {
 
     /// Writes the state file again if it was lost, and latches the fault.
     /// Otherwise the totals and faults in effect would be lost with the process.
-    pub(crate) fn look_after_state_file(&mut self, control: &mut ControlEnd, log: &mut Log) {
+    pub(crate) fn look_after_state_file(&mut self, control: &mut ControlEnd) {
         let lost = self.state_file.as_ref().filter(|_| !control.ended()).and_then(StateFile::lost);
         let Some((lost, mut file)) = lost.and_then(|lost| Some((lost, self.state_file.take()?))) else {
             return;
         };
         let renewed = file.renew().map_err(|error| error.to_string());
         // The fault is latched in any case, and noted where that is possible.
-        let noted = self.send(Request::StateFileLost, control, log);
+        let noted = self.send(Request::StateFileLost, control);
         let noted = noted.map_err(|_| "the real-time thread does not answer".to_owned());
         let placed = renewed.and(noted).and_then(|_| file.place().map_err(|error| error.to_string()));
         let what = match lost {
@@ -344,7 +344,7 @@ impl Session {
         };
         self.state_file = Some(file);
         if self.state_file_said != text {
-            log.record(Level::Error, "state_file_lost", &text, &[]);
+            log::record(Level::Error, "state_file_lost", &text, &[]);
             let t_ns = control.status().t_ns;
             self.tell_own(t_ns, "state_file_lost", text.clone());
             self.state_file_said = text;
@@ -361,14 +361,14 @@ impl Session {
     }
 
     /// Logs that the process was stopped, or had no CPU, when it runs again.
-    fn stood_still(&mut self, now: Instant, control: &mut ControlEnd, log: &mut Log) {
+    fn stood_still(&mut self, now: Instant, control: &mut ControlEnd) {
         let gap = now.duration_since(self.looked);
         self.looked = now;
         if gap < STOOD_STILL {
             return;
         }
         let text = format!("the daemon did not run for {:.1} s", gap.as_secs_f64());
-        log.event(Level::Warning, "stood_still", &text);
+        log::event(Level::Warning, "stood_still", &text);
         let t_ns = control.status().t_ns;
         self.tell_own(t_ns, "stood_still", text);
     }
@@ -384,20 +384,20 @@ impl Session {
     }
 
     /// Logs the result of a record.
-    fn tell_kept(&mut self, kept: Kept, t_ns: u64, log: &mut Log) {
+    fn tell_kept(&mut self, kept: Kept, t_ns: u64) {
         let (level, kind, text) = match kept {
             Ok(file) => (Level::Info, "record_kept", format!("record {}", file.display())),
             Err(why) => (Level::Warning, "record_not_kept", why),
         };
-        log.event(level, kind, &text);
+        log::event(level, kind, &text);
         self.tell_own(t_ns, kind, text);
     }
 
     /// Writes the captured record at the daemon's end, within this time.
-    pub(crate) fn keep_the_rest(&mut self, patience: Duration, log: &mut Log) {
+    pub(crate) fn keep_the_rest(&mut self, patience: Duration) {
         self.record_spool.end(&self.config.axes);
         while let Some(kept) = self.record_spool.last(patience) {
-            self.tell_kept(kept, 0, log);
+            self.tell_kept(kept, 0);
         }
     }
 
@@ -423,13 +423,13 @@ impl Session {
     }
 
     /// Logs what the real-time thread has reported.
-    pub(crate) fn drain(&mut self, control: &mut ControlEnd, log: &mut Log) {
+    pub(crate) fn drain(&mut self, control: &mut ControlEnd) {
         while let Some(event) = control.event() {
-            self.note(&event, log);
+            self.note(&event);
         }
     }
 
-    fn note(&mut self, event: &Event, log: &mut Log) {
+    fn note(&mut self, event: &Event) {
         let axis = event.axis.and_then(|n| self.config.axes.get(usize::from(n)));
         let mut happened = EventReport::of(event, axis.map(|a| (a.name.as_str(), a.count_um)));
         if let EventKind::Fault(fault) = event.kind {
@@ -476,9 +476,9 @@ impl Session {
         // Trips and similar events may come by the thousand, so their lines are limited.
         let rare = matches!(event.kind, EventKind::Fault(_) | EventKind::Mode(_) | EventKind::Homed { .. });
         if rare {
-            log.record(level, &happened.kind, &text, &fields);
+            log::record(level, &happened.kind, &text, &fields);
         } else {
-            log.event(level, &happened.kind, &text);
+            log::event(level, &happened.kind, &text);
         }
         self.history.note(event);
         self.tell(happened);
@@ -490,14 +490,13 @@ impl Session {
         request: &ClientRequest,
         beside: RequestContext,
         control: &mut ControlEnd,
-        log: &mut Log,
     ) -> Answer {
         let done = Response::done();
         let plain = |request| (request, done.clone());
         let (request, done) = match request {
             ClientRequest::Status {} => return Answer::Now(Response::Status(Box::new(self.status(control)))),
             ClientRequest::Home { axis, controller_homed } => {
-                return Answer::of(self.home(axis.as_deref(), *controller_homed, control, log));
+                return Answer::of(self.home(axis.as_deref(), *controller_homed, control));
             }
             ClientRequest::Enable { accept_jump } => {
                 let status = control.status();
@@ -512,7 +511,7 @@ impl Session {
             }
             ClientRequest::Shadow {} => plain(Request::Shadow),
             ClientRequest::Correct { axis, total_counts, large } => {
-                return Answer::of(self.correct(axis, *total_counts, *large, control, log));
+                return Answer::of(self.correct(axis, *total_counts, *large, control));
             }
             ClientRequest::ModelLoad { file, take, expired, files } => {
                 let wanted = loads::ModelLoad { take: take.clone(), expired: *expired };
@@ -521,7 +520,7 @@ impl Session {
             ClientRequest::Jog { axis, display_mm, go_on } => {
                 return Answer::of(self.jog(axis, *display_mm, *go_on));
             }
-            ClientRequest::ModelUnload {} => return Answer::Now(self.model_unload(log)),
+            ClientRequest::ModelUnload {} => return Answer::Now(self.model_unload()),
             ClientRequest::ModelAgain {} => return self.model_again(),
             ClientRequest::Explain { axis } => return Answer::of(self.explain(axis.as_deref(), control)),
             ClientRequest::Ledger { axis, from } => {
@@ -530,7 +529,7 @@ impl Session {
             }
             ClientRequest::Keep { files } => return self.keep(files, beside),
             ClientRequest::TableLoad(table) => return self.table_load(table, beside),
-            ClientRequest::TableUnload {} => return Answer::Now(self.table_unload(log)),
+            ClientRequest::TableUnload {} => return Answer::Now(self.table_unload()),
             ClientRequest::Disable {} | ClientRequest::Park {} => plain(Request::Disable),
             ClientRequest::Probe { on } => plain(Request::Probe(*on)),
             ClientRequest::Hold { on } => {
@@ -545,7 +544,7 @@ impl Session {
                 return Answer::Now(done);
             }
         };
-        let answer = self.carry_out(request, control, log);
+        let answer = self.carry_out(request, control);
         if request == Request::Enable && answer.is_ok() {
             self.corrector.enabled();
         }

@@ -47,10 +47,8 @@ pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<ListeningSockets
     for socket in &sockets {
         let bytes = socket.path.as_os_str().len();
         if bytes > LONGEST_SOCKET {
-            let path = socket.path.display();
-            let why =
-                format!("socket {path}: found a path of {bytes} bytes, expected at most {LONGEST_SOCKET}");
-            return Err(Failure::Taken(why).into());
+            let found = format!("socket {}: found a path of {bytes} bytes", socket.path.display());
+            return Err(Failure::Taken(format!("{found}, expected at most {LONGEST_SOCKET}")).into());
         }
         directory(&socket.path, open)?;
     }
@@ -58,12 +56,8 @@ pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<ListeningSockets
     let mut listening = ListeningSockets { all: Vec::new(), viewers: groups[2], _lock: lock };
     for (socket, group) in sockets.into_iter().zip(groups) {
         let listener = bind(&socket, group)?;
-        listening.all.push(ListeningSocket {
-            role: socket.role,
-            path: socket.path,
-            group: socket.group,
-            listener,
-        });
+        let SocketAt { role, path, group, .. } = socket;
+        listening.all.push(ListeningSocket { role, path, group, listener });
     }
     Ok(listening)
 }
@@ -87,22 +81,18 @@ fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
             let made = DirBuilder::new().recursive(true).mode(0o755).create(above);
             made.with_context(|| format!("creating {}", above.display()))?;
         }
-        DirBuilder::new()
-            .mode(mode)
-            .create(directory)
-            .with_context(|| format!("creating {}", directory.display()))?;
+        let made = DirBuilder::new().mode(mode).create(directory);
+        made.with_context(|| format!("creating {}", directory.display()))?;
         // Whatever the process's umask is.
         std::fs::set_permissions(directory, Permissions::from_mode(mode))?;
     }
-    let found =
-        std::fs::metadata(directory).with_context(|| format!("looking at {}", directory.display()))?;
-    let owner = found.uid();
-    if found.mode() & 0o002 != 0 || owner != 0 && owner != Uid::effective().as_raw() {
+    let (found, directory) = (std::fs::metadata(directory), directory.display());
+    let found = found.with_context(|| format!("looking at {directory}"))?;
+    let (owner, mode) = (found.uid(), found.mode() & 0o7777);
+    if mode & 0o002 != 0 || owner != 0 && owner != Uid::effective().as_raw() {
         let why = format!(
-            "directory {}: found mode {:o} and owner {owner}, expected one of our own that not everybody can write to \
-             ([control] socket, --socket)",
-            directory.display(),
-            found.mode() & 0o7777
+            "directory {directory}: found mode {mode:o} and owner {owner}, expected one of our own that not everybody can write \
+             to ([control] socket, --socket)"
         );
         return Err(Failure::Taken(why).into());
     }
@@ -128,20 +118,18 @@ fn bind(socket: &SocketAt, group: Option<Gid>) -> anyhow::Result<UnixListener> {
 /// Removes a socket that no process listens on.
 fn clear_stale(socket: &Path) -> anyhow::Result<()> {
     let Ok(found) = std::fs::symlink_metadata(socket) else { return Ok(()) };
+    let shown = socket.display();
     if !found.file_type().is_socket() {
-        let why = format!(
-            "{}: found something that is no socket, expected nothing or an old socket",
-            socket.display()
-        );
+        let why = format!("{shown}: found something that is no socket, expected nothing or an old socket");
         return Err(Failure::Taken(why).into());
     }
     match UnixStream::connect(socket) {
-        Err(error) if error.kind() == ErrorKind::ConnectionRefused => std::fs::remove_file(socket)
-            .with_context(|| format!("removing the old socket {}", socket.display())),
-        Ok(_) => {
-            let why = format!("socket {} is in use: another program listens at it", socket.display());
-            Err(Failure::Taken(why).into())
+        Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
+            std::fs::remove_file(socket).with_context(|| format!("removing the old socket {shown}"))
         }
-        Err(error) => Err(error).with_context(|| format!("trying the socket {}", socket.display())),
+        Err(error) => Err(error).with_context(|| format!("trying the socket {shown}")),
+        Ok(_) => {
+            Err(Failure::Taken(format!("socket {shown} is in use: another program listens at it")).into())
+        }
     }
 }

@@ -2,7 +2,7 @@
 //! Totals come from the state file and the inverters. Feed hold and faults stay. Every doubt is latched as a fault.
 
 use crate::Failure;
-use crate::log::{Level, Log};
+use crate::log::{self, Level};
 use rtec_control::config::Config;
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
@@ -19,7 +19,6 @@ use rtec_rt::state_file::StateFile;
 pub(crate) fn engine<C: Card>(
     card: &mut C,
     config: &Config,
-    log: &mut Log,
 ) -> anyhow::Result<(Engine, Before, Option<StateFile>)> {
     // The outputs of a mock card end with its process, and so does its MTC. There is no state to take over.
     let journal = if config.card.is_real() {
@@ -51,13 +50,13 @@ pub(crate) fn engine<C: Card>(
         let name = &config.axes[n].name;
         if axis.completed % 2 != 0 {
             let text = format!("axis {name}: left in the middle of an insertion; it is finished now");
-            log.say(Level::Error, &text);
+            log::say(Level::Error, &text);
         }
         if journal.is_some() && !axis.mtc_known {
             engine.lose_controller(n);
         }
         for &fault in &axis.faults {
-            log.say(Level::Error, &format!("axis {name}: {}", explain_fault(fault)));
+            log::say(Level::Error, &format!("axis {name}: {}", explain_fault(fault)));
             // The fault is in the first status. Nobody is there yet to get an event.
             engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
         }
@@ -66,7 +65,7 @@ pub(crate) fn engine<C: Card>(
     let lost = [(before.thread_lost, Fault::ThreadLost), (unknown_hold, Fault::RecordLost)];
     let lost = lost.into_iter().filter_map(|(lost, fault)| lost.then_some(fault));
     for fault in before.machine.iter().flat_map(|m| m.faults.iter()).chain(lost) {
-        log.say(Level::Error, explain_fault(fault));
+        log::say(Level::Error, explain_fault(fault));
         engine.latch(None, fault, card, &mut |_| true)?;
     }
     // If the file does not say why feed hold is on, it stays on.
@@ -76,7 +75,7 @@ pub(crate) fn engine<C: Card>(
     if unknown_hold && engine.status().held.is_none() {
         engine.take_over_hold(Some(HeldBy::FoundOn));
     }
-    say_found(&engine, config, &before, log);
+    say_found(&engine, config, &before);
     let kept = journal.map(|(journal, _)| engine.keep_journal(journal)).transpose();
     let state_file = kept.map_err(|source| {
         let path = config.control.state_path();
@@ -90,22 +89,22 @@ pub(crate) const OTHER_BOOT: &str =
     "the computer was restarted: the state file is of before, and the controller may have lost its power too";
 
 /// Logs the state that was taken over, and what is unknown.
-fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
+fn say_found(engine: &Engine, config: &Config, before: &Before) {
     if before.older {
         let text = "the state file is of the version before: it says nothing of feed hold, nor whether the controller was homed";
-        log.say(Level::Warning, text);
+        log::say(Level::Warning, text);
     }
     if before.other_boot {
-        log.say(Level::Warning, OTHER_BOOT);
+        log::say(Level::Warning, OTHER_BOOT);
     }
     let status = engine.status();
     match status.held {
         Some(HeldBy::FoundOn) => {
-            log.say(Level::Warning, "feed hold was found on; nobody knows who asked for it");
+            log::say(Level::Warning, "feed hold was found on; nobody knows who asked for it");
         }
-        Some(HeldBy::Controller) => log.say(Level::Warning, "feed hold: the controller was off"),
+        Some(HeldBy::Controller) => log::say(Level::Warning, "feed hold: the controller was off"),
         Some(HeldBy::User(uid)) => {
-            log.say(Level::Warning, &format!("feed hold: user {uid} asked for it before the restart"));
+            log::say(Level::Warning, &format!("feed hold: user {uid} asked for it before the restart"));
         }
         None => {}
     }
@@ -116,7 +115,7 @@ fn say_found(engine: &Engine, config: &Config, before: &Before, log: &mut Log) {
             "nobody knows what the controller counts of {}: home it, then `rtecctl home --controller-homed`",
             unknown.join(", ")
         );
-        log.say(Level::Warning, &text);
+        log::say(Level::Warning, &text);
     }
 }
 

@@ -104,19 +104,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             path.strip_prefix(folder).ok().map(Path::to_owned)
         };
         // A file elsewhere has its whole path in the manifest, and a number in the archive.
-        let (name, at) = match relative {
-            Some(relative) if is_state => (format!("state/{}", relative.display()), relative),
-            Some(relative) => (format!("files/{}", relative.display()), relative),
+        let folder = if is_state { "state" } else { "files" };
+        let (name, path) = match relative {
+            Some(relative) => (format!("{folder}/{}", relative.display()), relative),
             None => (format!("elsewhere/{}", files.len()), std::path::absolute(&path)?),
         };
-        files.push(Packed {
-            name,
-            kind: kind.to_owned(),
-            path: at,
-            mode: mode & 0o777,
-            bytes: bytes.len() as u64,
-            sha256: hex(&Sha256::digest(&bytes)),
-        });
+        let (kind, sha256) = (kind.to_owned(), hex(&Sha256::digest(&bytes)));
+        files.push(Packed { name, kind, path, mode: mode & 0o777, bytes: bytes.len() as u64, sha256 });
         contents.push(bytes);
     }
     if let Some(first) = absent.first() {
@@ -136,16 +130,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let text = pretty(&manifest)?;
     let mut archive = Archive::create(&args.out)?;
-    let mut add = |name: &str, bytes: &[u8]| {
-        archive
-            .add(&format!("{TOP}/{name}"), bytes)
-            .with_context(|| format!("writing {}", args.out.display()))
+    let fill = || {
+        archive.add(&format!("{TOP}/{MANIFEST}"), text.as_bytes())?;
+        for (packed, bytes) in manifest.files.iter().zip(&contents) {
+            archive.add(&format!("{TOP}/{}", packed.name), bytes)?;
+        }
+        archive.finish()
     };
-    add(MANIFEST, text.as_bytes())?;
-    for (packed, bytes) in manifest.files.iter().zip(&contents) {
-        add(&packed.name, bytes)?;
-    }
-    archive.finish().with_context(|| format!("writing {}", args.out.display()))?;
+    fill().with_context(|| format!("writing {}", args.out.display()))?;
     if args.json {
         print!("{text}");
         return Ok(());
@@ -159,8 +151,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Reads a whole archive, and checks every file by its hash.
 pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
+    const OURS: &str = "an archive of `rtecctl backup`";
     let wrong = |found: String, expected: &str| InputError::whole(path, found, expected);
-    let unreadable = |e: std::io::Error| wrong(e.to_string(), "an archive of `rtecctl backup`");
+    let unreadable = |e: std::io::Error| wrong(e.to_string(), OURS);
     let file = rtec_files::text::open_regular(path)?;
     let mut archive = tar::Archive::new(std::io::Read::take(file, LONGEST));
     let mut manifest: Option<Manifest> = None;
@@ -170,9 +163,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
         let name = entry.path().map_err(unreadable)?.to_string_lossy().into_owned();
         let name = name.strip_prefix(TOP).and_then(|n| n.strip_prefix('/')).map(str::to_owned);
         let Some(name) = name.filter(|_| entry.header().entry_type().is_file()) else {
-            return Err(
-                wrong("something that no backup has".to_owned(), "an archive of `rtecctl backup`").into()
-            );
+            return Err(wrong("something that no backup has".to_owned(), OURS).into());
         };
         let mut bytes = Vec::new();
         std::io::Read::read_to_end(&mut entry, &mut bytes).map_err(unreadable)?;
@@ -190,13 +181,12 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
             return Err(wrong(format!("{name} twice"), "each file once").into());
         }
     }
-    let manifest =
-        manifest.ok_or_else(|| wrong("no manifest".to_owned(), "an archive of `rtecctl backup`"))?;
+    let manifest = manifest.ok_or_else(|| wrong("no manifest".to_owned(), OURS))?;
     let mut contents = Vec::new();
     for packed in &manifest.files {
-        let bytes = found.remove(&packed.name);
-        let bytes =
-            bytes.ok_or_else(|| wrong(format!("no {}", packed.name), "every file of its manifest"))?;
+        let Some(bytes) = found.remove(&packed.name) else {
+            return Err(wrong(format!("no {}", packed.name), "every file of its manifest").into());
+        };
         if hex(&Sha256::digest(&bytes)) != packed.sha256 || bytes.len() as u64 != packed.bytes {
             let found = format!("another {} than was put in (its SHA-256 is another)", packed.name);
             return Err(wrong(found, "the archive as it was made").into());
@@ -204,9 +194,8 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
         contents.push(bytes);
     }
     if let Some((name, _)) = found.pop_first() {
-        return Err(
-            wrong(format!("{name}, which its manifest does not name"), "the archive as it was made").into()
-        );
+        let found = format!("{name}, which its manifest does not name");
+        return Err(wrong(found, "the archive as it was made").into());
     }
     Ok((manifest, contents))
 }

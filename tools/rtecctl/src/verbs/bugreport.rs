@@ -3,8 +3,7 @@
 use crate::Outcome;
 use crate::archive::{Archive, now_s};
 use crate::daemon::{Daemon, observe};
-use crate::document::{line, pretty};
-use crate::say;
+use crate::document::{pretty, say_line};
 use anyhow::Context;
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
 use rtec_control::setup_files::{self, SetupFile};
@@ -45,7 +44,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let done = Archive::create(&out).and_then(|archive| fill(args, archive));
     let Contents { text, missing } = done?;
     if args.daemon.json {
-        say(&line(&serde_json::json!({ "file": out, "contents": text, "missing": missing }))?);
+        say_line(&serde_json::json!({ "file": out, "contents": text, "missing": missing }))?;
     } else {
         print!("{text}");
         println!("{}: read it before you give it away", out.display());
@@ -70,7 +69,6 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
         let text = match text {
             Ok(text) => text,
             Err(error) => {
-                // Writing to a String does not fail.
                 let _ = writeln!(contents.text, "{name}: missing: {error:#}");
                 contents.missing.push(name);
                 return Ok(());
@@ -95,14 +93,9 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     put(STATE, seen.and_then(|seen| pretty(&seen)))?;
     put("record.jsonl", args.daemon.log_path().and_then(|path| read(&path)))?;
     let log = output("journalctl", &["-q", "-b", "-u", "rtecd", "--no-pager", "-n", LOG_LINES]);
-    let some = |text: String| {
-        anyhow::ensure!(
-            !text.trim().is_empty(),
-            "the journal has no line of the service rtecd since the boot"
-        );
-        Ok(text)
-    };
-    put("log.txt", log.and_then(some))?;
+    let some = |text: &String| !text.trim().is_empty();
+    let none = || anyhow::anyhow!("the journal has no line of the service rtecd since the boot");
+    put("log.txt", log.and_then(|text| Some(text).filter(some).ok_or_else(none)))?;
     put("kernel.txt", output("uname", &["-a"]))?;
     let system = System::live();
     let cpu = system.default_cpu();
@@ -143,8 +136,7 @@ fn beside(file: &Path) -> Vec<(String, String)> {
     named.map(|b| (format!("{}/{}", b.kind, name(&b)), text(&b))).collect()
 }
 
-/// The devices that a card may be, as the system lists them.
-/// The text says who may open each, and what it is.
+/// The devices that a card may be: who may open each, and what it is.
 fn devices() -> String {
     let mut text = String::new();
     let show = |text: &mut String, path: &Path| {
@@ -209,8 +201,7 @@ fn without_secrets(text: &str) -> String {
     text.lines().map(|l| line(l) + "\n").collect()
 }
 
-/// Masks the address in a line, as in `tcp://user:word@host`.
-/// It may contain a name and a password.
+/// Masks an address, which may hold a password: `tcp://user:word@host`.
 fn masked(line: &str) -> String {
     let Some(scheme) = line.find("://") else { return line.to_owned() };
     let rest = &line[scheme + 3..];

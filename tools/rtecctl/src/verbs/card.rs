@@ -3,8 +3,7 @@
 mod watch;
 
 use crate::Outcome;
-use crate::document::{pretty, say_pretty};
-use crate::say;
+use crate::document::say_pretty;
 use clap::Subcommand;
 use rtec_control::card::{self, Access, Found, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
@@ -13,7 +12,7 @@ use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{Place, Profile, Register, Space};
+use rtec_driver::profile::{PciPlace, Place, Profile, Register, Space};
 use rtec_files::InputError;
 use rtec_rt::event::MAX_AXES;
 use serde_json::{Value, json};
@@ -88,10 +87,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let config = load(config)?;
             if *live {
                 if *json && during.is_none() {
-                    return Err(Outcome::Bad(
-                        "--watch --json needs --for TIME: the document comes at its end".into(),
-                    )
-                    .into());
+                    let text = "--watch --json needs --for TIME: the document comes at its end";
+                    return Err(Outcome::Bad(text.to_owned()).into());
                 }
                 // A counter is latched to be read, and its flags are cleared, which the daemon would then
                 // miss.
@@ -130,6 +127,11 @@ fn backend(profile: &Profile, name: &str) -> &'static str {
     if ports { "port" } else { "mapped" }
 }
 
+/// Vendor and device of a PCI card, as `lspci` writes them.
+fn hex((vendor, device): (u16, u16)) -> String {
+    format!("{vendor:04x}:{device:04x}")
+}
+
 /// Largest number of axes that a profile's lines allow, by two counts.
 /// The first is without lines of the machine, the second with read-back and feed hold.
 fn axes_that_fit(profile: &Profile) -> [usize; 2] {
@@ -144,33 +146,26 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     for (name, _) in SHIPPED {
         // Every name is from the list itself, so it is found.
         let Some(p) = profile::shipped(name) else { continue };
-        let id = p.pci.map(|p| format!("{:04x}:{:04x}", p.id.0, p.id.1));
         let [axes, wired_back] = axes_that_fit(&p);
         profiles.push(json!({
-            "profile": name, "backend": backend(&p, name), "name": p.name, "pci": id, "axes": axes,
+            "profile": name, "backend": backend(&p, name), "name": p.name, "pci": p.pci.map(|p| hex(p.id)), "axes": axes,
             "axes_with_read_back": wired_back,
         }));
     }
-    let chips: Vec<_> = gpio::chips()
-        .into_iter()
-        .map(|(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines}))
-        .collect();
-    let cards: Vec<_> = pci::functions()
-        .into_iter()
-        .filter_map(|f| {
-            let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
-            let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
-            Some(json!({"address": f.address, "pci": format!("{:04x}:{:04x}", f.id.0, f.id.1), "profile": name}))
-        })
-        .collect();
+    let chip = |(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines});
+    let chips: Vec<_> = gpio::chips().into_iter().map(chip).collect();
+    let card = |f: pci::Function| {
+        let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
+        let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
+        Some(json!({"address": f.address, "pci": hex(f.id), "profile": name}))
+    };
+    let cards: Vec<_> = pci::functions().into_iter().filter_map(card).collect();
     let devices = |prefix: &str| -> Vec<String> {
         let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
         let names = entries.filter_map(|e| e.file_name().into_string().ok());
         let digits = |rest: &str| !rest.is_empty() && rest.bytes().all(|b| b.is_ascii_digit());
-        let mut found: Vec<_> = names
-            .filter(|n| n.strip_prefix(prefix).is_some_and(digits))
-            .map(|n| format!("/dev/{n}"))
-            .collect();
+        let named = names.filter(|n| n.strip_prefix(prefix).is_some_and(digits));
+        let mut found: Vec<_> = named.map(|n| format!("/dev/{n}")).collect();
         found.sort();
         found
     };
@@ -186,20 +181,14 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     };
     println!("profiles (rtecctl card show NAME):");
     for p in &profiles {
-        println!(
-            "  {:<15} {:<7} {:<10} axes {} ({} with read-back)  {}",
-            text(p, "profile"),
-            text(p, "backend"),
-            text(p, "pci"),
-            text(p, "axes"),
-            text(p, "axes_with_read_back"),
-            text(p, "name")
-        );
+        let [profile, backend, pci, axes, wired_back, name] =
+            ["profile", "backend", "pci", "axes", "axes_with_read_back", "name"].map(|key| text(p, key));
+        println!("  {profile:<15} {backend:<7} {pci:<10} axes {axes} ({wired_back} with read-back)  {name}");
     }
     println!("in this machine:");
     for c in &chips {
         let axes = c["lines"].as_u64().map_or(0, |lines| (lines / 4).min(MAX_AXES as u64));
-        let (chip, label, lines) = (text(c, "chip"), text(c, "label"), text(c, "lines"));
+        let [chip, label, lines] = ["chip", "label", "lines"].map(|key| text(c, key));
         println!("  gpio     {chip} \"{label}\", {lines} lines, axes {axes}");
     }
     for c in &cards {
@@ -211,11 +200,11 @@ fn list(as_json: bool) -> anyhow::Result<()> {
         }
     }
     if chips.is_empty() && cards.is_empty() && parports.is_empty() && uio.is_empty() {
-        println!("  nothing that this program knows, or nothing that you may open");
         println!(
-            "  next: `sudo rtecctl card list` sees what only root may open; /etc/rtec/devices names what the daemon"
+            "  nothing that this program knows, or nothing that you may open\n  \
+             next: `sudo rtecctl card list` sees what only root may open; /etc/rtec/devices names what the daemon\n  \
+             may open (group rtec-dev); `rtecctl card show FILE` checks a profile of your own"
         );
-        println!("  may open (group rtec-dev); `rtecctl card show FILE` checks a profile of your own");
     }
     Ok(())
 }
@@ -237,14 +226,10 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     if as_json {
         let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});
         let registers = |list: &[Register]| list.iter().map(register).collect::<Vec<_>>();
-        let lines: Vec<_> = p
-            .lines
-            .iter()
-            .map(|(line, place)| {
-                let (what, bit, low) = described(&p, *place);
-                json!({"line": line, "direction": what, "bit": bit, "active_low": low})
-            })
-            .collect();
+        let lines = p.lines.iter().map(|(line, place)| {
+            let (what, bit, low) = described(&p, *place);
+            json!({"line": line, "direction": what, "bit": bit, "active_low": low})
+        });
         let setup = p.setup.iter().map(|s| {
             json!({"offset": s.order.register.offset, "value": s.order.value, "after_reset": s.after_reset})
         });
@@ -252,28 +237,18 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
             json!({"a": c.lines.0, "b": c.lines.1, "offset": c.count.offset, "bits": c.count.width.bits(),
                    "overflow": c.overflow.is_some(), "error": c.error.is_some()})
         });
-        let pci = p.pci.map(|place| {
-            let id = format!("{:04x}:{:04x}", place.id.0, place.id.1);
-            json!({"id": id, "bar": place.bar, "space": space(place.space)})
-        });
-        let document = json!({
-            "name": p.name, "source": p.source, "backend": backend(&p, name), "pci": pci,
-            "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines,
+        let pci = |p: PciPlace| json!({"id": hex(p.id), "bar": p.bar, "space": space(p.space)});
+        return say_pretty(&json!({
+            "name": p.name, "source": p.source, "backend": backend(&p, name), "pci": p.pci.map(pci),
+            "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines.collect::<Vec<_>>(),
             "setup": setup.collect::<Vec<_>>(), "counters": counters.collect::<Vec<_>>(),
-        });
-        return say_pretty(&document);
+        }));
     }
     println!("{}", p.name);
     println!("  source   {}", p.source);
     println!("  backend  {}", backend(&p, name));
-    if let Some(place) = p.pci {
-        println!(
-            "  pci      {:04x}:{:04x}, BAR {}, {}",
-            place.id.0,
-            place.id.1,
-            place.bar,
-            space(place.space)
-        );
+    if let Some(PciPlace { id, bar, space: of }) = p.pci {
+        println!("  pci      {}, BAR {bar}, {}", hex(id), space(of));
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
         let at: Vec<_> =
@@ -281,22 +256,18 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
         println!("  {what:<8} {}", at.join(", "));
     }
     for s in &p.setup {
-        let (offset, value) = (s.order.register.offset, s.order.value);
-        println!(
-            "  set up   {offset:#x} = {value:#x}, once, when it reads {:#x} after a reset",
-            s.after_reset
-        );
+        let (offset, value, reset) = (s.order.register.offset, s.order.value, s.after_reset);
+        println!("  set up   {offset:#x} = {value:#x}, once, when it reads {reset:#x} after a reset");
     }
     for c in &p.counters {
-        let flags = [("overflow", c.overflow), ("error", c.error)];
-        let flags: Vec<_> = flags.iter().filter_map(|(name, f)| f.map(|_| *name)).collect();
-        println!(
-            "  counter  of inputs {} and {} at {:#x}; flags: {}",
-            c.lines.0,
-            c.lines.1,
-            c.count.offset,
-            if flags.is_empty() { "none".to_owned() } else { flags.join(", ") }
-        );
+        let ((a, b), offset) = (c.lines, c.count.offset);
+        let flags = match (c.overflow, c.error) {
+            (Some(_), Some(_)) => "overflow, error",
+            (Some(_), None) => "overflow",
+            (None, Some(_)) => "error",
+            (None, None) => "none",
+        };
+        println!("  counter  of inputs {a} and {b} at {offset:#x}; flags: {flags}");
     }
     for (line, place) in &p.lines {
         let (what, bit, low) = described(&p, *place);
@@ -404,12 +375,11 @@ fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
     })
     .map_err(|e| refused(config, e))?;
     if as_json {
-        say(&pretty(&json!({ "outputs": outputs }))?);
+        say_pretty(&json!({ "outputs": outputs }))?;
     }
-    match outputs.iter().filter(|o| !o.reads_back).count() {
-        0 => Ok(()),
-        wrong => {
-            Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into())
-        }
+    let wrong = outputs.iter().filter(|o| !o.reads_back).count();
+    if wrong == 0 {
+        return Ok(());
     }
+    Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into())
 }

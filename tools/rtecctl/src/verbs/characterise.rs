@@ -26,19 +26,17 @@ impl CircleOptions {
     pub(crate) fn circle(&self) -> Result<Option<Circle>, InputError> {
         let (Some(radius_mm), Some(plane)) = (self.radius_mm, &self.plane) else { return Ok(None) };
         let axes: Option<Vec<Axis>> = plane.split(',').map(|n| Axis::new(n.trim())).collect();
-        let axes: Option<[Axis; 2]> = axes.and_then(|a| a.try_into().ok());
-        let axes = axes.ok_or_else(|| {
-            InputError::whole(Path::new("--plane"), format!("`{plane}`"), "two axes, as --plane x,y")
-        })?;
-        Ok(Some(Circle { radius_mm, plane: axes, centre_mm: None }))
+        let wrong =
+            || InputError::whole(Path::new("--plane"), format!("`{plane}`"), "two axes, as --plane x,y");
+        let plane = axes.and_then(|a| a.try_into().ok()).ok_or_else(wrong)?;
+        Ok(Some(Circle { radius_mm, plane, centre_mm: None }))
     }
 
     /// The record with the circle, if one was given.
     pub(crate) fn apply(&self, record: Record) -> Result<Record, InputError> {
         let Some(circle) = self.circle()? else { return Ok(record) };
-        record.with_circle(circle).map_err(|(found, expected)| {
-            InputError::whole(Path::new("--radius-mm, --plane"), found, expected)
-        })
+        let options = Path::new("--radius-mm, --plane");
+        record.with_circle(circle).map_err(|(found, expected)| InputError::whole(options, found, expected))
     }
 }
 
@@ -49,19 +47,9 @@ pub(crate) struct Args {
     verb: Verb,
 }
 
-#[derive(Debug, clap::Subcommand)]
-enum Verb {
-    Evaluate(evaluate::Args),
-    Import(import::Args),
-    Plan(plan::Args),
-    Record(record::Args),
-}
-
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.verb {
-        Verb::Evaluate(args) => evaluate::run(args),
-        Verb::Import(args) => import::run(args),
-        Verb::Plan(args) => plan::run(args),
-        Verb::Record(args) => record::run(args),
-    }
+super::verbs_below! {
+    Evaluate evaluate::Args => evaluate::run;
+    Import import::Args => import::run;
+    Plan plan::Args => plan::run;
+    Record record::Args => record::run;
 }

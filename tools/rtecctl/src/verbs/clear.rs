@@ -38,7 +38,6 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
         format!("released: {}\n", gone.join(", "))
     };
     for fault in &still {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "latched again: {fault}");
     }
     for (known, how) in

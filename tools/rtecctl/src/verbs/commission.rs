@@ -13,8 +13,7 @@
 
 use crate::Outcome;
 use crate::daemon::{self, Daemon};
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
@@ -22,6 +21,7 @@ use rtec_correct::commission::{
     JogFinding, JogReading, compensation_um, judge_compensation, judge_insertion, judge_jog, largest_step_um,
 };
 use rtec_model::machine::Machine;
+use serde_json::{Map, Value};
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -75,7 +75,12 @@ struct Guide<'a> {
     step_um: Option<f64>,
 }
 
-impl Guide<'_> {
+impl<'a> Guide<'a> {
+    fn connect(args: &'a Args) -> anyhow::Result<Self> {
+        let client = args.daemon.connect()?;
+        Ok(Self { client, args, simulated: false, indicator: true, counts: 0, step_um: None })
+    }
+
     fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<Response> {
         daemon::ask(&mut self.client, request)
     }
@@ -186,38 +191,29 @@ impl Guide<'_> {
     }
 
     /// Runs every check in order.
-    fn prove(
-        &mut self,
-        figures: &mut serde_json::Map<String, serde_json::Value>,
-    ) -> anyhow::Result<JogFinding> {
+    fn prove(&mut self, figures: &mut Map<String, Value>) -> anyhow::Result<JogFinding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
-        let note = |f: &mut serde_json::Map<String, serde_json::Value>, key: &str, v: f64| {
-            f.insert(key.to_owned(), rounded(v).into());
-        };
+        let mut note = |key: &str, value: Value| figures.insert(key.to_owned(), value);
         let start = self.go(None)?;
         let there = self.go(Some(start.display_mm + args.jog_mm))?;
         // At zero, position and counts give no unit, so the other reading's unit is taken.
         let count_um = if there.count_um.is_nan() { start.count_um } else { there.count_um };
         let [start, there] = [start, there].map(|p| JogReading { count_um, ..p });
         if let Some(step_um) = self.step_um {
-            note(figures, "largest_step_of_the_model_um", step_um);
-            let window = rtec_correct::belief_window_counts(count_um, step_um);
-            figures.insert("window_counts_proposed".to_owned(), window.into());
+            note("largest_step_of_the_model_um", rounded(step_um).into());
+            note("window_counts_proposed", rtec_correct::belief_window_counts(count_um, step_um).into());
         }
-        note(figures, "display_mm", there.display_mm - start.display_mm);
-        note(figures, "indicator_mm", there.indicator_mm - start.indicator_mm);
-        note(figures, "scale_mm", there.scale_mm() - start.scale_mm());
+        note("display_mm", rounded(there.display_mm - start.display_mm).into());
+        note("indicator_mm", rounded(there.indicator_mm - start.indicator_mm).into());
+        note("scale_mm", rounded(there.scale_mm() - start.scale_mm()).into());
         if let Some(finding) = judge_jog(&start, &there, tolerance_um) {
             return Ok(finding);
         }
-        let off = format!(
-            "take the indicator off first: the next jog goes to {:.4} mm",
-            rounded(start.display_mm + args.far_mm)
-        );
+        let far_mm = start.display_mm + args.far_mm;
+        let off = format!("take the indicator off first: the next jog goes to {:.4} mm", rounded(far_mm));
         self.indicator(false, &off);
-        let far = JogReading { count_um, ..self.go(Some(start.display_mm + args.far_mm))? };
-        let own = compensation_um(&start, &far);
-        note(figures, "controller_compensates_um", own);
+        let far = JogReading { count_um, ..self.go(Some(far_mm))? };
+        note("controller_compensates_um", rounded(compensation_um(&start, &far)).into());
         if let Some(finding) = judge_compensation(&start, &far, tolerance_um) {
             return Ok(finding);
         }
@@ -229,9 +225,9 @@ impl Guide<'_> {
         self.go(Some(start.display_mm + args.jog_mm))?;
         let after = self.go(Some(start.display_mm))?;
         self.insert(0)?;
-        let total = after.in_effect - before.in_effect;
-        figures.insert("inserted_counts".to_owned(), total.into());
-        figures.insert("scale_moved_counts".to_owned(), (after.scale_counts - before.scale_counts).into());
+        let (total, moved) = (after.in_effect - before.in_effect, after.scale_counts - before.scale_counts);
+        note("inserted_counts", total.into());
+        note("scale_moved_counts", moved.into());
         if total == 0 {
             let text = "nothing was inserted: see the gate in `rtecctl status`".to_owned();
             return Ok(JogFinding { verdict: "not_inserted", text });
@@ -245,9 +241,8 @@ impl Guide<'_> {
             return Ok(finding);
         }
         let text = format!(
-            "sign and unit are right; {total:+} counts moved the axis by {:+}, and it came back; the controller does not \
-             compensate by itself",
-            after.scale_counts - before.scale_counts
+            "sign and unit are right; {total:+} counts moved the axis by {moved:+}, and it came back; the controller does not \
+             compensate by itself"
         );
         Ok(JogFinding { verdict: "right", text })
     }
@@ -281,8 +276,7 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
 /// Withdraws the inserted counts, and reports what the controller still has.
 /// A simulated axis that was jogged goes on to and fro.
 fn take_back(args: &Args, simulated: bool) -> anyhow::Result<()> {
-    let client = args.daemon.connect()?;
-    let mut guide = Guide { client, args, simulated, indicator: true, counts: 0, step_um: None };
+    let mut guide = Guide::connect(args)?;
     guide.insert(0)?;
     let axis = guide.status()?.1;
     if axis.in_effect != 0 {
@@ -323,14 +317,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if small || !args.jog_mm.is_finite() || !args.far_mm.is_finite() || args.counts == Some(0) {
         let counts = args.counts.map_or_else(String::new, |counts| format!(" --counts {counts}"));
         let found = format!("--jog-mm {} --far-mm {}{counts}", args.jog_mm, args.far_mm);
-        let text = format!(
-            "found {found}, expected a jog beyond ten times the tolerance, and counts that are not 0"
-        );
-        return Err(Outcome::Bad(text).into());
+        let expected = "a jog beyond ten times the tolerance, and counts that are not 0";
+        return Err(Outcome::Bad(format!("found {found}, expected {expected}")).into());
     }
     let model = args.model.as_deref().map(Machine::read).transpose()?;
-    let client = args.daemon.connect()?;
-    let mut guide = Guide { client, args, simulated: false, indicator: true, counts: 0, step_um: None };
+    let mut guide = Guide::connect(args)?;
     let (status, axis) = guide.status()?;
     let places_mm = [0.0, args.jog_mm, args.far_mm];
     guide.step_um = model.map(|m| largest_step_um(&m, &args.axis, places_mm)).transpose()?;
@@ -338,42 +329,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if status.mode == "fault" {
         return Err(Outcome::Fault(status.why_not.join("; ")).into());
     }
-    if status.mode != "run" || !axis.homed {
-        // An axis is commissioned without a model.
-        let why = status.why_not.into_iter().filter(|why| status.model_refused.as_ref() != Some(why));
-        let why = why.collect::<Vec<_>>().join("; ");
-        return Err(Outcome::No(format!("corrections are not on: {why}")).into());
-    }
-    // Any other source that moves the axis would be mistaken for the inserted counts.
-    for (is, what, unload, load) in [
-        (status.model.is_some(), "a model is running", "model unload", "model load"),
-        (status.table.is_some(), "a part table is loaded", "part unload", "part load"),
-    ] {
-        if is {
-            let text = format!(
-                "{what}, which moves the axis too: `rtecctl {unload}`, prove the axis, then `rtecctl {load}`"
-            );
-            return Err(Outcome::No(text).into());
-        }
-    }
-    if axis.requested != 0 {
-        let text = format!(
-            "axis {}: {:+} counts are requested already: `rtecctl correct {} 0`",
-            axis.name, axis.requested, axis.name
-        );
-        return Err(Outcome::No(text).into());
-    }
-    if axis.in_effect != 0 {
-        let text = format!(
-            "axis {}: {:+} counts of an earlier request are still on their way out: jog it until `rtecctl status` says 0 in \
-             effect",
-            axis.name, axis.in_effect
-        );
-        return Err(Outcome::No(text).into());
+    if let Some(why) = in_the_way(&status, &axis) {
+        return Err(Outcome::No(why).into());
     }
     guide.simulated = status.rt.card == "mock" && !args.by_hand;
     on_signal(args, guide.simulated)?;
-    let mut figures = serde_json::Map::new();
+    let mut figures = Map::new();
     let found = guide.prove(&mut figures);
     let back = take_back(args, guide.simulated);
     let found = found?;
@@ -382,7 +343,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         figures.insert("axis".to_owned(), args.axis.clone().into());
         figures.insert("verdict".to_owned(), found.verdict.into());
         figures.insert("text".to_owned(), found.text.clone().into());
-        say(&line(&figures)?);
+        say_line(&figures)?;
     } else {
         for (key, value) in &figures {
             println!("{key:28} {value}");
@@ -393,6 +354,39 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     Err(Outcome::No(format!("axis {}: {}", args.axis, found.verdict.replace('_', " "))).into())
+}
+
+/// Why the axis cannot be commissioned now.
+/// Any other source that moves it would be mistaken for the inserted counts.
+fn in_the_way(status: &DaemonStatus, axis: &AxisReport) -> Option<String> {
+    let AxisReport { name, requested, in_effect, .. } = axis;
+    if status.mode != "run" || !axis.homed {
+        // An axis is commissioned without a model.
+        let why = status.why_not.iter().filter(|why| status.model_refused.as_ref() != Some(why));
+        let why: Vec<&str> = why.map(String::as_str).collect();
+        return Some(format!("corrections are not on: {}", why.join("; ")));
+    }
+    let other = |what: &str, verb: &str| {
+        format!(
+            "{what}, which moves the axis too: `rtecctl {verb} unload`, prove the axis, then `rtecctl {verb} load`"
+        )
+    };
+    if status.model.is_some() {
+        return Some(other("a model is running", "model"));
+    }
+    if status.table.is_some() {
+        return Some(other("a part table is loaded", "part"));
+    }
+    if *requested != 0 {
+        let what = format!("axis {name}: {requested:+} counts are requested already");
+        return Some(format!("{what}: `rtecctl correct {name} 0`"));
+    }
+    (*in_effect != 0).then(|| {
+        format!(
+            "axis {name}: {in_effect:+} counts of an earlier request are still on their way out: jog it until `rtecctl status` \
+             says 0 in effect"
+        )
+    })
 }
 
 #[cfg(test)]

@@ -59,7 +59,6 @@ fn script(shell: Shell) -> String {
         }
         Shell::Fish => {
             for verb in verbs {
-                // Writing to a String does not fail.
                 let _ = writeln!(
                     script,
                     "complete -c rtecctl -n \"__fish_seen_subcommand_from {verb}\" -f -a \"({ASK})\""

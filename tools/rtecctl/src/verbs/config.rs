@@ -1,10 +1,11 @@
 //! `rtecctl config`: checks a configuration, and shows where it is wrong.
 
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use crate::terminal::{self, Tone, toned};
 use clap::Subcommand;
-use rtec_control::config::{Config, ConfigFindings, EMBEDDED};
+use rtec_control::config::{Config, ConfigFindings, ConfiguredAxis, EMBEDDED};
+use rtec_files::InputError;
+use rtec_rt::axis::AxisConfig;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -41,7 +42,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ConfigAction::Check { file, elsewhere, quiet, json } => {
             let config = if *elsewhere { Config::load(file) } else { Config::check_here(file) };
             if *json {
-                say(&line(&document(file, &config))?);
+                say_line(&document(file, &config))?;
             }
             let config = config?;
             if !json && !quiet {
@@ -54,26 +55,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn document(file: &std::path::Path, config: &Result<Config, ConfigFindings>) -> serde_json::Value {
-    let findings: Vec<_> = config.as_ref().err().into_iter().flat_map(|f| &f.0).collect();
-    let findings: Vec<_> = findings
-        .iter()
-        .map(|f| {
-            json!({"file": f.file, "line": f.line, "column": f.column, "found": f.found,
-                   "expected": f.expected})
-        })
-        .collect();
+    let finding = |f: &InputError| json!({"file": f.file, "line": f.line, "column": f.column, "found": f.found, "expected": f.expected});
+    let findings: Vec<_> = config.as_ref().err().into_iter().flat_map(|f| &f.0).map(finding).collect();
     let notes = config.as_ref().map_or_else(|findings| &findings.1, |c| &c.notes);
-    let axes: Vec<_> = config.iter().flat_map(|c| &c.axes).collect();
-    let axes: Vec<_> = axes
-        .iter()
-        .map(|a| {
-            let rates = a.rates();
-            let known = config.as_ref().is_ok_and(measured);
-            json!({"name": a.name, "rapid_mm_min": rates.rapid_mm_min, "followed_mm_min": rates.followed_mm_min,
-                   "corrected_mm_min": rates.corrected_mm_min.filter(|_| known), "followed_hz": a.followed_hz(),
-                   "corrected_hz": a.corrected_hz().filter(|_| known)})
-        })
-        .collect();
+    let known = config.as_ref().is_ok_and(measured);
+    let axis = |a: &ConfiguredAxis| {
+        let rates = a.rates();
+        json!({"name": a.name, "rapid_mm_min": rates.rapid_mm_min, "followed_mm_min": rates.followed_mm_min,
+               "corrected_mm_min": rates.corrected_mm_min.filter(|_| known), "followed_hz": a.followed_hz(),
+               "corrected_hz": a.corrected_hz().filter(|_| known)})
+    };
+    let axes: Vec<_> = config.iter().flat_map(|c| &c.axes).map(axis).collect();
     json!({"file": file, "ok": config.is_ok(), "findings": findings, "notes": notes, "axes": axes})
 }
 
@@ -84,41 +76,24 @@ fn measured(config: &Config) -> bool {
 
 fn print(config: &Config) {
     println!("machine \"{}\", card {}", config.machine, config.card.named());
-    println!(
-        "{:<8} {:>10} {:>10} {:>8} {:>8} {:>10} {:>9}",
-        "axis", "µm/count", "travel/mm", "max", "window", "sep/ns", "need/ns"
-    );
-    for axis in &config.axes {
-        let e = &axis.engine;
-        let Some(gate) = e.gate() else { continue };
+    println!("axis       µm/count  travel/mm      max   window     sep/ns   need/ns");
+    for ConfiguredAxis { name, count_um, travel_mm, engine, .. } in &config.axes {
+        let AxisConfig { max_correction_counts: max, window_counts, min_separation_ns, .. } = engine;
+        let Some(need_ns) = engine.gate().map(|gate| gate.need_ns()) else { continue };
         println!(
-            "{:<8} {:>10} {:>10} {:>8} {:>8} {:>10} {:>9}",
-            axis.name,
-            axis.count_um,
-            axis.travel_mm,
-            e.max_correction_counts,
-            e.window_counts,
-            e.min_separation_ns,
-            gate.need_ns(),
+            "{name:<8} {count_um:>10} {travel_mm:>10} {max:>8} {window_counts:>8} {min_separation_ns:>10} {need_ns:>9}"
         );
     }
-    println!(
-        "{:<8} {:>14} {:>17} {:>18} {:>11} {:>12}",
-        "axis", "rapid/(mm/min)", "followed/(mm/min)", "corrected/(mm/min)", "followed/Hz", "corrected/Hz"
-    );
+    println!("axis     rapid/(mm/min) followed/(mm/min) corrected/(mm/min) followed/Hz corrected/Hz");
     for axis in &config.axes {
-        let shown = |speed: Option<f64>| speed.map_or_else(|| "–".to_owned(), |v| format!("{v:.1}"));
-        let whole = |hz: Option<f64>| hz.map_or_else(|| "–".to_owned(), |v| format!("{v:.0}"));
-        let rates = axis.rates();
-        println!(
-            "{:<8} {:>14} {:>17} {:>18} {:>11} {:>12}",
-            axis.name,
-            shown(rates.rapid_mm_min),
-            shown(rates.followed_mm_min),
-            shown(rates.corrected_mm_min.filter(|_| measured(config))),
-            whole(axis.followed_hz()),
-            whole(axis.corrected_hz().filter(|_| measured(config))),
-        );
+        let known = |value: Option<f64>| value.filter(|_| measured(config));
+        let shown = |v: Option<f64>, digits| v.map_or_else(|| "–".to_owned(), |v| format!("{v:.digits$}"));
+        let (name, rates) = (&axis.name, axis.rates());
+        let (rapid, followed) = (shown(rates.rapid_mm_min, 1), shown(rates.followed_mm_min, 1));
+        let corrected = shown(known(rates.corrected_mm_min), 1);
+        let [followed_hz, corrected_hz] =
+            [axis.followed_hz(), known(axis.corrected_hz())].map(|hz| shown(hz, 0));
+        println!("{name:<8} {rapid:>14} {followed:>17} {corrected:>18} {followed_hz:>11} {corrected_hz:>12}");
     }
     for note in &config.notes {
         println!("{} {note}", toned("note:", Tone::Doubtful, terminal::colour()));

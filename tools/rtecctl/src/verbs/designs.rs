@@ -87,7 +87,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }
-    let text = if args.json { pretty(&comparison)? } else { comparison.to_table() };
-    crate::say(&text);
+    crate::say(&if args.json { pretty(&comparison)? } else { comparison.to_table() });
     Ok(())
 }

@@ -1,9 +1,10 @@
 //! `rtecctl example`: a simulated machine to begin with.
 
 use crate::Outcome;
-use crate::document::line;
+use crate::document::say_line;
 use anyhow::Context;
 use rtec_sim::example::{EXAMPLES, Example};
+use serde_json::json;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -33,13 +34,11 @@ fn example(name: &str) -> Result<&'static Example, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (Some(example), Some(dir)) = (args.name, &args.dir) else {
-        let text = if args.json {
-            let all = EXAMPLES.map(|e| serde_json::json!({"name": e.name, "what": e.what}));
-            line(&serde_json::json!({ "examples": all }))?
-        } else {
-            EXAMPLES.map(|e| format!("{:<11} {}\n", e.name, e.what)).concat()
-        };
-        crate::say(&text);
+        if args.json {
+            let all = EXAMPLES.map(|e| json!({"name": e.name, "what": e.what}));
+            return say_line(&json!({ "examples": all }));
+        }
+        print!("{}", EXAMPLES.map(|e| format!("{:<11} {}\n", e.name, e.what)).concat());
         return Ok(());
     };
     empty(dir)?;
@@ -47,62 +46,48 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("rtecctl: simulating the runs of the example {}", example.name);
     }
     let mut records = example.records(dir)?;
-    let making = |folder: &Path| format!("making {}", folder.display());
+    let make_folder_of = |file: &Path| {
+        let folder = file.parent().unwrap_or(dir);
+        std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))
+    };
     let mut files = Vec::new();
     for record in &mut records {
-        let folder = record.path.parent().unwrap_or(dir);
-        std::fs::create_dir_all(folder).with_context(|| making(folder))?;
+        make_folder_of(&record.path)?;
         let done = rtec_measure::record::write(record);
         done.with_context(|| format!("writing {}", record.path.display()))?;
         files.push(record.path.clone());
     }
     for (name, text) in example.files {
         let file = dir.join(name);
-        let folder = file.parent().unwrap_or(dir);
-        std::fs::create_dir_all(folder).with_context(|| making(folder))?;
+        make_folder_of(&file)?;
         crate::document::write(&file, text)?;
         files.push(file);
     }
-    let text = if args.json {
-        let command = example.experiment();
-        line(&serde_json::json!({ "example": example.name, "files": files, "experiment": command }))?
-    } else {
-        let experiment = example.experiment().map_or_else(String::new, |command| {
-            format!("its whole experiment, tables and figures: cd {} && {command}\n", dir.display())
-        });
-        format!(
-            "{} files in {}: begin with {}\n{experiment}",
-            files.len(),
-            dir.display(),
-            dir.join("README.md").display()
-        )
-    };
-    crate::say(&text);
+    let command = example.experiment();
+    if args.json {
+        let document = json!({ "example": example.name, "files": files, "experiment": command });
+        return say_line(&document);
+    }
+    let (n, folder, first) = (files.len(), dir.display(), dir.join("README.md"));
+    println!("{n} files in {folder}: begin with {}", first.display());
+    if let Some(command) = command {
+        println!("its whole experiment, tables and figures: cd {folder} && {command}");
+    }
     Ok(())
 }
 
 /// Refuses a folder that is not empty, so that nothing is overwritten.
 fn empty(dir: &Path) -> anyhow::Result<()> {
-    let first = match std::fs::read_dir(dir) {
-        Ok(mut entries) => entries.next(),
+    let folder = dir.display();
+    let found = match std::fs::read_dir(dir).map(|mut entries| entries.next()) {
+        Ok(None) => return Ok(()),
+        Ok(Some(entry)) => entry.with_context(|| format!("reading {folder}"))?.file_name(),
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
         Err(e) => {
-            return Err(
-                Outcome::Bad(format!("{}: {e}; expected an empty folder, or none", dir.display())).into()
-            );
+            return Err(Outcome::Bad(format!("{folder}: {e}; expected an empty folder, or none")).into());
         }
     };
-    match first {
-        None => Ok(()),
-        Some(entry) => {
-            let entry = entry.with_context(|| format!("reading {}", dir.display()))?;
-            let found = entry.file_name();
-            let text = format!(
-                "{}: found {} in it, expected an empty folder, or none: name another",
-                dir.display(),
-                found.to_string_lossy()
-            );
-            Err(Outcome::Bad(text).into())
-        }
-    }
+    let found = found.to_string_lossy();
+    let text = format!("{folder}: found {found} in it, expected an empty folder, or none: name another");
+    Err(Outcome::Bad(text).into())
 }

@@ -46,7 +46,6 @@ fn without_effect(axes: &[Explained]) -> bool {
 fn table(axes: &[Explained]) -> String {
     let mut text = String::new();
     for Explained { axis, requested, total_um, parts, holds } in axes {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "axis {axis}: {} µm, {requested:+} counts", um_text(*total_um));
         for Contribution { name, um, sensors, outside_k, weight } in parts {
             let sensors: Vec<String> = sensors.iter().map(shown).collect();
@@ -85,46 +84,8 @@ mod tests {
 
     #[test]
     fn parts_sensors_and_why_it_holds() {
-        let reading = |name: &str, place: &str, degc, state: &str| Reading {
-            sensor: name.into(),
-            place: place.into(),
-            degc,
-            age_s: degc.map(|_| 0.4),
-            state: state.into(),
-            fault: None,
-        };
-        let part = |name: &str, um, sensors, outside: Option<(f64, f64)>| Contribution {
-            name: name.into(),
-            um,
-            sensors,
-            outside_k: outside.map(|o| o.0),
-            weight: outside.map(|o| o.1),
-        };
-        let pair = vec![
-            reading("T8", "front bearing", Some(31.52), "good"),
-            reading("T18", "", Some(21.0), "frozen"),
-        ];
-        let axes = [
-            Explained {
-                axis: "x".into(),
-                requested: -14,
-                total_um: -14.0,
-                parts: vec![
-                    part("scale.x", -4.25, Vec::new(), None),
-                    part("thermal_growth.x", -10.5, pair, Some((2.0, 0.4))),
-                    part("operator", 1.0, Vec::new(), None),
-                    part("rounding", -0.25, Vec::new(), None),
-                ],
-                holds: None,
-            },
-            Explained {
-                axis: "z".into(),
-                requested: 0,
-                total_um: 0.0,
-                parts: vec![part("thermal_growth.z", 0.0, vec![reading("T9", "", None, "hold")], None)],
-                holds: Some("sensor T9: silent (no such device)".into()),
-            },
-        ];
+        let axes: Vec<Explained> =
+            serde_json::from_str(include_str!("../../tests/golden/explain.json")).unwrap();
         crate::golden("explain.txt", &table(&axes));
         assert!(!without_effect(&axes) && !without_effect(&axes[1..]));
         let mut bare = axes;

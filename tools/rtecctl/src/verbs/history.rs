@@ -32,24 +32,18 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let limits = args.limits.as_deref().map(Limits::read).transpose()?.unwrap_or_default();
     let mut paths = Vec::new();
+    let missing = |path, found| InputError::whole(path, found, "NAME.run.toml, or a folder with one");
     for given in &args.records {
         if given.is_dir() {
             below(given, &mut paths).with_context(|| format!("reading {}", given.display()))?;
         } else if given.exists() {
             paths.push(given.clone());
         } else {
-            return Err(InputError::whole(
-                given,
-                "no such file or folder",
-                "NAME.run.toml, or a folder with one",
-            )
-            .into());
+            return Err(missing(given, "no such file or folder").into());
         }
     }
     if paths.is_empty() {
-        return Err(
-            InputError::whole(&args.records[0], "no record", "NAME.run.toml, or a folder with one").into()
-        );
+        return Err(missing(&args.records[0], "no record").into());
     }
     let records: Vec<_> =
         paths.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p))).collect();
@@ -57,21 +51,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for left in &found.left_out {
         eprintln!("warning: {}: left out: {}", left.record, left.why);
     }
-    for doubt in &found.suspicions {
-        eprintln!("warning: {doubt}");
-    }
-    for figure in found.with_every_row() {
-        eprintln!("warning: {figure}");
-    }
-    for change in &found.changes {
-        eprintln!("warning: {change}");
+    let suspicions = found.suspicions.iter().map(ToString::to_string);
+    let changes = found.changes.iter().cloned();
+    for warning in suspicions.chain(found.with_every_row()).chain(changes) {
+        eprintln!("warning: {warning}");
     }
     let report = found.report()?;
     if let Some(path) = &args.html {
         crate::document::write(path, &report.html())?;
     }
-    let text = if args.json { pretty(&found)? } else { report.text() };
-    crate::say(&text);
+    crate::say(&if args.json { pretty(&found)? } else { report.text() });
     // A limit that was applied to nothing does not count as kept.
     let unjudged = limits.without(&found);
     if !unjudged.is_empty() {
@@ -83,10 +72,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let beyond: Vec<&str> = found.beyond().map(|f| f.name.as_str()).collect();
     if beyond.is_empty() {
-        Ok(())
-    } else {
-        Err(Outcome::No(format!("beyond its limit: {}", beyond.join(", "))).into())
+        return Ok(());
     }
+    Err(Outcome::No(format!("beyond its limit: {}", beyond.join(", "))).into())
 }
 
 /// The sidecars below a folder, in order.

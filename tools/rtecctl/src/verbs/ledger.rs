@@ -2,8 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, observe, unexpected};
-use crate::document::{line, pretty};
-use crate::say;
+use crate::document::{pretty, say_line};
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::client::Client;
@@ -61,12 +60,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let axes: Vec<_> = status.axes.iter().filter(wanted).collect();
     if axes.is_empty() {
         let names: Vec<_> = status.axes.iter().map(|a| a.name.as_str()).collect();
-        let text = format!(
-            "--axis: found {:?}, expected one of {}",
-            axis.as_deref().unwrap_or(""),
-            names.join(", ")
-        );
-        return Err(Outcome::Bad(text).into());
+        let (found, names) = (axis.as_deref().unwrap_or(""), names.join(", "));
+        return Err(Outcome::Bad(format!("--axis: found {found:?}, expected one of {names}")).into());
     }
     let not_homed: Vec<_> = axes.iter().filter(|a| !a.homed).map(|a| a.name.clone()).collect();
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
@@ -78,44 +73,41 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         let files = |what| out.join(format!("{}_{what}.csv", axis.name));
         let told = LedgerExport::of(&kept, axis.window_counts);
-        if told.edges > MOST_EDGES {
+        let LedgerExport { edges, counts, requested, completed, insertions, whole_from_ns, before, .. } =
+            told;
+        let name = &axis.name;
+        if edges > MOST_EDGES {
             let text = format!(
-                "axis {}: {} edges since {} ns, more than {MOST_EDGES}: --last TIME for fewer",
-                axis.name, told.edges, told.whole_from_ns
+                "axis {name}: {edges} edges since {whole_from_ns} ns, more than {MOST_EDGES}: --last TIME for fewer"
             );
             return Err(Outcome::No(text).into());
         }
-        let [trace, requests, insertions] = ["trace", "requests", "insertions"].map(files);
-        told.write(&kept, [&trace, &requests, &insertions])?;
+        let [trace, requests, table] = ["trace", "requests", "insertions"].map(files);
+        told.write(&kept, [&trace, &requests, &table])?;
         let again = replayed(&trace, &requests)?;
-        let same = (again.counts_in, again.requested, again.completed)
-            == (told.counts, told.requested, told.completed);
+        let same = (again.counts_in, again.requested, again.completed) == (counts, requested, completed);
         if !same {
-            other.push(axis.name.clone());
+            other.push(name.clone());
         }
+        let dropped = kept.dropped;
         if !daemon.json {
+            let seconds = (kept.now_ns - whole_from_ns) as f64 * 1e-9;
+            let replay = if same { told.compared(again.insertions) } else { "NOT the same".to_owned() };
             println!(
-                "axis {}: {} counts, requested {:+}, completed {:+}, {} insertions in {:.3} s; replayed: {}",
-                axis.name,
-                told.counts,
-                told.requested,
-                told.completed,
-                told.insertions,
-                (kept.now_ns - told.whole_from_ns) as f64 * 1e-9,
-                if same { told.compared(again.insertions) } else { "NOT the same".to_owned() }
+                "axis {name}: {counts} counts, requested {requested:+}, completed {completed:+}, {insertions} insertions in \
+                 {seconds:.3} s; replayed: {replay}"
             );
-            if told.before != 0 || kept.dropped > 0 {
+            if before != 0 || dropped > 0 {
                 println!(
-                    "  whole from {} ns on the card's clock; {:+} counts were inserted before, they stand as one request; \
-                     {} older changes are no longer kept",
-                    told.whole_from_ns, told.before, kept.dropped
+                    "  whole from {whole_from_ns} ns on the card's clock; {before:+} counts were inserted before, they stand as one \
+                     request; {dropped} older changes are no longer kept"
                 );
             }
         }
         all.push(json!({
-            "axis": axis.name, "counts": told.counts, "requested": told.requested, "completed": told.completed,
-            "insertions": told.insertions, "whole_from_ns": told.whole_from_ns, "completed_before": told.before,
-            "changes_dropped": kept.dropped, "until_ns": kept.now_ns, "replays": same,
+            "axis": name, "counts": counts, "requested": requested, "completed": completed,
+            "insertions": insertions, "whole_from_ns": whole_from_ns, "completed_before": before,
+            "changes_dropped": dropped, "until_ns": kept.now_ns, "replays": same,
             "insertions_in_shadow": told.shadow,
             "replayed": {
                 "counts_in": again.counts_in, "requested": again.requested, "completed": again.completed,
@@ -127,7 +119,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let file = out.join("ledger.json");
     crate::document::write(&file, &pretty(&document)?)?;
     if daemon.json {
-        say(&line(&document)?);
+        say_line(&document)?;
     } else if !not_homed.is_empty() {
         eprintln!(
             "rtecctl: axis {} not homed: counted from the daemon's start; `rtecctl home` begins the ledger",

@@ -2,8 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::Daemon;
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use crate::terminal;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -94,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     })
     .map_err(|e| unreadable(&file, &e))?;
     if document {
-        say(&line(&json!({ "file": file, "lines": all }))?);
+        say_line(&json!({ "file": file, "lines": all }))?;
     }
     if args.follow {
         while !terminal::reader_has_gone() {
@@ -111,10 +110,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if broken > 0 {
-        return Err(Outcome::No(format!(
-            "{broken} lines are not as they were written: `rtecctl log --verify`"
-        ))
-        .into());
+        let text = format!("{broken} lines are not as they were written: `rtecctl log --verify`");
+        return Err(Outcome::No(text).into());
     }
     if shown == 0 && !args.follow && !document {
         eprintln!("rtecctl: {}", nothing(since_s, args.axis.as_deref(), last_t.as_deref(), &zone));
@@ -165,7 +162,7 @@ fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
 fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> {
     let found = audit::verify(file, anchors).map_err(|e| unreadable(file, &e))?;
     if as_json {
-        say(&line(&json!({ "file": file, "ok": found.broken.is_empty(), "found": found }))?);
+        say_line(&json!({ "file": file, "ok": found.broken.is_empty(), "found": found }))?;
     } else {
         for broken in &found.broken {
             let line = if broken.line > 0 { format!(":{}", broken.line) } else { String::new() };
@@ -179,10 +176,9 @@ fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> 
         if !anchors.is_empty() {
             println!("compared with {} anchors", anchors.len());
         }
-        if found.lost > 0 {
+        if let lost @ 1.. = found.lost {
             println!(
-                "{} commands were not recorded, as it says itself: `rtecctl log` shows when and why",
-                found.lost
+                "{lost} commands were not recorded, as it says itself: `rtecctl log` shows when and why"
             );
         }
     }
@@ -201,14 +197,10 @@ fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {
     InputError::whole(file, error.to_string(), expected).into()
 }
 
-/// A time of the record in local time, with its distance from UTC.
-/// Other text stays as it is.
+/// A time of the record in local time; other text stays as it is.
 fn local(t: &str, zone: &TimeZone) -> String {
-    let moment = t.parse::<Timestamp>();
-    moment.map_or_else(
-        |_| t.to_owned(),
-        |t| t.to_zoned(zone.clone()).strftime("%Y-%m-%d %H:%M:%S%.3f %:z").to_string(),
-    )
+    let Ok(moment) = t.parse::<Timestamp>() else { return t.to_owned() };
+    moment.to_zoned(zone.clone()).strftime("%Y-%m-%d %H:%M:%S%.3f %:z").to_string()
 }
 
 /// Parses a time: a duration back from now, or a moment. Without a Z it is local.
@@ -223,15 +215,12 @@ fn since(text: &str, zone: &TimeZone) -> anyhow::Result<f64> {
         return Ok(seconds - shift);
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    match humantime::parse_duration(text) {
-        Ok(back) => Ok(now.saturating_sub(back).as_secs_f64()),
-        Err(_) => Err(InputError::whole(
-            Path::new("--since"),
-            format!("{text:?}"),
-            "a duration (90min, 2d), a day or a moment of local time (2026-11-22T13:00), with a Z of UTC",
-        )
-        .into()),
-    }
+    let Ok(back) = humantime::parse_duration(text) else {
+        let expected =
+            "a duration (90min, 2d), a day or a moment of local time (2026-11-22T13:00), with a Z of UTC";
+        return Err(InputError::whole(Path::new("--since"), format!("{text:?}"), expected).into());
+    };
+    Ok(now.saturating_sub(back).as_secs_f64())
 }
 
 /// One line for people.
@@ -240,7 +229,6 @@ fn text(e: &Entry, zone: &TimeZone) -> String {
     let mut text = format!("{} ", local(&e.t, zone));
     if let Some(by) = &e.by {
         let user = if by.user.is_empty() { by.uid.to_string() } else { by.user.clone() };
-        // Writing to a String does not fail.
         let _ = write!(text, "{user} ({} {}, {}) ", by.pid, by.exe, by.role.replace('_', " "));
     }
     if let Some(request) = e.request.as_ref().and_then(Value::as_object) {
@@ -266,14 +254,12 @@ fn text(e: &Entry, zone: &TimeZone) -> String {
     if !e.text.is_empty() {
         let _ = write!(text, ": {}", e.text);
     }
-    for (axis, [requested, in_effect]) in
-        e.after.iter().filter(|(axis, now)| e.before.get(*axis) != Some(*now))
-    {
-        if let Some([before, in_effect_before]) = e.before.get(axis) {
-            let _ = write!(
-                text,
-                "; {axis} requested {before:+} to {requested:+}, in effect {in_effect_before:+} to {in_effect:+}"
-            );
+    for (axis, now @ [requested, in_effect]) in &e.after {
+        if let Some(before @ [was, was_in_effect]) = e.before.get(axis)
+            && before != now
+        {
+            let _ = write!(text, "; {axis} requested {was:+} to {requested:+}, ");
+            let _ = write!(text, "in effect {was_in_effect:+} to {in_effect:+}");
         }
     }
     plain(&text)

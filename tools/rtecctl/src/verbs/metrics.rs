@@ -66,9 +66,8 @@ fn seen(daemon: &Daemon) -> anyhow::Result<Observed> {
 fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Result<()> {
     if file.extension().is_none_or(|e| e != "prom") {
         let found = format!("the name {}", file.display());
-        return Err(
-            InputError::whole(file, found, "a name that ends in .prom: collectors read no other").into()
-        );
+        let expected = "a name that ends in .prom: collectors read no other";
+        return Err(InputError::whole(file, found, expected).into());
     }
     loop {
         let seen = seen(daemon);
@@ -92,25 +91,20 @@ fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Resul
 }
 
 fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
-    let bad = |why: String| anyhow::Error::from(Outcome::Bad(why));
-    let at: SocketAddr = address.parse().map_err(|_| {
-        bad(format!(
-            "--listen: found {address:?}, expected ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket"
-        ))
-    })?;
+    let Ok(at) = address.parse::<SocketAddr>() else {
+        let expected = "ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket";
+        return Err(Outcome::Bad(format!("--listen: found {address:?}, expected {expected}")).into());
+    };
     if !at.ip().is_loopback() && !beyond_loopback {
-        let text = format!(
-            "--listen: found {at}, which others can reach; expected a loopback address as 127.0.0.1:{}, or --beyond-loopback \
-             beside it",
-            at.port()
-        );
-        return Err(bad(text));
+        let expected =
+            format!("a loopback address as 127.0.0.1:{}, or --beyond-loopback beside it", at.port());
+        let text = format!("--listen: found {at}, which others can reach; expected {expected}");
+        return Err(Outcome::Bad(text).into());
     }
     Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
 }
 
-/// Creates a Unix socket for owner and group.
-/// An old one at which nothing listens is replaced.
+/// Creates a Unix socket, also in place of one at which nothing listens.
 fn at_path(path: &Path) -> anyhow::Result<Server> {
     let no = |e: &dyn std::fmt::Display| Outcome::No(format!("cannot listen at {}: {e}", path.display()));
     if let Ok(found) = std::fs::symlink_metadata(path) {

@@ -42,6 +42,23 @@ pub(crate) mod top;
 pub(crate) mod trace;
 pub(crate) mod whoami;
 
+// The verbs below a verb, one per line: the variant, its arguments, the function that runs it.
+macro_rules! verbs_below {
+    ($($(#[$about:meta])* $verb:ident $args:ty => $run:path;)*) => {
+        #[derive(Debug, clap::Subcommand)]
+        enum Verb {
+            $($(#[$about])* $verb($args),)*
+        }
+
+        pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+            match &args.verb {
+                $(Verb::$verb(args) => $run(args),)*
+            }
+        }
+    };
+}
+pub(crate) use verbs_below;
+
 use clap::builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
 use nix::unistd::{AccessFlags, access};
 use rtec_files::InputError;
@@ -53,8 +70,21 @@ pub(crate) fn read_records(paths: &[PathBuf]) -> Result<Vec<Record>, InputError>
     paths.iter().map(|p| rtec_measure::record::read(p)).collect()
 }
 
-/// Parser of an option that names a file to write.
-/// It checks before the work that the file can be written.
+/// Reads the values of an option as a name and a number each, `x=500`.
+pub(crate) fn pairs(
+    verb: &str,
+    option: &str,
+    given: &[String],
+    expected: &str,
+) -> Result<Vec<(String, f64)>, InputError> {
+    let pair = |text: &String| {
+        let parsed = text.split_once('=').and_then(|(n, v)| Some((n.to_owned(), v.parse().ok()?)));
+        parsed.ok_or_else(|| InputError::whole(Path::new(verb), format!("{option} {text}"), expected))
+    };
+    given.iter().map(pair).collect()
+}
+
+/// Parser of a file to write, which is checked before the work.
 pub(crate) fn output() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|file| can_be_written(&file).map(|()| file))
 }

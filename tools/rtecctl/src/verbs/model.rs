@@ -15,37 +15,19 @@ pub(crate) struct Args {
     verb: Verb,
 }
 
-#[derive(Debug, clap::Subcommand)]
-enum Verb {
+super::verbs_below! {
     /// Take the model up again that was unloaded last, as it was read when it was loaded
-    Again(crate::daemon::Daemon),
-    Compare(show::CompareArgs),
-    Export(export::Args),
-    Fit(fit::FitArgs),
-    FitChain(chain::Args),
-    Load(load::LoadArgs),
-    Predict(predict::Args),
-    Rehearse(validate::RehearseArgs),
-    SelectSensors(fit::SelectArgs),
-    Show(show::ShowArgs),
+    Again crate::daemon::Daemon => load::again;
+    Compare show::CompareArgs => show::compare;
+    Export export::Args => export::run;
+    Fit fit::FitArgs => fit::run;
+    FitChain chain::Args => chain::run;
+    Load load::LoadArgs => load::load;
+    Predict predict::Args => predict::run;
+    Rehearse validate::RehearseArgs => validate::rehearse;
+    SelectSensors fit::SelectArgs => fit::select;
+    Show show::ShowArgs => show::show;
     /// Run without a model: corrections go back in a ramp
-    Unload(crate::daemon::Daemon),
-    Validate(validate::ValidateArgs),
-}
-
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.verb {
-        Verb::Again(args) => load::again(args),
-        Verb::Compare(args) => show::compare(args),
-        Verb::Export(args) => export::run(args),
-        Verb::Fit(args) => fit::run(args),
-        Verb::FitChain(args) => chain::run(args),
-        Verb::Load(args) => load::load(args),
-        Verb::Predict(args) => predict::run(args),
-        Verb::Rehearse(args) => validate::rehearse(args),
-        Verb::SelectSensors(args) => fit::select(args),
-        Verb::Show(args) => show::show(args),
-        Verb::Unload(args) => load::unload(args),
-        Verb::Validate(args) => validate::validate(args),
-    }
+    Unload crate::daemon::Daemon => load::unload;
+    Validate validate::ValidateArgs => validate::validate;
 }

@@ -30,21 +30,17 @@ const EVERY: Duration = Duration::from_millis(100);
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let mut client = args.daemon.connect()?;
     if args.inverters_off {
-        let mut client = args.daemon.connect()?;
         inverters_off(&mut client, args.patience)?;
         args.daemon.order(&ClientRequest::Park {}, "parked: all inverters off, corrections frozen")?;
         let on: Vec<String> = inverted(&status(&mut client)?).map(|a| a.name.clone()).collect();
-        if !on.is_empty() {
-            let text = format!(
-                "axis {}: a model or part table has moved it on meanwhile; enable and park again",
-                on.join(", ")
-            );
-            return Err(Outcome::No(text).into());
+        if on.is_empty() {
+            return Ok(());
         }
-        return Ok(());
+        let why = "a model or part table has moved it on meanwhile; enable and park again";
+        return Err(Outcome::No(format!("axis {}: {why}", on.join(", "))).into());
     }
-    let mut client = args.daemon.connect()?;
     // If the MTC's count is unknown, nothing can be withdrawn, but corrections are still disabled.
     let known = unknown(&status(&mut client)?).is_none();
     let unloaded = known && args.to_zero && to_zero(&mut client, args.patience)?;
@@ -68,9 +64,9 @@ fn unknown(now: &DaemonStatus) -> Option<String> {
     let axes: Vec<&str> = axes.map(|a| a.name.as_str()).collect();
     let names = axes.join(", ");
     let first = if now.mode == "fault" { "`rtecctl clear`, then " } else { "" };
-    (!axes.is_empty()).then(|| {
-        format!("parked, but what the controller counts is not known: {names}; {first}home both: `rtecctl home --controller-homed`")
-    })
+    let next = format!("{first}home both: `rtecctl home --controller-homed`");
+    (!axes.is_empty())
+        .then(|| format!("parked, but what the controller counts is not known: {names}; {next}"))
 }
 
 /// Withdraws all counts; returns whether a model was unloaded for it.
@@ -85,11 +81,8 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
     let (mut least, mut since) = (left(&now), Instant::now());
     let mut shown_at = Instant::now();
     loop {
-        if now.mode == "fault" {
-            corrects(&now)?;
-        }
         // Requested totals are zeroed too, so that a later enable moves nothing.
-        if now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
+        if now.mode != "fault" && now.axes.iter().all(|a| a.in_effect == 0 && a.requested == 0) {
             return Ok(unloads);
         }
         corrects(&now)?;

@@ -2,8 +2,7 @@
 //! It says what to change.
 
 use crate::Outcome;
-use crate::document::pretty;
-use crate::say;
+use crate::document::say_pretty;
 use anyhow::Context;
 use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
@@ -67,7 +66,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     report.findings.extend(access::card(&system, &devices, events, cpu));
     if args.json {
-        say(&pretty(&Document { can_arm: report.can_arm(), report: &report })?);
+        say_pretty(&Document { can_arm: report.can_arm(), report: &report })?;
     } else {
         print!("{}", text(&report));
     }
@@ -107,12 +106,9 @@ fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
         number.parse::<u32>().ok().map(|_| name.to_owned())
     };
     let named: Option<BTreeSet<String>> = lines.map(|line| line.chip.as_ref().and_then(direct)).collect();
-    let names = match named {
-        Some(names) => names,
-        None => chip_names(setup).map_err(|e| {
-            Outcome::Unreachable(format!("{e}; only root may ask all chips for their labels and lines"))
-        })?,
-    };
+    let only = "only root may ask all chips for their labels and lines";
+    let asked = || chip_names(setup).map_err(|e| Outcome::Unreachable(format!("{e}; {only}")));
+    let names = named.map_or_else(asked, Ok)?;
     Ok(names.into_iter().map(Device::Gpio).collect())
 }
 
@@ -157,16 +153,13 @@ fn text(report: &Report) -> String {
             "" => "nothing",
             words => words,
         };
-        line(format_args!(
-            "\nkernel command line\n  to use  {}\n  to add  {lacks}",
-            report.kernel_command_line
-        ));
+        let uses = &report.kernel_command_line;
+        line(format_args!("\nkernel command line\n  to use  {uses}\n  to add  {lacks}"));
     }
     let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
     if stops.is_empty() {
-        line(format_args!(
-            "\nA real card can be armed. `rtecctl selftest latency` measures what the notes cost."
-        ));
+        let next = "`rtecctl selftest latency` measures what the notes cost.";
+        line(format_args!("\nA real card can be armed. {next}"));
     } else {
         line(format_args!("\nA real card will not be armed: {}.", stops.join(", ")));
     }

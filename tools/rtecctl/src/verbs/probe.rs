@@ -2,10 +2,9 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use clap::ValueEnum;
-use rtec_control::protocol::{ClientRequest, EventReport, Response};
+use rtec_control::protocol::{ClientRequest, EventReport, Response, TripReport};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
@@ -36,9 +35,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return args.daemon.order(&ClientRequest::Probe { on: true }, "probing on");
     }
     if args.daemon.json && args.captures.is_none() {
-        return Err(
-            Outcome::Bad("one JSON document needs an end: --captures N beside --json".to_owned()).into()
-        );
+        let text = "one JSON document needs an end: --captures N beside --json";
+        return Err(Outcome::Bad(text.to_owned()).into());
     }
     // The watch starts first, so that no trip can come in between.
     let mut watch = args.daemon.connect()?;
@@ -56,21 +54,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ),
     }
     if !args.daemon.json {
-        println!(
-            "{:>16} {:<8} {:>14} {:>14} {:>10} {:>14}",
-            "t/ns", "axis", "position/mm", "counts", "±", "by model/mm"
-        );
+        println!("            t/ns axis        position/mm         counts          ±    by model/mm");
     }
     let mut number = 0;
     while args.captures.is_none_or(|n| number < n) {
         let Response::Event(happened) = check(watch.answer().map_err(unreachable)?)? else { continue };
         if happened.trip.is_none() {
             if happened.kind != "mode" {
-                eprintln!(
-                    "{}{}",
-                    happened.axis.map(|a| format!("axis {a}: ")).unwrap_or_default(),
-                    happened.text
-                );
+                let axis = happened.axis.map(|a| format!("axis {a}: ")).unwrap_or_default();
+                eprintln!("{axis}{}", happened.text);
             } else if observe(&mut args.daemon.view()?, NO_EVENTS)?.status.mode != "probe" {
                 // Another user or a fault has switched probing off: no capture will come.
                 let text = format!("probing has ended ({}) after {number} captures", happened.text);
@@ -92,7 +84,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     if args.daemon.json {
-        say(&line(&serde_json::json!({ "captures": captured }))?);
+        say_line(&serde_json::json!({ "captures": captured }))?;
     }
     ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: false })?;
     Ok(())
@@ -100,13 +92,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 fn show(happened: &EventReport, json: bool) {
     let (Some(trip), false) = (&happened.trip, json) else { return };
+    let TripReport { position_mm, position_counts, uncertainty_counts, .. } = trip;
+    let (t_ns, axis) = (happened.t_ns, happened.axis.as_deref().unwrap_or("-"));
+    let by_model = trip.corrected_mm.map_or("-".to_owned(), |mm| format!("{mm:.6}"));
     println!(
-        "{:>16} {:<8} {:>14.6} {:>14.3} {:>10.3} {:>14}",
-        happened.t_ns,
-        happened.axis.as_deref().unwrap_or("-"),
-        trip.position_mm,
-        trip.position_counts,
-        trip.uncertainty_counts,
-        trip.corrected_mm.map_or("-".to_owned(), |mm| format!("{mm:.6}"))
+        "{t_ns:>16} {axis:<8} {position_mm:>14.6} {position_counts:>14.3} {uncertainty_counts:>10.3} {by_model:>14}"
     );
 }

@@ -10,7 +10,7 @@ use anyhow::Context;
 use rtec_files::{InputError, date};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{LAWS_FILE, Options, Reconciliation, Refined, SEED, html, reconcile, why};
+use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, html, reconcile, why};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -174,15 +174,13 @@ fn found(answer: &Reconciliation) -> String {
     use std::fmt::Write as _;
     let mut s = String::from("Where measured and simulated disagree (false-discovery rate 5 %):\n");
     let found: Vec<_> = answer.places.iter().filter(|p| p.counts()).collect();
+    let line = |p: &Place| {
+        let (response, against, share, p) =
+            (&p.response, p.against(), 100.0 * p.statistic, chance(p.p_value));
+        format!("{response} against {against}: {share:.1} %, p {p}")
+    };
     for p in found.iter().take(8) {
-        let _ = writeln!(
-            s,
-            "  {} against {}: {:.1} %, p {}",
-            p.response,
-            p.against(),
-            100.0 * p.statistic,
-            chance(p.p_value)
-        );
+        let _ = writeln!(s, "  {}", line(p));
     }
     for g in answer.gap.iter().filter(|_| found.is_empty()) {
         let ([left, _], unit, floor) = (g.train, &g.unit, g.floor);
@@ -195,43 +193,32 @@ fn found(answer: &Reconciliation) -> String {
             "  against nothing beyond chance, but {left:.4} {unit} are left where one reading scatters by {floor:.4}"
         );
         if let Some(p) = answer.places.first() {
-            let share = 100.0 * p.statistic;
-            let _ = writeln!(
-                s,
-                "  nearest: {} against {}: {share:.1} %, p {}",
-                p.response,
-                p.against(),
-                chance(p.p_value)
-            );
+            let _ = writeln!(s, "  nearest: {}", line(p));
         }
         for of in &answer.set_up {
-            let own = of
-                .terms
-                .iter()
-                .filter(|(name, value, half)| !name.starts_with("zero") && value.abs() > *half);
-            for (name, value, half) in own {
-                let _ =
-                    writeln!(s, "  in the set-up of {}: {name} = {}", of.record, with_half(*value, *half));
+            for (name, value, half) in &of.terms {
+                if !name.starts_with("zero") && value.abs() > *half {
+                    let value = with_half(*value, *half);
+                    let _ = writeln!(s, "  in the set-up of {}: {name} = {value}", of.record);
+                }
             }
         }
     }
     s
 }
 
-/// Values of a model's effect before and after its correction.
-/// Empty for a curve with many values.
+/// Values of an effect before and after; none for a curve with many.
 fn values(x: &Refined) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();
     let each = law.parameters.iter().enumerate().filter(|(i, p)| !p.array && half[*i] > 0.0);
-    let each: Vec<String> = each
-        .map(|(i, p)| {
-            let name = if p.name == p.unit { String::new() } else { format!("{} ", p.name) };
-            let [was, now] = [x.before.scalar(i), after.scalar(i)].map(|v| with_half(v, half[i]));
-            let was = was.split(' ').next().unwrap_or_default();
-            format!("{name}{was} -> {now} {}", p.unit)
-        })
-        .collect();
+    let each = each.map(|(i, p)| {
+        let name = if p.name == p.unit { String::new() } else { format!("{} ", p.name) };
+        let [was, now] = [x.before.scalar(i), after.scalar(i)].map(|v| with_half(v, half[i]));
+        let was = was.split(' ').next().unwrap_or_default();
+        format!("{name}{was} -> {now} {}", p.unit)
+    });
+    let each: Vec<String> = each.collect();
     if each.is_empty() { String::new() } else { format!(": {}", each.join(", ")) }
 }
 
@@ -259,9 +246,8 @@ fn summary(r: &Reconciliation) -> String {
             writeln!(s, "  {} against {against}: {}, no effect explains it", u.response, u.manner)
         };
     }
-    if let Some((curve, _)) = &r.curve {
-        let _ =
-            writeln!(s, "  {} takes its place in the model: a bounded curve, no explanation", curve.name());
+    if let Some(curve) = r.curve.as_ref().map(|(curve, _)| curve.name()) {
+        let _ = writeln!(s, "  {curve} takes its place in the model: a bounded curve, no explanation");
     }
     if let Some(why) = &r.no_curve {
         let _ = writeln!(s, "  no curve takes its place: {why}");
@@ -272,11 +258,10 @@ fn summary(r: &Reconciliation) -> String {
     for g in &r.gap {
         let ([before, after], rows) = g.judged_on();
         let closed = g.closed().map_or_else(|| "-".to_owned(), |c| format!("{:.1} % ({rows})", 100.0 * c));
-        let _ =
-            writeln!(s, "Gap: {before:.4} -> {after:.4} {}, floor {:.4}, closed {closed}", g.unit, g.floor);
+        let (unit, floor) = (&g.unit, g.floor);
+        let _ = writeln!(s, "Gap: {before:.4} -> {after:.4} {unit}, floor {floor:.4}, closed {closed}");
         if let Some([before, after]) = g.without_strangers {
-            let _ =
-                writeln!(s, "  {before:.4} -> {after:.4} {} without what may be another machine's", g.unit);
+            let _ = writeln!(s, "  {before:.4} -> {after:.4} {unit} without what may be another machine's");
         }
     }
     for line in &r.left_out {

@@ -1,14 +1,12 @@
 //! `rtecctl replay`: the real-time engine on a recorded trace, by a virtual clock.
 
 use crate::Outcome;
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::Listener;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::replay::{Listener, TracePoint};
 use rtec_files::InputError;
 use rtec_files::clock;
 use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns};
@@ -16,7 +14,8 @@ use rtec_rt::axis::AxisConfig;
 use rtec_rt::event::Fault;
 use rtec_sim::bench::{AnyDesign, replay_any};
 use rtec_sim::ecc::Pll;
-use rtec_sim::replay::ReplayError;
+use rtec_sim::replay::{ReplayError, ReplayOutcome};
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -95,10 +94,9 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
     };
     let said = |day: Option<String>| day.map_or(String::new(), |day| format!(" (Unix time, {day})"));
     if day(first).is_some() != day(last).is_some() {
+        let [of_trace, of_requests] = [first, last].map(|t_ns| said(day(t_ns)));
         eprintln!(
-            "warning: the trace begins at {first} ns{}, the requests end at {last} ns{}: they are not on one clock",
-            said(day(first)),
-            said(day(last))
+            "warning: the trace begins at {first} ns{of_trace}, the requests end at {last} ns{of_requests}: they are not on one clock"
         );
     }
     Ok(())
@@ -124,14 +122,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             files.push((TraceFile::create(file)?, file.as_path()));
         }
     }
-    let mut trace = Progress {
-        trace,
-        points: 0,
-        shown_at: Instant::now(),
-        last: None,
-        alone: [(0, 0); 2],
-        longest: [(0, 0); 2],
-    };
+    let shown_at = Instant::now();
+    let mut trace =
+        Progress { trace, points: 0, shown_at, last: None, alone: [(0, 0); 2], longest: [(0, 0); 2] };
     // Without an output file there is no listener, and the compiler removes that branch from the loop.
     let outcome = if files.is_empty() {
         replay_any(design, config, trace.by_ref(), requests, large, |_, _: State| {})
@@ -139,10 +132,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         let to = Outputs { files, failed: None };
         match replay_any(design, config, trace.by_ref(), requests, large, to) {
-            Ok((outcome, to)) => {
-                to.finish()?;
-                Ok(outcome)
-            }
+            Ok((outcome, to)) => to.finish().map(|()| Ok(outcome))?,
             Err(error) => Err(error),
         }
     };
@@ -156,31 +146,29 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             InputError::whole(file, error.to_string(), "an axis that can be corrected")
         }
     })?;
-    let dead = outcome.faults.iter().any(|latched| latched.fault == Fault::ChannelDead).then(|| trace.dead());
-    outcome.dead_channel = dead.as_ref().map(|(channel, _)| *channel);
+    let latched = outcome.faults.iter().find(|latched| latched.fault == Fault::ChannelDead);
+    let dead = latched.map(|latched| (latched.t_ns, trace.dead()));
+    outcome.dead_channel = dead.as_ref().map(|(_, (channel, _))| *channel);
     if args.json {
-        say(&line(&outcome)?);
+        say_line(&outcome)?;
     } else {
         print(&outcome);
     }
-    let latched = outcome.faults.iter().find(|latched| latched.fault == Fault::ChannelDead);
-    if let (Some((_, said)), Some(latched)) = (dead, latched) {
+    if let Some((t_ns, (_, said))) = dead {
         let axis = args.axis.as_ref().map_or_else(String::new, |axis| format!(" of axis {axis}"));
-        return Err(Outcome::Fault(format!(
-            "{} latched at {} ns{axis}: {said}: a broken wire or receiver of it",
-            word(latched.fault),
-            latched.t_ns
-        ))
-        .into());
+        let fault = word(Fault::ChannelDead);
+        let text = format!("{fault} latched at {t_ns} ns{axis}: {said}: a broken wire or receiver of it");
+        return Err(Outcome::Fault(text).into());
     }
     // The more informative answer first: a latched fault explains a ledger that does not balance.
     if let Some(latched) = outcome.faults.first() {
         return Err(Outcome::Fault(format!("{} latched at {} ns", word(latched.fault), latched.t_ns)).into());
     }
-    if !outcome.balanced() || outcome.illegal_out > 0 {
+    let ReplayOutcome { counts_out, counts_in, completed, illegal_out, .. } = outcome;
+    if !outcome.balanced() || illegal_out > 0 {
         let message = format!(
-            "the ledger does not balance: {} counts out - {} in, {} completed, {} illegal transitions at the MTC",
-            outcome.counts_out, outcome.counts_in, outcome.completed, outcome.illegal_out
+            "the ledger does not balance: {counts_out} counts out - {counts_in} in, {completed} completed, {illegal_out} illegal \
+             transitions at the MTC"
         );
         return Err(Outcome::No(message).into());
     }
@@ -194,18 +182,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {
-        let why: Vec<String> = outcome.refused.iter().map(|r| word(r.why)).collect();
-        let message =
-            format!("nothing was corrected: every request was refused ({})", distinct(why).join(", "));
+        let why: BTreeSet<String> = outcome.refused.iter().map(|r| word(r.why)).collect();
+        let why = why.into_iter().collect::<Vec<_>>().join(", ");
+        let message = format!("nothing was corrected: every request was refused ({why})");
         return Err(Outcome::No(message).into());
     }
     Ok(())
-}
-
-fn distinct(mut words: Vec<String>) -> Vec<String> {
-    words.sort();
-    words.dedup();
-    words
 }
 
 /// The axis to replay, and whether its requests are flagged large.
@@ -317,7 +299,8 @@ fn word(name: impl serde::Serialize) -> String {
     value.as_str().map_or_else(|| value.to_string(), |s| s.replace('_', " "))
 }
 
-fn print(outcome: &rtec_sim::replay::ReplayOutcome) {
+fn print(outcome: &ReplayOutcome) {
+    let closest = outcome.min_edge_separation_ns.map_or_else(|| "-".to_owned(), |ns| format!("{ns} ns"));
     let rows = [
         ("edges", outcome.edges.to_string()),
         ("counts of the scale", format!("{:+}", outcome.counts_in)),
@@ -329,10 +312,7 @@ fn print(outcome: &rtec_sim::replay::ReplayOutcome) {
         ("edges inside one", outcome.overlaps.to_string()),
         ("illegal, from the scale", outcome.illegal_in.to_string()),
         ("illegal, at the MTC", outcome.illegal_out.to_string()),
-        (
-            "closest edges at the MTC",
-            outcome.min_edge_separation_ns.map_or_else(|| "-".to_owned(), |ns| format!("{ns} ns")),
-        ),
+        ("closest edges at the MTC", closest),
         ("ledger", if outcome.balanced() { "balances" } else { "DOES NOT BALANCE" }.to_owned()),
     ];
     for (name, value) in rows {

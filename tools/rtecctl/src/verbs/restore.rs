@@ -2,8 +2,7 @@
 
 use super::backup::{Manifest, Packed, read};
 use crate::Outcome;
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use anyhow::Context;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
@@ -68,10 +67,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let differs = |w: &&RestoredFile<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
     let in_the_way: Vec<String> = wanted.iter().filter(differs).map(|w| w.to.display().to_string()).collect();
     if !in_the_way.is_empty() && !args.replace {
-        let text = format!(
-            "{} is there and differs: nothing is written; --replace writes over it",
-            in_the_way.join(", ")
-        );
+        let files = in_the_way.join(", ");
+        let text = format!("{files} is there and differs: nothing is written; --replace writes over it");
         return Err(Outcome::No(text).into());
     }
     if !args.dry_run {
@@ -82,13 +79,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     let names: Vec<String> = wanted.iter().map(|w| w.to.display().to_string()).collect();
+    let Manifest { machine, made, record, .. } = &manifest;
     if args.json {
-        let document = serde_json::json!({
-            "machine": manifest.machine, "made": manifest.made, "written": names, "left_out": left_out,
-            "dry_run": args.dry_run, "record": manifest.record,
-        });
-        say(&line(&document)?);
-        return Ok(());
+        return say_line(&serde_json::json!({
+            "machine": machine, "made": made, "written": names, "left_out": left_out,
+            "dry_run": args.dry_run, "record": record,
+        }));
     }
     let done = if args.dry_run { "would be written" } else { "written" };
     for name in &names {
@@ -97,10 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for text in &left_out {
         println!("{text}");
     }
-    println!(
-        "machine \"{}\" as of {}: home scale and controller before you enable",
-        manifest.machine, manifest.made
-    );
+    println!("machine \"{machine}\" as of {made}: home scale and controller before you enable");
     Ok(())
 }
 
@@ -158,33 +151,29 @@ fn wanted<'a>(
     let state = config.control.state_path();
     let (mut wanted, mut left_out) = (Vec::new(), Vec::new());
     for (packed, bytes) in manifest.files.iter().zip(contents) {
-        let path = packed.path.display();
         let to = if is_state(packed) {
             let relative = inside(args, packed)?;
             if packed.kind == "state" && !args.with_state {
-                left_out
-                    .push(format!("{path}: left out: what the controller had in effect then (--with-state)"));
-                continue;
+                Err("what the controller had in effect then (--with-state)".to_owned())
+            } else if state.parent().is_none_or(|folder| !folder.is_dir()) {
+                Err(format!("no folder for {}", state.display()))
+            } else if packed.kind == "state" {
+                Ok(state.clone())
+            } else {
+                Ok(state.with_file_name(relative))
             }
-            if state.parent().is_none_or(|folder| !folder.is_dir()) {
-                left_out.push(format!("{path}: left out: no folder for {}", state.display()));
-                continue;
-            }
-            if packed.kind == "state" { state.clone() } else { state.with_file_name(relative) }
         } else if packed.path.is_absolute() {
-            if !args.elsewhere {
-                left_out.push(format!(
-                    "{path}: left out: it was outside the configuration's folder (--elsewhere)"
-                ));
-                continue;
-            }
-            packed.path.clone()
+            let why = || "it was outside the configuration's folder (--elsewhere)".to_owned();
+            args.elsewhere.then(|| packed.path.clone()).ok_or_else(why)
         } else if packed.kind == "configuration" {
-            args.config.clone()
+            Ok(args.config.clone())
         } else {
-            folder.join(inside(args, packed)?)
+            Ok(folder.join(inside(args, packed)?))
         };
-        wanted.push(RestoredFile { packed, bytes, to });
+        match to {
+            Ok(to) => wanted.push(RestoredFile { packed, bytes, to }),
+            Err(why) => left_out.push(format!("{}: left out: {why}", packed.path.display())),
+        }
     }
     Ok((wanted, left_out))
 }

@@ -2,8 +2,7 @@
 //! It shows the speeds at which they allow corrections.
 
 use crate::Outcome;
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
 use rtec_control::card::{self, Access, OnCard};
@@ -75,11 +74,9 @@ struct LatencyArgs {
     histfile: Option<PathBuf>,
 }
 
-/// The card that is measured.
+/// The card that is measured: of the test itself, or of the configuration.
 enum Target {
-    /// A card of the test itself.
     Simulated(Backend),
-    /// The card of the configuration.
     Configured(Box<Config>),
 }
 
@@ -116,7 +113,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         WholeFile::create(file).map_err(unwritable)
     };
     let histfile = args.histfile.as_ref().map(created).transpose()?;
-    let progress = |what: &str, left_s: u64| eprintln!("selftest: {what}, {left_s} s left");
     let mut provenance = Provenance::here(&CardConfig::Mock, options.cpu, &System::live());
     let measured = match &target {
         Target::Simulated(backend) => {
@@ -151,7 +147,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             Target::Simulated(Backend::Mapped) => "mapped",
             Target::Configured(config) => config.card.backend(),
         };
-        say(&line(&verdict.document(&measured, &options, &provenance, backend))?);
+        say_line(&verdict.document(&measured, &options, &provenance, backend))?;
     } else {
         // As with cyclictest, a histogram written to a file is not printed as well.
         print!("{}", text(&measured, &options, &verdict, &provenance, args.histfile.is_none()));
@@ -163,9 +159,12 @@ impl OnCard for CardTest<'_> {
     type Output = Result<Measured, SelftestError>;
 
     fn on<C: rtec_driver::card::Card + Send + 'static>(self, card: C) -> Self::Output {
-        let progress = |what: &str, left_s: u64| eprintln!("selftest: {what}, {left_s} s left");
         run_on_card(self.options, card, self.axes, self.drive, progress)
     }
+}
+
+fn progress(what: &str, left_s: u64) {
+    eprintln!("selftest: {what}, {left_s} s left");
 }
 
 /// The card to be measured; an error if that is not possible.
@@ -220,18 +219,13 @@ fn text(
         line(format_args!("# /dev/cpu_dma_latency set to 0us"));
     }
     let fifo = measured.setup.finding("scheduler").is_some_and(|f| f.ok);
-    for (n, thread) in threads(measured).into_iter().enumerate() {
-        let ns = &thread.ns;
+    for (n, Latency { tid, last_ns, ns, .. }) in threads(measured).into_iter().enumerate() {
+        let priority = if fifo && n < 2 { options.priority } else { 0 };
+        let interval = if n == 0 { WAKEUP_INTERVAL_NS / 1000 } else { 0 };
+        let [min, act, avg, max] = [ns.min(), *last_ns, ns.mean() as u64, ns.max()].map(|ns| ns / 1000);
         line(format_args!(
-            "T:{n:2} ({:5}) P:{:2} I:{} C:{:7} Min:{:7} Act:{:5} Avg:{:5} Max:{:8}",
-            thread.tid,
-            if fifo && n < 2 { options.priority } else { 0 },
-            if n == 0 { WAKEUP_INTERVAL_NS / 1000 } else { 0 },
-            ns.samples(),
-            ns.min() / 1000,
-            thread.last_ns / 1000,
-            ns.mean() as u64 / 1000,
-            ns.max() / 1000,
+            "T:{n:2} ({tid:5}) P:{priority:2} I:{interval} C:{:7} Min:{min:7} Act:{act:5} Avg:{avg:5} Max:{max:8}",
+            ns.samples()
         ));
     }
     if with_histogram {
@@ -266,16 +260,11 @@ fn text(
         ));
     }
     let rate = |hz: Option<f64>| hz.map_or_else(|| "none".into(), |hz| format!("{hz:.0}"));
-    for axis in verdict.axes.iter().filter(|_| measured.timed()) {
-        line(format_args!(
-            "# Max Safe Edge Rate, axis {}: {} edges/s from the worst seen, {} from 99.99 %",
-            axis.name,
-            rate(axis.safe_hz),
-            rate(axis.usual_hz)
-        ));
-    }
-    for axis in verdict.axes.iter().filter(|_| !measured.timed()) {
-        line(format_args!("# Max Safe Edge Rate, axis {}: not measured", axis.name));
+    for axis in &verdict.axes {
+        let (safe, usual) = (rate(axis.safe_hz), rate(axis.usual_hz));
+        let rates = format!("{safe} edges/s from the worst seen, {usual} from 99.99 %");
+        let rates = if measured.timed() { &rates } else { "not measured" };
+        line(format_args!("# Max Safe Edge Rate, axis {}: {rates}", axis.name));
     }
     let uncorrected = if measured.timed() { "corrected at no speed" } else { "corrected: not measured" };
     for axis in &verdict.axes {
@@ -287,13 +276,9 @@ fn text(
         line(format_args!("write_ns = {}", measured.write_ns()));
         line(format_args!("{provenance}"));
     }
-    if verdict.reasons.is_empty() {
-        line(format_args!("# Verdict: pass"));
-    } else {
-        line(format_args!("# Verdict: fail"));
-        for reason in &verdict.reasons {
-            line(format_args!("#   {reason}"));
-        }
+    line(format_args!("# Verdict: {}", if verdict.reasons.is_empty() { "pass" } else { "fail" }));
+    for reason in &verdict.reasons {
+        line(format_args!("#   {reason}"));
     }
     out
 }
@@ -304,17 +289,8 @@ fn table(measured: &Measured) -> String {
         "#\n# in ns              samples      min      p50      p99    p99.9   p99.99         max\n",
     );
     let mut row = |name: &str, s: &Snapshot| {
-        let _ = writeln!(
-            out,
-            "# {name:<15} {:>11} {:>8} {:>8} {:>8} {:>8} {:>8} {:>11}",
-            s.samples(),
-            s.min(),
-            s.p50(),
-            s.p99(),
-            s.p999(),
-            s.p9999(),
-            s.max()
-        );
+        let inner = [s.min(), s.p50(), s.p99(), s.p999(), s.p9999()].map(|ns| format!(" {ns:>8}")).concat();
+        let _ = writeln!(out, "# {name:<15} {:>11}{inner} {:>11}", s.samples(), s.max());
     };
     let (quiet, with_requests) = (&measured.quiet, &measured.with_requests);
     row("T0 wake-up", &measured.wakeup.ns);

@@ -82,15 +82,12 @@ fn handed_over(args: &Args) -> Outcome {
 }
 
 fn once(args: &Args) -> anyhow::Result<()> {
-    let away = |e: &std::io::Error| {
-        Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()))
-    };
-    let store = Folder::open(&args.to).map_err(|e| away(&e))?;
-    let round = match ship(&args.spool, &store, &args.machine) {
-        Ok(round) => round,
-        Err(error @ ShipError::Store { .. }) => return Err(Outcome::Unreachable(error.to_string()).into()),
-        Err(error) => return Err(Outcome::Bad(error.to_string()).into()),
-    };
+    let away = |e| Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()));
+    let store = Folder::open(&args.to).map_err(away)?;
+    let round = ship(&args.spool, &store, &args.machine).map_err(|error| match error {
+        ShipError::Store { .. } => Outcome::Unreachable(error.to_string()),
+        _ => Outcome::Bad(error.to_string()),
+    })?;
     for finding in &round.kept {
         eprintln!("warning: {finding}; it stays in the spool");
     }

@@ -1,6 +1,6 @@
 //! `rtecctl simulate`: experiments on the simulated machine.
 
-use crate::document::{line, pretty};
+use crate::document::{say_line, say_pretty};
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::{FitNote, Machine};
@@ -46,13 +46,11 @@ fn experiment(name: &str) -> Result<&'static Experiment, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
-        let text = if args.json {
+        if args.json {
             let all = EXPERIMENTS.map(|e| serde_json::json!({"name": e.name, "what": e.what}));
-            line(&serde_json::json!({ "experiments": all }))?
-        } else {
-            EXPERIMENTS.map(|e| format!("{:<26} {}\n", e.name, e.what)).concat()
-        };
-        crate::say(&text);
+            return say_line(&serde_json::json!({ "experiments": all }));
+        }
+        print!("{}", EXPERIMENTS.map(|e| format!("{:<26} {}\n", e.name, e.what)).concat());
         return Ok(());
     }
     // clap reports usage errors: both are required unless the experiments are listed.
@@ -86,11 +84,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
     eprintln!("rtecctl: simulating {}, without and with compensation", experiment.name);
     for fit in known.fits() {
-        let unit = FitNote::unit_of(&fit.response);
+        let (response, unit, promised) =
+            (&fit.response, FitNote::unit_of(&fit.response), known.promised_um(fit));
         eprintln!(
-            "rtecctl: {}: the model promises 95 % within ±{:.1} {unit}; an axis that moves by less may gain nothing",
-            fit.response,
-            known.promised_um(fit)
+            "rtecctl: {response}: the model promises 95 % within ±{promised:.1} {unit}; an axis that moves by less may gain nothing"
         );
     }
     let spec = Spec::machining_centre();
@@ -103,10 +100,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let still: Vec<&str> = still.collect();
         if record.kind != Kind::Dynamics && record.kind != Kind::Probing && !still.is_empty() {
             let file = record.path.file_name().unwrap_or_default().to_string_lossy();
-            eprintln!(
-                "rtecctl: {file}: {} shows noise alone, nothing of the machine acts on it here",
-                still.join(", ")
-            );
+            let still = still.join(", ");
+            eprintln!("rtecctl: {file}: {still} shows noise alone, nothing of the machine acts on it here");
         }
     }
     let mut files = Vec::new();
@@ -120,18 +115,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         crate::document::write(&file, svg)?;
         files.push(file.display().to_string());
     }
-    let text = if args.json {
-        let document = serde_json::json!({
+    if args.json {
+        return say_pretty(&serde_json::json!({
             "experiment": experiment.name, "seed": args.seed, "files": files, "summary": findings.summary,
-        });
-        pretty(&document)?
-    } else {
-        for file in &files {
-            eprintln!("rtecctl: wrote {file}");
-        }
-        text(&findings.summary)
-    };
-    crate::say(&text);
+        }));
+    }
+    for file in &files {
+        eprintln!("rtecctl: wrote {file}");
+    }
+    crate::say(&text(&findings.summary));
     Ok(())
 }
 
@@ -140,7 +132,6 @@ fn text(summary: &Map<String, Value>) -> String {
     let mut text = String::new();
     for (what, found) in summary {
         let Value::Object(figures) = found else {
-            // Writing to a String does not fail.
             let _ = writeln!(text, "{what}: {}", shown(found));
             continue;
         };

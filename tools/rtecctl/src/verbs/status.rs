@@ -5,10 +5,11 @@ use crate::daemon::{Daemon, explained, status};
 use crate::document::line;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow};
+use rtec_control::protocol::{
+    AxisReport, ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow,
+};
 use rtec_correct::explain::Explained;
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write as _};
 use std::time::Duration;
 
 /// Show what the corrector is doing; exit 4 while a fault is latched
@@ -46,22 +47,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
     let mut client = daemon.view()?;
-    let mut out = std::io::stdout();
-    let terminal = out.is_terminal();
     loop {
         let status = status(&mut client)?;
-        // Home, then clear to the end: no flicker, and no rest of a longer view.
-        let clear = if terminal { "\x1b[H\x1b[J" } else { "" };
         let text = if daemon.json {
             line(&status)?
         } else {
-            let way = on_their_way(&mut client, &status);
-            format!("{clear}{}", table(&status, &way, Screen::here()))
+            table(&status, &on_their_way(&mut client, &status), Screen::here())
         };
-        let written = write!(out, "{text}").and_then(|()| out.flush());
-        match written {
-            Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
-            other => other?,
+        if !terminal::redraw(&text, !daemon.json)? {
+            return Ok(());
         }
         std::thread::sleep(every);
     }
@@ -70,8 +64,7 @@ fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
 /// An axis whose correction ramps, and the rest of its ramp, µm.
 type RampingAxis = (String, f64);
 
-/// The ramps under way, as `explain` reports them.
-/// Empty if the daemon does not answer.
+/// The ramps under way, as `explain` reports them; none without an answer.
 fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> {
     if status.mode != "run" {
         return Vec::new();
@@ -140,12 +133,10 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
     };
     // Hold and probing hide whether corrections resume when they end.
     let disabled = if matches!(s.mode.as_str(), "hold" | "probe") && !s.enabled { ", DISABLED" } else { "" };
+    let DaemonStatus { machine, uptime_s, .. } = s;
+    let (mode, homed) = (tone(&s.mode.to_uppercase(), mode), yes(s.homed));
     format!(
-        "machine \"{}\"   mode {}{disabled}   homed {}   up {:.1} s   ledger {ledger}\n",
-        s.machine,
-        tone(&s.mode.to_uppercase(), mode),
-        yes(s.homed),
-        s.uptime_s
+        "machine \"{machine}\"   mode {mode}{disabled}   homed {homed}   up {uptime_s:.1} s   ledger {ledger}\n"
     )
 }
 
@@ -157,15 +148,9 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
         (Some(cpu), Some(priority)) => format!("CPU {cpu}, SCHED_FIFO {priority}"),
         _ => "ordinary thread".to_owned(),
     };
-    // Writing to a String does not fail.
-    let _ = writeln!(
-        text,
-        "card {}, {thread}; poll gap {}; edge to done {}; {} events lost",
-        s.rt.card,
-        times(&s.rt.poll_gap_ns),
-        times(&s.rt.edge_to_done_ns),
-        s.rt.events_lost
-    );
+    let (card, lost) = (&s.rt.card, s.rt.events_lost);
+    let (gap, done) = (times(&s.rt.poll_gap_ns), times(&s.rt.edge_to_done_ns));
+    let _ = writeln!(text, "card {card}, {thread}; poll gap {gap}; edge to done {done}; {lost} events lost");
     for a in s.axes.iter().filter(|a| a.rates.rapid_mm_min.is_some()) {
         let _ = writeln!(text, "  {}: {}", a.name, a.rates);
     }
@@ -200,10 +185,10 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     }
     // One axis may hold while another corrects, and a total may be in effect without the model.
     let some = s.mode == "run" && s.axes.iter().any(|a| a.requested != 0 || a.in_effect != 0);
+    let what = if some { "in part only:" } else { "not correcting:" };
+    let what = tone(what, if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful });
     for why in &s.why_not {
-        let tone_of = if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful };
-        let _ =
-            writeln!(text, "{} {why}", tone(if some { "in part only:" } else { "not correcting:" }, tone_of));
+        let _ = writeln!(text, "{what} {why}");
     }
     if some || s.mode == "run" && s.why_not.is_empty() {
         let _ = writeln!(text, "{}", correcting(s, way));
@@ -212,36 +197,31 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
         .map(|a| format!("{} {:+}", a.name, a.in_effect))
         .collect();
     if s.mode != "run" && !still.is_empty() {
-        let _ = writeln!(
-            text,
-            "{} {} counts",
-            tone("still in the controller's count:", Tone::Doubtful),
-            still.join(", ")
-        );
+        let what = tone("still in the controller's count:", Tone::Doubtful);
+        let _ = writeln!(text, "{what} {} counts", still.join(", "));
     }
     text
 }
 
 /// The axes, in lines of 80 columns if the terminal is not wide enough for all.
 fn axes(s: &DaemonStatus, screen: Screen) -> String {
-    let head = [
-        "position/mm",
-        "counts",
-        "requested",
-        "completed",
-        "in effect",
-        "inverted",
-        "edges/s",
-        "gate",
-        "insertions",
+    // Each column with its width, and whether it stays on a narrow screen.
+    const COLUMNS: [(&str, usize, bool); 9] = [
+        ("position/mm", 13, true),
+        ("counts", 12, false),
+        ("requested", 10, true),
+        ("completed", 10, true),
+        ("in effect", 10, true),
+        ("inverted", 9, false),
+        ("edges/s", 9, false),
+        ("gate", 17, true),
+        ("insertions", 11, false),
     ];
-    let widths = [13, 12, 10, 10, 10, 9, 9, 17, 11];
-    let kept = |n: usize| !screen.narrow() || ![1, 5, 6, 8].contains(&n);
     let row = |name: &str, cells: [String; 9]| {
-        let cells = cells.iter().zip(widths).enumerate().filter(|(n, _)| kept(*n));
-        cells.fold(format!("{name:<8}"), |row, (_, (cell, width))| format!("{row} {cell:>width$}"))
+        let kept = cells.iter().zip(COLUMNS).filter(|(_, column)| !screen.narrow() || column.2);
+        kept.fold(format!("{name:<8}"), |row, (cell, (_, width, _))| format!("{row} {cell:>width$}"))
     };
-    let mut text = row("axis", head.map(str::to_owned)) + "\n";
+    let mut text = row("axis", COLUMNS.map(|(head, ..)| head.to_owned())) + "\n";
     for a in &s.axes {
         let row = row(
             &a.name,
@@ -267,22 +247,18 @@ fn axes(s: &DaemonStatus, screen: Screen) -> String {
 fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
     let way: Vec<String> = way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")).collect();
     let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
-    let asked: Vec<String> = (s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0))
-        .map(|a| {
-            let gate = a.gate.replace('_', " ");
-            if a.in_effect == a.requested {
-                format!("{} {:+}", a.name, a.in_effect)
-            } else if a.gate == "done" {
-                let left = a.requested - a.in_effect;
-                format!(
-                    "{} {:+} of {:+} ({left:+} left, less than one insertion)",
-                    a.name, a.in_effect, a.requested
-                )
-            } else {
-                format!("{} {:+} of {:+} ({gate})", a.name, a.in_effect, a.requested)
-            }
-        })
-        .collect();
+    let axis = |AxisReport { name, requested, in_effect, gate, .. }: &AxisReport| {
+        if in_effect == requested {
+            return format!("{name} {in_effect:+}");
+        }
+        let why = match gate.as_str() {
+            "done" => format!("{:+} left, less than one insertion", requested - in_effect),
+            gate => gate.replace('_', " "),
+        };
+        format!("{name} {in_effect:+} of {requested:+} ({why})")
+    };
+    let asked = s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0);
+    let asked: Vec<String> = asked.map(axis).collect();
     if !asked.is_empty() {
         let way = way.map_or_else(String::new, |way| format!("; {way}"));
         return format!("correcting: {} counts{way}", asked.join(", "));
@@ -331,111 +307,14 @@ fn times(d: &Distribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::{AxisReport, PROTOCOL, Rates, Reading, RtStatus, RunningModel};
     use rtec_correct::explain::Contribution;
     use rtec_rt::event::Fault;
-    use std::collections::BTreeMap;
 
     const PLAIN: Screen = Screen { colour: false, width: None };
 
-    fn axis(name: &str, position_counts: i64, requested: i64, in_effect: i64, gate: &str) -> AxisReport {
-        AxisReport {
-            name: name.into(),
-            position_counts,
-            position_mm: position_counts as f64 * 0.5e-3,
-            requested,
-            completed: in_effect,
-            in_effect,
-            mtc_minus_scale: in_effect,
-            inverted: in_effect % 4 != 0,
-            homed: true,
-            mtc_known: true,
-            gate: gate.into(),
-            edge_rate_hz: 12_000.4,
-            faults: Vec::new(),
-            max_correction_counts: 1000,
-            window_counts: 40,
-            insertions: 1234,
-            waited_for_gate: 7,
-            overlaps: 0,
-            late: 0,
-            illegal: 0,
-            beyond_limits: 0,
-            rates: Rates {
-                rapid_mm_min: Some(30_000.0),
-                followed_mm_min: Some(45_000.0),
-                corrected_mm_min: Some(24_000.0),
-            },
-        }
-    }
-
-    fn reading(name: &str, degc: Option<f64>, state: &str, fault: Option<&str>) -> Reading {
-        Reading {
-            sensor: name.into(),
-            place: "spindle".into(),
-            degc,
-            age_s: degc.map(|_| 42.4),
-            state: state.into(),
-            fault: fault.map(str::to_owned),
-        }
-    }
-
     /// A machine that corrects with a model, and a sensor replaced by its last value.
     fn corrects() -> DaemonStatus {
-        let times = Distribution { min: 20, p50: 26, p99: 37, p9999: 145, max: 2107, samples: 9 };
-        DaemonStatus {
-            version: "0.1.0".into(),
-            protocol: PROTOCOL,
-            latched: BTreeMap::new(),
-            record_trouble: None,
-            edited: Vec::new(),
-            machine: "lathe 7".into(),
-            mode: "run".into(),
-            homed: true,
-            enabled: true,
-            hold: None,
-            latched_faults: Vec::new(),
-            uptime_s: 3725.04,
-            balanced: true,
-            faults: Vec::new(),
-            why_not: Vec::new(),
-            model_refused: None,
-            rt: RtStatus {
-                alive: true,
-                card: "mapped".into(),
-                may_arm: true,
-                cpu: Some(3),
-                priority: Some(80),
-                missing: Vec::new(),
-                polls: 1,
-                events_lost: 0,
-                control_stale: false,
-                disable_switch: false,
-                mtc_ready: true,
-                poll_gap_ns: times,
-                edge_to_done_ns: Distribution::default(),
-            },
-            model: Some(RunningModel {
-                name: "lathe 7".into(),
-                file: "/etc/rtec/machine.toml".into(),
-                sha256: "12ab".into(),
-                fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
-                expired: Vec::new(),
-                age_days: Some(30),
-                days_left: Some(335),
-                notes: vec![
-                    "thermal_growth.z (T8-T18) is 2.0 K outside the range it was fitted on: 40 % of it is left".into(),
-                ],
-            }),
-            table: None,
-            table_now: None,
-            sensors: vec![
-                reading("T8", Some(31.5), "good", None),
-                reading("T18", Some(21.04), "frozen", Some("silent (no such device)")),
-                reading("T19", None, "hold", None),
-            ],
-            axes: vec![axis("x", -24_691_357, -14, -14, "done"), axis("z", 10, 30, 28, "waiting_for_edge")],
-        }
+        serde_json::from_str(include_str!("../../tests/golden/status_corrects.json")).unwrap()
     }
 
     #[test]
@@ -461,7 +340,6 @@ mod tests {
         crate::golden("status_fault.txt", &table(&status, &[], PLAIN));
     }
 
-    /// Colours only repeat the words, and nothing is wider than 80 columns.
     #[test]
     fn why_nothing_is_homed_is_what_the_daemon_says() {
         let mut status = corrects();
@@ -476,6 +354,7 @@ mod tests {
         assert!(text.ends_with("`rtecctl home --controller-homed`"), "{text}");
     }
 
+    /// Colours only repeat the words, and nothing is wider than 80 columns.
     #[test]
     fn on_a_terminal_it_has_colours_and_keeps_to_its_width() {
         let mut status = corrects();

@@ -6,7 +6,8 @@ mod view;
 use crate::Outcome;
 use crate::daemon::{Daemon, observe};
 use crate::full_screen::{Key, Screen, keys};
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use crate::terminal::signs;
+use nix::poll::PollFlags;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use ratatui_core::terminal::Terminal;
@@ -49,9 +50,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let every = args.every;
     let bad = |text: &str| anyhow::Error::from(Outcome::Bad(text.to_owned()));
     if args.daemon.json || !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
-        return Err(bad(
-            "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json",
-        ));
+        let text = "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json";
+        return Err(bad(text));
     }
     if every < FASTEST {
         return Err(bad("--every: expected 50ms or more"));
@@ -135,9 +135,6 @@ fn show(
 
 /// Whether the terminal's other side is closed.
 fn hung_up() -> anyhow::Result<bool> {
-    let stdin = std::io::stdin();
-    let mut fds = [PollFd::new(stdin.as_fd(), PollFlags::empty())];
-    poll(&mut fds, PollTimeout::ZERO)?;
     let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
-    Ok(fds[0].revents().is_some_and(|found| found.intersects(gone)))
+    Ok(signs(std::io::stdin().as_fd(), PollFlags::empty())?.intersects(gone))
 }

@@ -1,15 +1,14 @@
 //! `rtecctl trace`: converts quadrature traces, and makes them from positions.
 //! The positions are from a measured record.
 
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use rtec_files::clock::{self, Moments};
 use rtec_files::csv::{Header, Reader};
-use rtec_files::text::open_regular;
+use rtec_files::text::{open_regular, short};
 use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
 use rtec_files::{InputError, TableMarks, units};
 use std::path::{Path, PathBuf};
@@ -132,38 +131,35 @@ impl Summary {
     }
 
     fn print(&self, out: &Path, json: bool) -> anyhow::Result<()> {
-        let edges = self.points.saturating_sub(1);
+        let Self { net_counts, illegal, shortest_ns, .. } = self;
+        let (edges, start_ns, end_ns) = (self.points.saturating_sub(1), self.first.t_ns, self.last.t_ns);
         if json {
-            let document = serde_json::json!({
-                "out": out, "edges": edges, "net_counts": self.net_counts, "illegal": self.illegal,
-                "start_ns": self.first.t_ns, "end_ns": self.last.t_ns, "min_edge_separation_ns": self.shortest_ns,
-            });
-            say(&line(&document)?);
-            return Ok(());
+            return say_line(&serde_json::json!({
+                "out": out, "edges": edges, "net_counts": net_counts, "illegal": illegal,
+                "start_ns": start_ns, "end_ns": end_ns, "min_edge_separation_ns": shortest_ns,
+            }));
         }
+        let (out, s) = (out.display(), (end_ns - start_ns) as f64 / 1e9);
+        let apart = shortest_ns.map_or_else(|| "-".to_owned(), |ns| ns.to_string());
         println!(
-            "{}: {edges} edges, {:+} counts net, {} illegal, {:.6} s, edges at least {} ns apart",
-            out.display(),
-            self.net_counts,
-            self.illegal,
-            (self.last.t_ns - self.first.t_ns) as f64 / 1e9,
-            self.shortest_ns.map_or_else(|| "-".to_owned(), |ns| ns.to_string()),
+            "{out}: {edges} edges, {net_counts:+} counts net, {illegal} illegal, {s:.6} s, edges at least {apart} ns apart"
         );
         Ok(())
     }
 }
 
-/// A trace being written, with its summary.
-/// It reports its progress every two seconds.
-struct Output {
+/// A trace being written; it reports its progress every two seconds.
+struct Output<'a> {
+    path: &'a Path,
     file: TraceFile,
     summary: Summary,
     shown_at: Instant,
 }
 
-impl Output {
-    fn create(out: &Path) -> anyhow::Result<Self> {
-        Ok(Self { file: TraceFile::create(out)?, summary: Summary::default(), shown_at: Instant::now() })
+impl<'a> Output<'a> {
+    fn create(path: &'a Path) -> anyhow::Result<Self> {
+        let (file, summary) = (TraceFile::create(path)?, Summary::default());
+        Ok(Self { path, file, summary, shown_at: Instant::now() })
     }
 
     fn write(&mut self, point: TracePoint) -> anyhow::Result<()> {
@@ -172,7 +168,12 @@ impl Output {
             self.shown_at = Instant::now();
             eprintln!("{} edges, at {:.3} s", self.summary.points, point.t_ns as f64 / 1e9);
         }
-        Ok(self.file.write(point)?)
+        self.file.write(point).with_context(|| format!("writing {}", self.path.display()))
+    }
+
+    fn finish(self) -> anyhow::Result<Summary> {
+        self.file.finish().with_context(|| format!("writing {}", self.path.display()))?;
+        Ok(self.summary)
     }
 }
 
@@ -183,13 +184,13 @@ fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Su
     }
     let mut out = Output::create(output)?;
     while let Some(point) = reader.next_point()? {
-        out.write(point).with_context(|| format!("writing {}", output.display()))?;
+        out.write(point)?;
     }
-    out.file.finish().with_context(|| format!("writing {}", output.display()))?;
+    let summary = out.finish()?;
     for said in [reader.said(), reader.sampled()].into_iter().flatten() {
         eprintln!("note: {said}");
     }
-    Ok(out.summary)
+    Ok(summary)
 }
 
 fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
@@ -208,8 +209,8 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
             eprintln!("warning: {warning}");
         }
         way.is_short_enough(args)?;
-        for warning in [jumps.coarse(args), jumps.dead(args), jumps.dates(args)].into_iter().flatten() {
-            eprintln!("warning: {warning}");
+        for warning in [jumps.coarse(args), jumps.dead(), jumps.dates()].into_iter().flatten() {
+            eprintln!("warning: {}: {warning}", args.input.display());
         }
     }
     let (mut record, mut way) = (Record::open(args, bits)?, TravelledCounts::default());
@@ -231,17 +232,13 @@ fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
     while let Some((t_ns, counts)) = record.next()? {
         way.goes_on(counts, record.line, args);
         way.is_short_enough(args)?;
-        let fits = scale.move_to(t_ns, counts, |point| {
-            out.write(point).with_context(|| format!("writing {}", args.out.display()))
-        })?;
-        if !fits {
+        if !scale.move_to(t_ns, counts, |point| out.write(point))? {
             let expected =
                 "a motion of at most one count a nanosecond (is --count-um, or the unit, too small?)";
             return Err(InputError::at(&args.input, record.line, 0, "a faster motion", expected).into());
         }
     }
-    out.file.finish().with_context(|| format!("writing {}", args.out.display()))?;
-    Ok(out.summary)
+    out.finish()
 }
 
 /// Travel of a record in counts; it has at most as many edges.
@@ -263,11 +260,9 @@ impl TravelledCounts {
 
     fn is_short_enough(&self, args: &FromPosition) -> Result<(), InputError> {
         let Some((line, counts)) = self.too_long else { return Ok(()) };
-        let found = format!("a way of {counts:.0} counts so far");
-        let expected = format!(
-            "at most {} edges (--most-edges takes more; is --count-um, or the unit, too small?)",
-            args.most_edges
-        );
+        let (found, most) = (format!("a way of {counts:.0} counts so far"), args.most_edges);
+        let expected =
+            format!("at most {most} edges (--most-edges takes more; is --count-um, or the unit, too small?)");
         Err(InputError::at(&args.input, line, 0, found, expected))
     }
 }
@@ -362,35 +357,30 @@ impl Jumps {
     /// A note if the resolution of the positions is more than a count.
     fn coarse(&self, args: &FromPosition) -> Option<String> {
         let counts = self.written_um / args.count_um;
+        let step_um = short(1e-6 * (1e6 * self.written_um).round());
         (self.changes >= COARSE_CHANGES && counts > 1.5).then(|| {
             format!(
-                "{}: positions in steps of {} µm, {:.0} counts: the edges within a step are spread evenly over the time between two rows, \
-                 where the axis may have moved otherwise",
-                args.input.display(),
-                rtec_files::text::short(1e-6 * (1e6 * self.written_um).round()),
-                counts
+                "positions in steps of {step_um} µm, {counts:.0} counts: the edges within a step are spread evenly over the time between \
+                 two rows, where the axis may have moved otherwise"
             )
         })
     }
 
     /// A note if the position never changes.
-    fn dead(&self, args: &FromPosition) -> Option<String> {
-        (self.changes == 0 && self.rows > 1).then(|| {
+    fn dead(&self) -> Option<String> {
+        let rows = self.rows;
+        (self.changes == 0 && rows > 1).then(|| {
             format!(
-                "{}: the position is the same in all {} rows, so the trace has no edge: did the axis stand, or is the channel dead?",
-                args.input.display(),
-                self.rows
+                "the position is the same in all {rows} rows, so the trace has no edge: did the axis stand, or is the channel dead?"
             )
         })
     }
 
     /// A note if times in seconds are rather the days of a spreadsheet.
-    fn dates(&self, args: &FromPosition) -> Option<String> {
-        let day = clock::spreadsheet_in_s(&self.times_s)?;
+    fn dates(&self) -> Option<String> {
+        let (day, first_s) = (clock::spreadsheet_in_s(&self.times_s)?, self.times_s[0]);
         Some(format!(
-            "{}: the time begins at {} s: a spreadsheet's date ({day}) in days? --time-unit d takes those",
-            args.input.display(),
-            self.times_s[0]
+            "the time begins at {first_s} s: a spreadsheet's date ({day}) in days? --time-unit d takes those"
         ))
     }
 
@@ -426,17 +416,16 @@ impl Jumps {
             None => "was a counter set anew? Then take the rows before it out. Is the unit another? Then --unit or --count-um."
                 .to_owned(),
         };
+        let more =
+            if self.found > 1 { format!(", and at {} rows more", self.found - 1) } else { String::new() };
+        let (file, mm) = (args.input.display(), step_um / 1e3);
         Some(format!(
-            "{}:{line}: the position jumps by {:+.3} mm, {m_s:.1} m/s{}: {why} The trace goes along with it",
-            args.input.display(),
-            step_um / 1e3,
-            if self.found > 1 { format!(", and at {} rows more", self.found - 1) } else { String::new() },
+            "{file}:{line}: the position jumps by {mm:+.3} mm, {m_s:.1} m/s{more}: {why} The trace goes along with it"
         ))
     }
 }
 
-/// A scale with its interpolator.
-/// It moves in straight lines from one sample to the next.
+/// A scale with its interpolator, on straight lines between samples.
 struct Scale {
     hysteresis: f64,
     /// Time in ns and position in counts of the last sample.
@@ -514,12 +503,29 @@ struct Record {
 /// Units of a time, and ns of each.
 const TIMES: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
 
-/// Checks that a column's name does not contradict the unit of an option.
-fn is_in(header: &Header, name: &str, unit: &str, option: &str) -> Result<(), InputError> {
-    units::contradicted(name, unit).map_or(Ok(()), |stated| {
+/// The unit of a column: that of the option, which its name must not contradict, else that of its name.
+/// None if its name has no unit; an unknown one in brackets is refused.
+fn unit_of(
+    header: &Header,
+    place: usize,
+    given: Option<&str>,
+    units: [(&'static str, f64); 5],
+    option: &str,
+) -> Result<Option<(&'static str, f64)>, InputError> {
+    let name = header.names().nth(place).unwrap_or_default();
+    let stated = units::stated(name);
+    if let Some((unit, stated)) = given.and_then(|unit| Some((unit, units::contradicted(name, unit)?))) {
         let found = format!("the column {name} with {option} {unit}: its name says {stated}");
-        Err(header.finding(found, format!("{option} {stated}, or none; or another name if that is wrong")))
-    })
+        let expected = format!("{option} {stated}, or none; or another name if that is wrong");
+        return Err(header.finding(found, expected));
+    }
+    let unit = given.or(stated.as_ref().map(|stated| stated.unit));
+    let known = units.into_iter().find(|(name, _)| unit == Some(*name));
+    if let (Some(unit), None, true) = (unit, known, stated.is_some_and(|stated| stated.in_brackets)) {
+        let found = format!("the unit {unit} in the name of column {name}");
+        return Err(header.finding(found, format!("one of {}, or {option}", units.map(|u| u.0).join(", "))));
+    }
+    Ok(known)
 }
 
 impl Record {
@@ -543,37 +549,17 @@ impl Record {
             rows.header_of(expected, &named)?
         };
         let columns = || format!("the columns {}", header.text());
-        // An unknown unit in brackets is refused.
-        let known = |name: &str, units: &[&str], option: &str| match units::stated(name) {
-            Some(stated) if stated.in_brackets && !units.contains(&stated.unit) => {
-                let found = format!("the unit {} in the name of column {name}", stated.unit);
-                Err(header.finding(found, format!("one of {}, or {option}", units.join(", "))))
-            }
-            _ => Ok(()),
-        };
-        let (time, (time_unit, ns_per_unit)) = match &args.time_column {
-            Some(column) => {
-                let place = header.place_or_number(column)?;
-                let name = header.names().nth(place).unwrap_or_default();
-                let of = |wanted: &str| TIMES.into_iter().find(|(unit, _)| *unit == wanted);
-                let unit = if let Some(unit) = &args.time_unit {
-                    is_in(&header, name, unit, "--time-unit")?;
-                    of(unit)
-                } else {
-                    known(name, &TIMES.map(|(unit, _)| unit), "--time-unit")?;
-                    units::stated(name).and_then(|stated| of(stated.unit))
-                };
-                (place, unit.unwrap_or(TIMES[0]))
-            }
-            None => header
-                .names()
-                .enumerate()
-                .find_map(|(place, name)| Some((place, time_of(name)?)))
-                .ok_or_else(|| {
-                    let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
-                    let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
-                    rows.instead_of(&header, finding)
-                })?,
+        let (time, (time_unit, ns_per_unit)) = if let Some(column) = &args.time_column {
+            let place = header.place_or_number(column)?;
+            let unit = unit_of(&header, place, args.time_unit.as_deref(), TIMES, "--time-unit")?;
+            (place, unit.unwrap_or(TIMES[0]))
+        } else {
+            let mut named = header.names().enumerate();
+            named.find_map(|(place, name)| Some((place, time_of(name)?))).ok_or_else(|| {
+                let expected = "a time column: t_s, t_ms, t_us or t_ns, or --time-column";
+                let finding = header.is_missing().unwrap_or_else(|| header.finding(columns(), expected));
+                rows.instead_of(&header, finding)
+            })?
         };
         let position = if let Some(column) = &args.column {
             header.place_or_number(column)?
@@ -585,15 +571,9 @@ impl Record {
             };
             position
         };
-        let name = header.names().nth(position).unwrap_or_default();
-        if let Some(unit) = &args.unit {
-            is_in(&header, name, unit, "--unit")?;
-        } else {
-            known(name, &LENGTHS.map(|(unit, _)| unit), "--unit")?;
-        }
-        let unit = args.unit.as_deref().or_else(|| Some(units::stated(name)?.unit));
-        let length = unit.and_then(|unit| LENGTHS.iter().find(|(name, _)| *name == unit));
-        let (_, unit_um) = length.copied().unwrap_or_else(|| {
+        let length = unit_of(&header, position, args.unit.as_deref(), LENGTHS, "--unit")?;
+        let (_, unit_um) = length.unwrap_or_else(|| {
+            let name = header.names().nth(position).unwrap_or_default();
             eprintln!("{}: column '{name}' names no unit: taken as m (see --unit)", args.input.display());
             LENGTHS[0]
         });

@@ -2,7 +2,7 @@
 
 use super::{Answer, RequestContext, Session};
 use crate::loader::{self, Job, Loaded, PATIENCE, Source, Ticket};
-use crate::log::{Level, Log};
+use crate::log::{self, Level};
 use rtec_control::protocol::{ModelPreview, PartTable, Response};
 use rtec_correct::corrector::Prepared;
 use rtec_files::InputError;
@@ -51,11 +51,9 @@ pub(crate) enum LoadPurpose {
 /// Refusal of a request that only names its files.
 /// The daemon may read files that its caller may not.
 fn by_name(file: &Path) -> Response {
-    let text = format!(
-        "{}: found a name alone, expected the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its \
-         caller's rights",
-        file.display()
-    );
+    let expected =
+        "the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its caller's rights";
+    let text = format!("{}: found a name alone, expected {expected}", file.display());
     Response::refused("no_descriptor", text)
 }
 
@@ -94,7 +92,7 @@ impl Session {
     /// Runs the last model again after a restart, as it was read then.
     /// If the configuration names it, its file must be unchanged. This happens before any client is served, because it
     /// waits for the files.
-    pub(crate) fn take_up_model(&mut self, log: &mut Log) {
+    pub(crate) fn take_up_model(&mut self) {
         let taken = Remembered::read(&self.directory().join(TAKEN));
         let Remembered { sha256, meant, .. } = &taken;
         let configured = self.config.model.file.clone();
@@ -120,24 +118,21 @@ impl Session {
                         self.corrector.day_is((self.today)());
                         self.corrector.take(*prepared);
                         self.model_refused = None;
-                        return log.say(Level::Notice, &format!("machine model {}", file.display()));
+                        return log::say(Level::Notice, &format!("machine model {}", file.display()));
                     }
                     _ if unloaded => AGAIN.to_owned(),
-                    _ if sha256.is_empty() => {
-                        format!(
-                            "the model {} has not been loaded yet: `rtecctl model load` shows what it changes",
-                            file.display()
-                        )
+                    _ => {
+                        let why = match sha256.as_str() {
+                            "" => "has not been loaded yet",
+                            _ => "is not the one that was loaded last (its hash is another)",
+                        };
+                        let file = file.display();
+                        format!("the model {file} {why}: `rtecctl model load` shows what it changes")
                     }
-                    _ => format!(
-                        "the model {} is not the one that was loaded last (its hash is another): `rtecctl model load` shows \
-                         what it changes",
-                        file.display()
-                    ),
                 }
             }
         };
-        log.say(Level::Warning, &format!("no machine model: {why}"));
+        log::say(Level::Warning, &format!("no machine model: {why}"));
         self.model_refused = Some(why);
     }
 
@@ -194,11 +189,10 @@ impl Session {
         beside: RequestContext,
     ) -> Answer {
         let bad = |text: String| Answer::Now(Response::Bad { text });
-        if beside.files.len() != names.len() {
-            let (came, named) = (beside.files.len(), names.len());
-            return bad(format!(
-                "found {came} descriptors with the request, expected {named}, one per name in files"
-            ));
+        let (came, named) = (beside.files.len(), names.len());
+        if came != named {
+            let found = format!("found {came} descriptors with the request");
+            return bad(format!("{found}, expected {named}, one per name in files"));
         }
         let configured = self.config.model.file.clone();
         let own = file.is_none();
@@ -234,10 +228,8 @@ impl Session {
                 self.begin(Job::Keep { files, source, spool }, LoadPurpose::Keep)
             }
             (None, names, came) => {
-                let text = format!(
-                    "found {} names with {came} descriptors, expected two of each: a record's sidecar, then its CSV",
-                    names.len()
-                );
+                let found = format!("found {} names with {came} descriptors", names.len());
+                let text = format!("{found}, expected two of each: a record's sidecar, then its CSV");
                 Answer::Now(Response::Bad { text })
             }
         }
@@ -263,12 +255,10 @@ impl Session {
             return Answer::Now(Response::refused("loading", why.to_owned()));
         }
         match self.loader.start(job) {
+            Err(e) => Answer::Now(Response::refused("no_thread", format!("no thread to load it: {e}"))),
             Ok(ticket) => {
                 self.wish = Some(wish);
                 Answer::Later(ticket)
-            }
-            Err(error) => {
-                Answer::Now(Response::refused("no_thread", format!("no thread to load it: {error}")))
             }
         }
     }
@@ -280,23 +270,18 @@ impl Session {
         &mut self,
         waits: impl FnOnce(Ticket) -> bool,
         control: &mut ControlEnd,
-        log: &mut Log,
     ) -> Option<(Ticket, Response, Option<String>)> {
         if let Some(ticket) = self.loader.give_up()
             && let Some(wish) = self.wish.take()
         {
-            let s = PATIENCE.as_secs();
-            let text = match wish {
-                LoadPurpose::Keep => {
-                    format!(
-                        "keeping took longer than {s} s and is given up: the record is not kept, unless an event record_kept \
-                         follows"
-                    )
-                }
-                LoadPurpose::Model(_) | LoadPurpose::Table => {
-                    format!("loading took longer than {s} s: nothing is loaded")
-                }
+            let (what, means) = match wish {
+                LoadPurpose::Keep => (
+                    "keeping",
+                    " and is given up: the record is not kept, unless an event record_kept follows",
+                ),
+                LoadPurpose::Model(_) | LoadPurpose::Table => ("loading", ": nothing is loaded"),
             };
+            let text = format!("{what} took longer than {} s{means}", PATIENCE.as_secs());
             return Some((ticket, Response::refused("too_long", text), None));
         }
         let ((ticket, result), given_up) = self.loader.done()?;
@@ -307,7 +292,7 @@ impl Session {
                 Ok(_) => Response::done(),
                 Err(text) => Response::refused("not_kept", text.clone()),
             };
-            self.tell_kept(kept, control.status().t_ns, log);
+            self.tell_kept(kept, control.status().t_ns);
             return Some((ticket, response, None));
         }
         let wish = wish?;
@@ -319,9 +304,9 @@ impl Session {
                 let place = InputError { found: "something else".to_owned(), ..error.clone() };
                 return Some((ticket, Response::Bad { text: error.to_string() }, Some(place.to_string())));
             }
-            (Ok(Loaded::Table { table, errors }), _) => self.take_table(table, errors, log),
+            (Ok(Loaded::Table { table, errors }), _) => self.take_table(table, errors),
             (Ok(Loaded::Model { prepared, warnings, files }), LoadPurpose::Model(wanted)) => {
-                self.model_ready(*prepared, warnings, &files, &wanted, control, log)
+                self.model_ready(*prepared, warnings, &files, &wanted, control)
             }
             (Ok(Loaded::Model { .. } | Loaded::Kept(_)), _) => return None,
         };
@@ -335,7 +320,6 @@ impl Session {
         files: &BTreeMap<PathBuf, String>,
         wanted: &ModelLoad,
         control: &mut ControlEnd,
-        log: &mut Log,
     ) -> Response {
         let machine = prepared.machine();
         let (sha256, file) = (machine.sha256().to_owned(), machine.path.clone());
@@ -345,13 +329,11 @@ impl Session {
             return Response::ModelPreview(Box::new(ModelPreview { warnings, ..preview }));
         };
         if *shown != sha256 {
-            return Response::refused(
-                "changed",
-                format!(
-                    "{} has changed since it was shown: nothing is loaded; `rtecctl model load` again",
-                    file.display()
-                ),
+            let file = file.display();
+            let text = format!(
+                "{file} has changed since it was shown: nothing is loaded; `rtecctl model load` again"
             );
+            return Response::refused("changed", text);
         }
         let ended = self.ended(machine);
         if let Some(text) = ended.clone().filter(|_| !wanted.expired) {
@@ -361,15 +343,15 @@ impl Session {
         self.model_refused = None;
         let meant = ended.map_or(String::new(), |_| format!("{MEANT}\n"));
         let taken = format!("{sha256}\n{}\n{meant}{FOR}{}\n", file.display(), self.config.machine);
-        let warnings = self.remember(&taken, files, log);
+        let warnings = self.remember(&taken, files);
         let text = format!("machine model {} loaded, SHA-256 {sha256}", file.display());
-        log.record(Level::Notice, "model_loaded", &text, &[("RTEC_MODEL_SHA256", &sha256)]);
+        log::record(Level::Notice, "model_loaded", &text, &[("RTEC_MODEL_SHA256", &sha256)]);
         Response::done_with(warnings)
     }
 
     /// Stores the model for a restart: its name and hash, and its files as read.
     /// Returns what could not be stored.
-    fn remember(&self, text: &str, files: &BTreeMap<PathBuf, String>, log: &mut Log) -> Vec<String> {
+    fn remember(&self, text: &str, files: &BTreeMap<PathBuf, String>) -> Vec<String> {
         let named: BTreeMap<String, &String> =
             files.iter().map(|(path, text)| (path.display().to_string(), text)).collect();
         let kept = serde_json::to_vec(&named).unwrap_or_default();
@@ -380,45 +362,40 @@ impl Session {
             // The model runs now, so the unloaded one is not loaded again.
             let _ = std::fs::remove_file(at(UNLOADED));
         }
-        self.failed(written, "a restart will not know which model was loaded", log)
+        self.failed(written, "a restart will not know which model was loaded")
     }
 
     /// Makes a restart load no model.
     /// Renaming the file needs no room on the disk, and writing would.
-    fn forget(&self, log: &mut Log) -> Vec<String> {
+    fn forget(&self) -> Vec<String> {
         let at = |name: &str| self.directory().join(name);
         let renamed = match std::fs::rename(at(TAKEN), at(UNLOADED)) {
             Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
         };
-        self.failed([(TAKEN, renamed)], "a restart may take the model up again", log)
+        self.failed([(TAKEN, renamed)], "a restart may take the model up again")
     }
 
     /// Logs and returns the failures of files beside the state file, with their effect.
-    fn failed<const N: usize>(
-        &self,
-        done: [(&str, std::io::Result<()>); N],
-        means: &str,
-        log: &mut Log,
-    ) -> Vec<String> {
+    fn failed<const N: usize>(&self, done: [(&str, std::io::Result<()>); N], means: &str) -> Vec<String> {
         let failed = done.into_iter().filter_map(|(name, done)| {
             let text = format!("{}: {}: {means}", self.directory().join(name).display(), done.err()?);
-            log.say(Level::Warning, &text);
+            log::say(Level::Warning, &text);
             Some(text)
         });
         failed.collect()
     }
 
-    pub(super) fn model_unload(&mut self, log: &mut Log) -> Response {
+    pub(super) fn model_unload(&mut self) -> Response {
         // A model that was refused at the start is given up too.
         let given_up = self.model_refused.take_if(|why| why != AGAIN).is_some();
         if !self.corrector.unload() && !given_up {
             let text = "no model is loaded: there is nothing to unload";
             return Response::refused("no_model", text);
         }
-        let warnings = self.forget(log);
+        let warnings = self.forget();
         self.model_refused = self.directory().join(UNLOADED).exists().then(|| AGAIN.to_owned());
-        log.record(Level::Notice, "model_unloaded", "machine model unloaded", &[]);
+        log::record(Level::Notice, "model_unloaded", "machine model unloaded", &[]);
         Response::done_with(warnings)
     }
 
@@ -430,31 +407,31 @@ impl Session {
             0 if beside.trusted => Source::Named,
             0 => return Answer::Now(by_name(&file)),
             n => {
-                let text =
-                    format!("found {n} descriptors with the request, expected one, of {}", file.display());
+                let file = file.display();
+                let text = format!("found {n} descriptors with the request, expected one, of {file}");
                 return Answer::Now(Response::Bad { text });
             }
         };
         self.begin(Job::Table { table: table.clone(), source }, LoadPurpose::Table)
     }
 
-    fn take_table(&mut self, table: PartTable, errors: FeatureErrors, log: &mut Log) -> Response {
+    fn take_table(&mut self, table: PartTable, errors: FeatureErrors) -> Response {
         let name = table.errors.clone();
         match self.corrector.load_table(table, errors) {
             Ok(()) => {
-                log.record(Level::Notice, "table_loaded", &format!("part table {name}"), &[]);
+                log::record(Level::Notice, "table_loaded", &format!("part table {name}"), &[]);
                 Response::done()
             }
             Err(text) => Response::Bad { text },
         }
     }
 
-    pub(super) fn table_unload(&mut self, log: &mut Log) -> Response {
+    pub(super) fn table_unload(&mut self) -> Response {
         if !self.corrector.unload_table() {
             let text = "no part table is loaded: there is nothing to unload";
             return Response::refused("no_table", text);
         }
-        log.record(Level::Notice, "table_unloaded", "part table unloaded", &[]);
+        log::record(Level::Notice, "table_unloaded", "part table unloaded", &[]);
         Response::done()
     }
 }

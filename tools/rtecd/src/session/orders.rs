@@ -1,7 +1,6 @@
 //! Requests to the real-time thread, and its answers.
 
 use super::{Session, loads};
-use crate::log::Log;
 use rtec_control::config::ConfiguredAxis;
 use rtec_control::protocol::{
     Jump, Response, explain_fault, explain_not_homed, explain_refusal, explain_unknown, word,
@@ -15,31 +14,28 @@ use std::time::Duration;
 /// It then moves by less than half a count in the milliseconds between setting its counter and reading it back.
 const STANDSTILL_HZ: f64 = 50.0;
 
+/// The events of a request, or its refusal.
+type Carried = Result<Vec<Event>, Response>;
+
+/// What to do when the real-time thread has ended.
+pub(super) const ENDED: &str = "the real-time thread has ended: see the log, then restart the daemon";
+
 impl Session {
     /// Sends a request and waits until it is completed.
     /// Returns the events of the meantime.
-    pub(super) fn send(
-        &mut self,
-        request: Request,
-        control: &mut ControlEnd,
-        log: &mut Log,
-    ) -> Result<Vec<Event>, Response> {
+    pub(super) fn send(&mut self, request: Request, control: &mut ControlEnd) -> Carried {
         let silent =
             "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
         // No look since a request was last left unanswered, so this one is not waited for.
         let stuck = self.unanswered == Some(control.status().polls);
         let deadline = self.time.now() + self.patience;
         // Waits for the corrector's requests, so that their events do not answer this one.
-        while control.pending() > 0
-            && control.pending() < REQUESTS
-            && !stuck
-            && self.time.now() < deadline
-            && !control.ended()
-        {
+        let waits = |now| !stuck && now < deadline;
+        while (1..REQUESTS).contains(&control.pending()) && waits(self.time.now()) && !control.ended() {
             control.beat();
             self.time.sleep(Duration::from_micros(200));
         }
-        self.drain(control, log);
+        self.drain(control);
         control.send(request).map_err(|full| Response::refused("ring_full", full.to_string()))?;
         if stuck {
             // It takes the request when it looks again.
@@ -58,17 +54,14 @@ impl Session {
                 taken_at = Some(control.status().polls);
             }
             while let Some(event) = control.event() {
-                self.note(&event, log);
+                self.note(&event);
                 events.push(event);
             }
             if worked {
                 return Ok(events);
             }
             if control.ended() {
-                return Err(Response::refused(
-                    "ended",
-                    "the real-time thread has ended: see the log, then restart the daemon",
-                ));
+                return Err(Response::refused("ended", ENDED));
             }
             if self.time.now() > deadline {
                 self.unanswered = Some(status.polls);
@@ -79,28 +72,18 @@ impl Session {
     }
 
     /// Sends a request and makes an answer from the events.
-    pub(super) fn carry_out(
-        &mut self,
-        request: Request,
-        control: &mut ControlEnd,
-        log: &mut Log,
-    ) -> Result<Vec<Event>, Response> {
-        let events = self.send(request, control, log)?;
+    pub(super) fn carry_out(&mut self, request: Request, control: &mut ControlEnd) -> Carried {
+        let events = self.send(request, control)?;
         for event in &events {
-            match event.kind {
-                EventKind::Refused { why: Refusal::FaultLatched, .. } => {
-                    return Err(Response::Fault { text: explain_refusal(Refusal::FaultLatched).to_owned() });
+            let text = match event.kind {
+                EventKind::Refused { why: why @ Refusal::FaultLatched, .. } => {
+                    explain_refusal(why).to_owned()
                 }
-                EventKind::Refused { why, .. } => {
-                    return Err(self.refused(why, request, &control.status()));
-                }
-                EventKind::Fault(fault) => {
-                    return Err(Response::Fault {
-                        text: format!("{}: {}", word(fault), explain_fault(fault)),
-                    });
-                }
-                _ => {}
-            }
+                EventKind::Refused { why, .. } => return Err(self.refused(why, request, &control.status())),
+                EventKind::Fault(fault) => format!("{}: {}", word(fault), explain_fault(fault)),
+                _ => continue,
+            };
+            return Err(Response::Fault { text });
         }
         Ok(events)
     }
@@ -170,14 +153,13 @@ impl Session {
         operator_counts: i64,
         large: bool,
         control: &mut ControlEnd,
-        log: &mut Log,
     ) -> Result<Response, Response> {
         let n = self.number(axis)?;
         let total_counts = self.corrector.with_operator(n, operator_counts);
         let others_counts = total_counts - operator_counts;
         let before = control.status().axes[n].requested;
         let request = Request::Correct { axis: n as u8, total_counts, large };
-        let events = self.carry_out(request, control, log).map_err(|refusal| match refusal {
+        let events = self.carry_out(request, control).map_err(|refusal| match refusal {
             // The refused total includes the other sources, so the text names it.
             Response::Refused { why, text, jumps } if others_counts != 0 => {
                 let text =
@@ -233,7 +215,6 @@ impl Session {
         axis: Option<&str>,
         controller_homed: Option<bool>,
         control: &mut ControlEnd,
-        log: &mut Log,
     ) -> Result<Response, Response> {
         let axes = match axis {
             Some(name) => {
@@ -260,19 +241,17 @@ impl Session {
         for n in axes {
             let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
             let request = Request::Home { axis, position_counts, controller_homed };
-            let events = self.carry_out(request, control, log)?;
+            let events = self.carry_out(request, control)?;
             let read_back = events.iter().find_map(|e| match e.kind {
                 EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
                 _ => None,
             });
             if read_back != Some(position_counts) {
-                let text = format!(
-                    "axis {}: read back {read_back:?}, expected {position_counts} counts: not homed",
-                    self.config.axes[n].name
-                );
+                let found = format!("axis {}: read back {read_back:?}", self.config.axes[n].name);
+                let text = format!("{found}, expected {position_counts} counts: not homed");
                 return Err(Response::refused("home_read_back", text));
             }
-            self.carry_out(Request::ConfirmHome { axis, position_counts }, control, log)?;
+            self.carry_out(Request::ConfirmHome { axis, position_counts }, control)?;
         }
         Ok(Response::done())
     }
@@ -316,15 +295,12 @@ impl Session {
     /// The counts that enabling would insert, axis by axis.
     pub(super) fn jumps(&self, status: &Status) -> Vec<Jump> {
         let all = self.config.axes.iter().zip(status.axes()).enumerate();
-        all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect))
-            .filter(|(_, counts)| *counts != 0)
-            .map(|(axis, counts)| Jump {
-                axis: axis.name.clone(),
-                counts,
-                um: counts as f64 * axis.count_um,
-                window_counts: axis.engine.window_counts,
-            })
-            .collect()
+        let all = all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect));
+        let jump = |(axis, counts): (&ConfiguredAxis, i64)| {
+            let (um, window_counts) = (counts as f64 * axis.count_um, axis.engine.window_counts);
+            Jump { axis: axis.name.clone(), counts, um, window_counts }
+        };
+        all.filter(|(_, counts)| *counts != 0).map(jump).collect()
     }
 
     /// Why corrections must not be enabled, as far as this side knows.
@@ -357,10 +333,9 @@ impl Session {
 fn rest(axis: &ConfiguredAxis, total_counts: i64, in_effect: i64) -> Option<String> {
     let left = (total_counts - in_effect) % INCREMENT_COUNTS;
     (left != 0).then(|| {
+        let (name, whole) = (&axis.name, total_counts - left);
         format!(
-            "axis {}: {:+} of {total_counts:+} counts will be in effect, {left:+} is left: an insertion is {INCREMENT_COUNTS} counts",
-            axis.name,
-            total_counts - left
+            "axis {name}: {whole:+} of {total_counts:+} counts will be in effect, {left:+} is left: an insertion is {INCREMENT_COUNTS} counts"
         )
     })
 }

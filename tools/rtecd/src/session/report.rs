@@ -25,12 +25,9 @@ impl Session {
         let events: Vec<_> = self.events.iter().filter(|e| e.n > known).cloned().collect();
         let first = events.first().map_or(self.event_count + 1, |e| e.n);
         let timing = &self.set_up.timing;
-        let histograms = Histograms {
-            poll_gap_ns: buckets(&timing.poll_gap_ns),
-            edge_to_done_ns: buckets(&timing.edge_to_done_ns),
-            poll_gap_sum_ns: timing.poll_gap_ns.snapshot().sum(),
-            edge_to_done_sum_ns: timing.edge_to_done_ns.snapshot().sum(),
-        };
+        let [(poll_gap_ns, poll_gap_sum_ns), (edge_to_done_ns, edge_to_done_sum_ns)] =
+            [&timing.poll_gap_ns, &timing.edge_to_done_ns].map(buckets);
+        let histograms = Histograms { poll_gap_ns, edge_to_done_ns, poll_gap_sum_ns, edge_to_done_sum_ns };
         let explained = self.explained(None, control);
         Response::Observed(Box::new(Observed {
             status: DaemonStatus { record_trouble: log.in_words(), ..self.status(control) },
@@ -49,11 +46,7 @@ impl Session {
         wanted.map(|n| self.corrector.explain(n, &status.axes[n])).collect()
     }
 
-    pub(super) fn explain(
-        &mut self,
-        axis: Option<&str>,
-        control: &mut ControlEnd,
-    ) -> Result<Response, Response> {
+    pub(super) fn explain(&self, axis: Option<&str>, control: &mut ControlEnd) -> Result<Response, Response> {
         let only = axis.map(|name| self.number(name)).transpose()?;
         Ok(Response::Explained { axes: self.explained(only, control) })
     }
@@ -64,15 +57,15 @@ impl Session {
         let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
         let may_arm = !self.set_up.real || verified && self.unfit.is_empty();
         let missing = self.set_up.missing.iter().flat_map(Report::missing);
+        let missing =
+            missing.map(|f| format!("{}: wanted {}, found {}; {}", f.name, f.wanted, f.got, f.remedy));
         let rt = RtStatus {
             alive,
             card: self.config.card.backend().to_owned(),
             may_arm,
             cpu: self.set_up.wanted.map(|w| w.cpu),
             priority: self.set_up.wanted.map(|w| w.priority),
-            missing: missing
-                .map(|f| format!("{}: wanted {}, found {}; {}", f.name, f.wanted, f.got, f.remedy))
-                .collect(),
+            missing: missing.collect(),
             polls: now.polls,
             events_lost: now.events_lost,
             control_stale: now.control_stale,
@@ -174,7 +167,7 @@ impl Session {
     fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
         let mut why = Vec::new();
         if !alive {
-            why.push("the real-time thread has ended: see the log, then restart the daemon".to_owned());
+            why.push(super::orders::ENDED.to_owned());
         }
         for fault in now.faults.iter() {
             why.push(format!("{}: {}", word(fault), explain_fault(fault)));
@@ -249,17 +242,12 @@ fn distribution(reader: &Reader) -> Distribution {
     if s.samples() == 0 {
         return Distribution::default();
     }
-    Distribution {
-        min: s.min(),
-        p50: s.p50(),
-        p99: s.p99(),
-        p9999: s.p9999(),
-        max: s.max(),
-        samples: s.samples(),
-    }
+    let (p50, p99, p9999) = (s.p50(), s.p99(), s.p9999());
+    Distribution { min: s.min(), p50, p99, p9999, max: s.max(), samples: s.samples() }
 }
 
-fn buckets(reader: &Reader) -> Vec<[u64; 3]> {
+/// The buckets of a histogram, and the sum of its values, ns.
+fn buckets(reader: &Reader) -> (Vec<[u64; 3]>, u64) {
     let s = reader.snapshot();
-    s.buckets().map(|b| [b.low, b.high.min(s.max()), b.count]).collect()
+    (s.buckets().map(|b| [b.low, b.high.min(s.max()), b.count]).collect(), s.sum())
 }

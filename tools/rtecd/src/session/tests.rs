@@ -12,17 +12,17 @@ use rtec_rt::link::{REQUESTS, link};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use std::cell::Cell;
 
-fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd, log: &mut Log) -> Response {
+fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd) -> Response {
     let deadline = Instant::now() + Duration::from_secs(60);
     loop {
         let beside = RequestContext { trusted: true, ..RequestContext::default() };
-        match session.answer(request, beside, control, log) {
+        match session.answer(request, beside, control) {
             Answer::Now(response) => return response,
             Answer::Again(response) if Instant::now() > deadline => return response,
             Answer::Again(_) => {}
             Answer::Later(_) => loop {
                 control.beat();
-                if let Some((_, response, _)) = session.loaded(|_| true, control, log) {
+                if let Some((_, response, _)) = session.loaded(|_| true, control) {
                     return response;
                 }
                 std::thread::sleep(Duration::from_millis(1));
@@ -38,11 +38,13 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
     (engine, card)
 }
 
+fn set_up(engine: &Engine, real: bool) -> SetUp {
+    SetUp { real, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING }
+}
+
 fn session(engine: &Engine) -> Session {
-    let set_up =
-        SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
-    let config = Config::embedded();
-    Session::by(Rc::new(RealTime(Clock::start())), config, set_up, Buses::of(Vec::new()))
+    let time = Rc::new(RealTime(Clock::start()));
+    Session::by(time, Config::embedded(), set_up(engine, false), Buses::of(Vec::new()))
 }
 
 /// The clock of a recorded shift.
@@ -71,18 +73,15 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     // The belief window of the recording.
     config.axes.iter_mut().for_each(|axis| axis.engine.window_counts = 50);
     let (engine, _card) = engine(&config);
-    let set_up =
-        SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING };
     let watch = |n: &str| Watch::new(SensorConfig::believed(n, Role::Temperature));
     let time = Rc::new(Recorded(Cell::new(0.0)));
     let played = Buses::of(["T8", "T18"].map(watch).to_vec());
-    let mut session = Session::by(Rc::clone(&time) as _, config, set_up, played);
+    let mut session = Session::by(Rc::clone(&time) as _, config, set_up(&engine, false), played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
     session.corrector.load(machine, &|_| Vec::new()).unwrap();
     let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let (mut control, mut rt) = link(status);
-    let mut log = Log::new();
     let mut reader = Reader::open(&folder.join("shift.csv")).unwrap();
     let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
     let mut rows = 0;
@@ -99,7 +98,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
         (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
         rt.publish(status);
         session.due = Instant::now();
-        session.tick(&mut control, &mut log);
+        session.tick(&mut control);
         while let Some(request) = rt.request() {
             let Request::Correct { axis, total_counts, large: false } = request else {
                 panic!("{request:?} from the corrector")
@@ -122,23 +121,19 @@ fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     let mut session = session(&engine);
     session.patience = Duration::from_millis(1);
     let (mut control, _rt) = link(engine.status());
-    let mut log = Log::new();
     let hold = ClientRequest::Hold { on: true };
     for _ in 0..REQUESTS {
-        let Response::Refused { why, .. } = ask(&mut session, &hold, &mut control, &mut log) else {
+        let Response::Refused { why, .. } = ask(&mut session, &hold, &mut control) else {
             panic!("an answer from nobody")
         };
         assert_eq!(why, "no_answer");
     }
-    let Response::Refused { why, text, .. } = ask(&mut session, &hold, &mut control, &mut log) else {
+    let Response::Refused { why, text, .. } = ask(&mut session, &hold, &mut control) else {
         panic!("an answer from nobody")
     };
     assert!(why == "ring_full" && text.contains("256 requests"), "{why}: {text}");
     // A status never waits for the real-time thread.
-    assert!(matches!(
-        ask(&mut session, &ClientRequest::Status {}, &mut control, &mut log),
-        Response::Status(_)
-    ));
+    assert!(matches!(ask(&mut session, &ClientRequest::Status {}, &mut control), Response::Status(_)));
 }
 
 /// A model that ends while it runs stays active, and is not enabled again.
@@ -154,7 +149,6 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
     let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 10_000_000_000 };
     let mut running = spawn(engine, card, options).unwrap();
     let control = &mut running.control;
-    let mut log = Log::new();
     let file = directory.path().join("m.toml");
     let text = "name = \"m\"\n[[fit]]\nresponse = \"error.x\"\ndate = \"1970-01-01\"\nvalid_until = \"1970-01-11\"\n\
                 rms_um = 0.1\nhalf_width_um = 0.2\n";
@@ -172,31 +166,28 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
         other => panic!("{other:?}"),
     };
     session.today = || 10;
-    assert_eq!(ask(&mut session, &load(false), control, &mut log), done);
-    assert_eq!(
-        ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log),
-        done
-    );
-    assert_eq!(ask(&mut session, &enable, control, &mut log), done);
+    assert_eq!(ask(&mut session, &load(false), control), done);
+    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control), done);
+    assert_eq!(ask(&mut session, &enable, control), done);
     session.today = || 11;
-    session.tick(control, &mut log);
+    session.tick(control);
     let status = session.status(control);
     assert!(status.why_not.is_empty(), "what is cut goes on: {:?}", status.why_not);
     assert_eq!(status.model.unwrap().expired.len(), 1);
-    assert_eq!(ask(&mut session, &ClientRequest::Disable {}, control, &mut log), done);
+    assert_eq!(ask(&mut session, &ClientRequest::Disable {}, control), done);
     assert!(session.status(control).why_not.iter().any(|w| w.contains("validity ended on 1970-01-11")));
-    let (why, text) = refused(ask(&mut session, &enable, control, &mut log));
+    let (why, text) = refused(ask(&mut session, &enable, control));
     assert!(why == "expired" && text.contains("load --expired"), "{why}: {text}");
-    assert_eq!(refused(ask(&mut session, &load(false), control, &mut log)).0, "expired");
+    assert_eq!(refused(ask(&mut session, &load(false), control)).0, "expired");
     // A restart does not load it without consent. With consent it is loaded and can be enabled.
     session.corrector.unload();
-    session.take_up_model(&mut log);
+    session.take_up_model();
     assert!(session.status(control).model.is_none());
-    assert_eq!(ask(&mut session, &load(true), control, &mut log), done);
+    assert_eq!(ask(&mut session, &load(true), control), done);
     session.corrector.unload();
-    session.take_up_model(&mut log);
+    session.take_up_model();
     assert!(session.status(control).model.is_some());
-    assert_eq!(ask(&mut session, &enable, control, &mut log), done);
+    assert_eq!(ask(&mut session, &enable, control), done);
     running.stop();
 }
 
@@ -210,13 +201,9 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 20_000_000 };
     let mut running = spawn(engine, card, options).unwrap();
     let control = &mut running.control;
-    let mut log = Log::new();
     let done = Response::done();
-    assert_eq!(
-        ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control, &mut log),
-        done
-    );
-    let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control, &mut log);
+    assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control), done);
+    let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control);
     let Response::Done { jumps, warnings, already: false } = enabled else { panic!("{enabled:?}") };
     assert!(jumps.is_empty() && warnings[0].starts_with("no model is loaded"), "{warnings:?}");
     while !control.status().control_stale {
@@ -233,13 +220,12 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let why = session.status(control).why_not;
     assert_eq!(why, ["corrections are off since the control side was silent: `rtecctl enable`"]);
     let enable = ClientRequest::Enable { accept_jump: false };
-    assert!(matches!(ask(&mut session, &enable, control, &mut log), Response::Done { .. }));
+    assert!(matches!(ask(&mut session, &enable, control), Response::Done { .. }));
     assert!(session.status(control).why_not.is_empty());
     let (ended, mut control) = running.stop();
     assert!(ended.status.balanced());
     // A thread that has ended is reported.
-    let Response::Refused { why, .. } = ask(&mut session, &ClientRequest::Clear {}, &mut control, &mut log)
-    else {
+    let Response::Refused { why, .. } = ask(&mut session, &ClientRequest::Clear {}, &mut control) else {
         panic!("an answer from nobody")
     };
     assert_eq!(why, "ended");
@@ -265,15 +251,8 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
         let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
         let (engine, _card) = engine(&config);
-        let set_up = SetUp {
-            real: true,
-            wanted: None,
-            missing: None,
-            timing: engine.timing(),
-            before: Before::NOTHING,
-        };
         let time = Rc::new(RealTime(Clock::start()));
-        let session = Session::by(time, config, set_up, Buses::of(Vec::new()));
+        let session = Session::by(time, config, set_up(&engine, true), Buses::of(Vec::new()));
         let (mut control, _rt) = link(engine.status());
         let (refusal, status) =
             (session.forbidden(&engine.status(), &[], true), session.status(&mut control));

@@ -3,8 +3,8 @@
 //! seen.
 
 use super::{refused, unreachable};
-use crate::document::pretty;
-use crate::say;
+use crate::document::say_pretty;
+use crate::terminal::redraw;
 use rtec_control::card::{self, Access, OnCard};
 use rtec_control::config::Config;
 use rtec_control::line_readings::{WiredLine, wires};
@@ -12,7 +12,6 @@ use rtec_driver::card::{AxisLines, Card, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
 /// Changes of one channel alone after which the other is reported as silent.
@@ -172,41 +171,22 @@ impl Watch {
     }
 
     fn picture(&self) -> String {
+        let Self { card, looks, .. } = self;
         let seconds = (self.last_ns - self.start_ns) as f64 * 1e-9;
-        let mut out = format!(
-            "{}: {seconds:.1} s, {} looks, at most {:.1} µs apart\n{:<16} {:>3} {:>5} {:>12} {:>10}  edges seen\n",
-            self.card,
-            self.looks,
-            self.longest_ns as f64 / 1e3,
-            "line",
-            "bit",
-            "level",
-            "edges",
-            "edges/s"
-        );
-        // Writing to a String does not fail.
+        let longest_us = self.longest_ns as f64 / 1e3;
+        let mut out = format!("{card}: {seconds:.1} s, {looks} looks, at most {longest_us:.1} µs apart\n");
+        out += "line             bit level        edges    edges/s  edges seen\n";
         for line in &self.lines {
-            let _ = writeln!(
-                out,
-                "{:<16} {:>3} {:>5} {:>12} {:>10.0}  {}",
-                line.name,
-                line.bit,
-                u8::from(line.level),
-                line.edges(),
-                line.rate_hz,
-                line.seen()
-            );
+            let Line { name, bit, rate_hz, .. } = line;
+            let (level, edges, seen) = (u8::from(line.level), line.edges(), line.seen());
+            let _ = writeln!(out, "{name:<16} {bit:>3} {level:>5} {edges:>12} {rate_hz:>10.0}  {seen}");
         }
         for axis in &self.axes {
+            let Channels { name, up, down, .. } = axis;
+            let (count, illegal, finding) = (axis.scale.count(), axis.scale.illegal(), axis.finding());
             let _ = writeln!(
                 out,
-                "axis {}: at {:+} counts, {} up, {} down, {} illegal; {}",
-                axis.name,
-                axis.scale.count(),
-                axis.up,
-                axis.down,
-                axis.scale.illegal(),
-                axis.finding()
+                "axis {name}: at {count:+} counts, {up} up, {down} down, {illegal} illegal; {finding}"
             );
         }
         out
@@ -243,8 +223,7 @@ impl OnCard for Watching<'_> {
         let mut watch = Watch::new(self.config, &first);
         let end_ns = during.map_or(u64::MAX, |d| first.t_ns.saturating_add(d.as_nanos() as u64));
         let every_ns = every.as_nanos() as u64;
-        let (mut out, mut next_ns) = (std::io::stdout(), first.t_ns + every_ns);
-        let clear = if out.is_terminal() { "\x1b[H\x1b[J" } else { "" };
+        let mut next_ns = first.t_ns + every_ns;
         while watch.last_ns < end_ns {
             let sample = card.sample(next_ns.min(end_ns)).map_err(unreachable)?;
             watch.look(&sample);
@@ -253,18 +232,11 @@ impl OnCard for Watching<'_> {
             }
             next_ns = sample.t_ns + every_ns;
             watch.rate();
-            if json {
-                continue;
-            }
-            match write!(out, "{clear}{}", watch.picture()).and_then(|()| out.flush()) {
-                Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => return Ok(()),
-                other => other?,
+            if !json && !redraw(&watch.picture(), true)? {
+                return Ok(());
             }
         }
-        if json {
-            say(&pretty(&watch.document())?);
-        }
-        Ok(())
+        if json { say_pretty(&watch.document()) } else { Ok(()) }
     }
 }
 
@@ -287,14 +259,11 @@ mod tests {
         min_separation_ns = 500\nmax_accel_mm_s2 = 1000.0\nlines = { a = A, b = B, invert_a = A, invert_b = B }\n";
 
     fn config() -> Config {
-        let axes: String = ["x", "y", "z", "w"]
-            .iter()
-            .enumerate()
-            .map(|(n, name)| {
-                let (a, b) = (2 * n, 2 * n + 1);
-                AXIS.replace("NAME", name).replace("= A", &format!("= {a}")).replace("= B", &format!("= {b}"))
-            })
-            .collect();
+        let axis = |(n, name): (usize, &str)| {
+            let (a, b) = (2 * n, 2 * n + 1);
+            AXIS.replace("NAME", name).replace("= A", &format!("= {a}")).replace("= B", &format!("= {b}"))
+        };
+        let axes: String = ["x", "y", "z", "w"].into_iter().enumerate().map(axis).collect();
         Config::parse(Path::new("rtec.toml"), &CONFIG.replace("AXES", &axes)).unwrap()
     }
 

@@ -1,8 +1,7 @@
 //! `rtecctl characterise evaluate`: figures of runs by their standard.
 //! The output is text, JSON, plots or a page.
 
-use crate::document::{pretty, write};
-use crate::say;
+use crate::document::{say_pretty, write};
 use crate::verbs::{one_of, suspicions};
 use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::iso230::Conditions;
@@ -56,9 +55,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write(path, &found.report.html())?;
     }
     if args.json {
-        say(&pretty(&found.document)?);
-    } else {
-        print!("{}", found.report.text());
+        return say_pretty(&found.document);
     }
+    print!("{}", found.report.text());
     Ok(())
 }

@@ -1,9 +1,8 @@
 //! `rtecctl characterise plan`: the test sequence for this machine.
 
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::say;
-use crate::verbs::suspicions;
-use rtec_files::InputError;
+use crate::verbs::{pairs, suspicions};
 use rtec_measure::plan::{self, PlanAxis};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{NextRuns, Open, next_runs};
@@ -40,15 +39,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let mut axes: Vec<PlanAxis> = Vec::new();
-    for text in &args.axes {
-        let parsed = text.split_once('=').and_then(|(n, t)| Some((n.to_owned(), t.parse::<f64>().ok()?)));
-        let (name, travel_mm) = parsed.ok_or_else(|| {
-            let expected = "AXIS=TRAVEL in mm, as x=500";
-            InputError::whole(Path::new("characterise plan"), format!("--axes {text}"), expected)
-        })?;
-        axes.push(PlanAxis { name, travel_mm });
-    }
+    let axis = |(name, travel_mm)| PlanAxis { name, travel_mm };
+    let axes = pairs("characterise plan", "--axes", &args.axes, "AXIS=TRAVEL in mm, as x=500")?;
+    let axes: Vec<PlanAxis> = axes.into_iter().map(axis).collect();
     if let Some(verdict) = &args.verdict {
         return telling(args, verdict, &axes);
     }
@@ -62,7 +55,7 @@ fn give(args: &Args, text: &str, document: &impl serde::Serialize) -> anyhow::Re
         crate::document::write(path, text)?;
     }
     if args.json {
-        say(&pretty(document)?);
+        say_pretty(document)?;
     } else if args.out.is_none() {
         say(text);
     }

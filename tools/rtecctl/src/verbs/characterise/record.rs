@@ -111,14 +111,8 @@ impl Recorder {
     }
 
     /// Checks before the run that the record can be written.
-    fn check(
-        &self,
-        out: &Path,
-        kind: Kind,
-        columns: &[Column],
-        with_response: bool,
-    ) -> Result<(), InputError> {
-        if with_response && !columns.iter().any(|c| c.role.is_response()) {
+    fn check(&self, out: &Path, kind: Kind, columns: &[Column], response: bool) -> Result<(), InputError> {
+        if response && !columns.iter().any(|c| c.role.is_response()) {
             return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS"));
         }
         if let Some(found) = twice(columns) {
@@ -129,8 +123,7 @@ impl Recorder {
             self.circle.apply(Record::of_checked(out, kind, one_row))?;
         }
         if columns.len() == 1 {
-            let expected = "--sensors, --socket, or --feed with --columns";
-            return Err(usage("nothing to record".into(), expected));
+            return Err(usage("nothing to record".into(), "--sensors, --socket, or --feed with --columns"));
         }
         Ok(())
     }
@@ -196,17 +189,13 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let (part, mut file) = rows_apart(out, &columns)?;
     let (start, begun) = (Instant::now(), rtec_files::date::format(rtec_files::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
-    let mut last: Vec<Option<f64>> = vec![None; columns.len()];
-    let mut came_s = vec![0.0; columns.len()];
+    let (mut last, mut came_s) = (vec![None::<f64>; columns.len()], vec![0.0; columns.len()]);
     let (mut taken, mut left_out, mut incomplete, mut shown_s) = (0_u64, 0_u64, 0_u64, 0.0);
     let (mut said, mut lost, mut looked) = (String::new(), false, 0);
     for row in 0..rows {
-        let due = row as f64 * period;
-        if !wait_until(start, due, &ended) {
-            eprintln!(
-                "interrupted at {:.0} of {duration:.0} s: {taken} rows are kept",
-                start.elapsed().as_secs_f64()
-            );
+        if !wait_until(start, row as f64 * period, &ended) {
+            let now = start.elapsed().as_secs_f64();
+            eprintln!("interrupted at {now:.0} of {duration:.0} s: {taken} rows are kept");
             break;
         }
         looked = row + 1;
@@ -224,33 +213,27 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             say_lost(feed, now, &mut lost);
         }
         last[0] = Some(now);
-        for (value, w) in last[1..own].iter_mut().zip(bank.sensors()) {
-            *value = w.value_degc();
-        }
+        last[1..own].iter_mut().zip(bank.sensors()).for_each(|(value, w)| *value = w.value_degc());
         let silent = silent(&bank, now, &last[own..], &columns[own..]);
         // A row has all its values or is left out.
         let whole = last.iter().zip(&columns).map(|(value, c)| {
             Some((*value)? + corrector.as_ref().map_or(Some(0.0), |r| r.in_effect_um(&c.role))?)
         });
         let whole = whole.collect::<Option<Vec<f64>>>();
-        let faulty = whole.as_ref().and_then(|values| impossible(values, &columns));
-        if let Some((place, what)) = &faulty {
+        if let Some((place, what)) = whole.as_ref().and_then(|values| impossible(values, &columns)) {
             // An invalid reading costs its own row, not the run, and is not used for the next row.
             eprintln!("warning: row {} at {now:.3} s left out: {what}", row + 1);
             left_out += 1;
-            last[*place] = None;
-        }
-        if let Some(values) = whole.filter(|_| faulty.is_none()) {
+            last[place] = None;
+        } else if let Some(values) = whole {
             let words: Vec<String> = values.iter().map(f64::to_string).collect();
             writeln!(file, "{}", words.join(",")).with_context(|| format!("writing {}", part.display()))?;
-            for (c, v) in columns.iter_mut().zip(values) {
-                c.data.push(v);
-            }
+            columns.iter_mut().zip(values).for_each(|(c, v)| c.data.push(v));
             taken += 1;
             // A gauge's reading makes one row; a silent gauge makes no more.
             let read = last.iter_mut().zip(&columns).skip(gauges);
             read.filter(|(_, c)| !stays(&c.role)).for_each(|(value, _)| *value = None);
-        } else if faulty.is_none() {
+        } else {
             incomplete += 1;
         }
         if now - shown_s >= 2.0 || row + 1 == rows {
@@ -261,14 +244,24 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     }
     if taken == 0 {
         std::fs::remove_file(&part).ok();
-        let quiet = silent(&bank, duration, &last[own..], &columns[own..]);
-        let found = nothing(feed.as_ref(), &columns[gauges..], &quiet, duration, left_out);
-        return Err(crate::Outcome::Unreachable(found).into());
+        let quiet = || silent(&bank, duration, &last[own..], &columns[own..]).join(", ");
+        let what = feed.as_ref().map_or_else(quiet, |f| trouble(f, &columns[gauges..]));
+        let faulty = match left_out {
+            0 => String::new(),
+            rows => format!(", {rows} with a reading that is none"),
+        };
+        let text = format!("no complete row in {duration:.0} s ({what}{faulty})");
+        return Err(crate::Outcome::Unreachable(text).into());
     }
     if let Some(refused) = feed.as_ref().map(Feed::refused).filter(|n| *n > 0) {
         eprintln!("warning: lines of the feed that were no readings: {refused}");
     }
-    say_missing(left_out, incomplete, looked);
+    if left_out > 0 {
+        eprintln!("warning: {left_out} of {looked} rows left out");
+    }
+    if incomplete > 0 {
+        eprintln!("warning: {incomplete} of {looked} rows are missing: not everything had a new reading");
+    }
     // Every value was checked when it came.
     let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     record.date = Some(begun);
@@ -291,18 +284,7 @@ fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::f
     Ok((part, file))
 }
 
-/// Reports how many rows are missing, and why.
-fn say_missing(left_out: u64, incomplete: u64, rows: u64) {
-    if left_out > 0 {
-        eprintln!("warning: {left_out} of {rows} rows left out");
-    }
-    if incomplete > 0 {
-        eprintln!("warning: {incomplete} of {rows} rows are missing: not everything had a new reading");
-    }
-}
-
-/// Reports lines of the feed that cannot be read.
-/// A repeated line is reported once.
+/// Reports lines of the feed that cannot be read, a repeated one once.
 fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
     for odd in feed.odd_lines() {
         if odd != *said {
@@ -351,27 +333,16 @@ fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>
     }
 }
 
-/// Reason why not a single row was recorded.
-fn nothing(
-    feed: Option<&Feed>,
-    gauges: &[Column],
-    quiet: &[String],
-    duration_s: f64,
-    left_out: u64,
-) -> String {
-    let trouble = |f: &Feed| gauges.iter().find_map(|c| f.value(&c.name).err()).unwrap_or_default();
-    let what = feed.map_or_else(|| quiet.join(", "), trouble);
-    let faulty =
-        if left_out > 0 { format!(", {left_out} with a reading that is none") } else { String::new() };
-    format!("no complete row in {duration_s:.0} s ({what}{faulty})")
+/// What is wrong with a feed that gave no row.
+fn trouble(feed: &Feed, gauges: &[Column]) -> String {
+    gauges.iter().find_map(|c| feed.value(&c.name).err()).unwrap_or_default()
 }
 
 fn stays(role: &Role) -> bool {
     matches!(role, Role::Temperature | Role::Channel | Role::Coolant | Role::SpindleSpeed)
 }
 
-/// The first value of a row that its column cannot contain.
-/// Returns its index, and what is wrong with it.
+/// Index of the first value that its column cannot contain, and why.
 fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
     values.iter().zip(columns).enumerate().find_map(|(place, (v, c))| {
         let (found, expected) = check(&c.role, *v, c.data.last().copied()).err()?;
@@ -380,7 +351,6 @@ fn impossible(values: &[f64], columns: &[Column]) -> Option<(usize, String)> {
 }
 
 /// Finds two columns of one name, or of a role that may not repeat.
-/// It is called before a run, not after it.
 fn twice(columns: &[Column]) -> Option<String> {
     columns.iter().enumerate().find_map(|(i, c)| {
         let before = &columns[..i];
@@ -447,9 +417,8 @@ impl DaemonTotals {
         let Role::Error(axis) = role else { return Some(0.0) };
         let axis = axis.to_string();
         match self.status.axes.iter().zip(&self.count_um).find(|(a, _)| a.name == axis) {
-            Some((a, _)) if a.in_effect == 0 => Some(0.0),
-            Some((a, count_um)) => count_um.map(|um| um * a.in_effect as f64),
-            None => Some(0.0),
+            Some((a, count_um)) if a.in_effect != 0 => count_um.map(|um| um * a.in_effect as f64),
+            _ => Some(0.0),
         }
     }
 }

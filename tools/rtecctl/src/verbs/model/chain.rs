@@ -43,11 +43,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Ok::<_, InputError>(plausible::only_good(rtec_measure::record::read(path)?, &mut suspicions::said))
     };
     let records = points.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    let runs: Vec<ChainRun<'_>> = records
-        .iter()
-        .zip(&points)
-        .map(|(record, (_, tool_mm))| ChainRun { record, tool_mm: *tool_mm })
-        .collect();
+    let run = |(record, (_, tool_mm)): (_, &(PathBuf, _))| ChainRun { record, tool_mm: *tool_mm };
+    let runs: Vec<ChainRun<'_>> = records.iter().zip(&points).map(run).collect();
     let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;
     for warning in &report.warnings {
         eprintln!("warning: {warning}");

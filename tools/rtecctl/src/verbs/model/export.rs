@@ -1,9 +1,8 @@
 //! `rtecctl model export`: a model's correction table for one axis.
 //! It is for a controller that compensates by itself.
 
-use crate::document::pretty;
-use crate::say;
-use crate::verbs::one_of;
+use crate::document::say_pretty;
+use crate::verbs::{one_of, pairs};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_files::InputError;
 use rtec_measure::export::TableRange;
@@ -84,23 +83,15 @@ pub(crate) struct Args {
     json: bool,
 }
 
-fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
-    InputError::whole(Path::new("model export"), found, expected)
-}
+const VERB: &str = "model export";
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let at = |p: &Path| p.canonicalize().ok();
     if at(&args.out).is_some_and(|out| Some(out) == at(&args.machine)) {
-        return Err(usage(format!("--out {}", args.out.display()), "a file of its own, not the model").into());
+        let (found, expected) = (format!("--out {}", args.out.display()), "a file of its own, not the model");
+        return Err(InputError::whole(Path::new(VERB), found, expected).into());
     }
-    let pairs = |option: &str, given: &[String], expected: &str| {
-        let pair = |one: &String| {
-            let parsed = one.split_once('=').and_then(|(n, v)| Some((n.to_owned(), v.parse::<f64>().ok()?)));
-            parsed.ok_or_else(|| usage(format!("{option} {one}"), expected))
-        };
-        given.iter().map(pair).collect::<Result<Vec<_>, _>>()
-    };
     let order = TableOrder {
         axis: args.axis.clone(),
         wanted: TableRange {
@@ -110,8 +101,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             limit_um: args.limit_um,
             most: args.max_points,
         },
-        temperatures_degc: pairs("--temperatures", &args.temperatures, "SENSOR=degC, as T8=31.5")?,
-        at_mm: pairs("--at", &args.at, "AXIS=mm, as z=100")?,
+        temperatures_degc: pairs(VERB, "--temperatures", &args.temperatures, "SENSOR=degC, as T8=31.5")?,
+        at_mm: pairs(VERB, "--at", &args.at, "AXIS=mm, as z=100")?,
         format: args.format,
         unit: args.unit,
         along: args.along.clone(),
@@ -133,8 +124,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let of = if n == 0 { format!("{}: ", args.out.display()) } else { String::new() };
         eprintln!("{of}{note}");
     }
-    if args.json {
-        say(&pretty(&done.document)?);
-    }
-    Ok(())
+    if args.json { say_pretty(&done.document) } else { Ok(()) }
 }

@@ -122,12 +122,11 @@ pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
 }
 
 pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
-    let day = match &args.date {
-        None => None,
-        Some(text) => Some(date::parse(text).ok_or_else(|| {
-            InputError::whole(Path::new("--date"), format!("`{text}`"), "a day as YYYY-MM-DD")
-        })?),
+    let day = |text: &String| {
+        let wrong = || InputError::whole(Path::new("--date"), format!("`{text}`"), "a day as YYYY-MM-DD");
+        date::parse(text).ok_or_else(wrong)
     };
+    let day = args.date.as_ref().map(day).transpose()?;
     let despite_suspicions = args.despite_suspicions;
     let mut asked = Asked { date: day, despite_suspicions, ..args.common.asked()? };
     asked.options.valid_days = i64::from(args.valid_days);
@@ -146,26 +145,16 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
         print_sensor_selection(r);
         print_effects(&r.effects);
         let list = |v: &[f64]| v.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(" ");
-        println!(
-            "RMS (µm): train {:.3}, blocks {:.3} ({})",
-            r.rms_um.train,
-            r.rms_um.folds_rms,
-            list(&r.rms_um.folds)
-        );
-        if !r.rms_um.holdout.is_empty() {
-            println!("          hold-out {}", list(&r.rms_um.holdout));
+        let (rms, i) = (&r.rms_um, &r.interval95);
+        println!("RMS (µm): train {:.3}, blocks {:.3} ({})", rms.train, rms.folds_rms, list(&rms.folds));
+        if !rms.holdout.is_empty() {
+            println!("          hold-out {}", list(&rms.holdout));
         }
-        let i = &r.interval95;
-        println!(
-            "95 % interval: ±{:.3} µm; holds {:.1} % of the blocks",
-            i.half_width_um,
-            100.0 * i.coverage_folds
-        );
-        if let Some([later, earlier]) = i.coverage_halves {
+        let (half_um, holds) = (i.half_width_um, 100.0 * i.coverage_folds);
+        println!("95 % interval: ±{half_um:.3} µm; holds {holds:.1} % of the blocks");
+        if let Some([later, earlier]) = i.coverage_halves.map(|both| both.map(|share| 100.0 * share)) {
             println!(
-                "               {:.1} % of the later half by a fit on the earlier one, {:.1} % the other way round",
-                100.0 * later,
-                100.0 * earlier
+                "               {later:.1} % of the later half by a fit on the earlier one, {earlier:.1} % the other way round"
             );
         }
         for (c, w) in i.coverage_holdout.iter().zip(&i.mean_half_width_holdout_um) {
@@ -228,8 +217,7 @@ fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
 
 fn print_effects(effects: &[Fitted]) {
     for e in effects {
-        let of =
-            [e.sensor.as_deref(), e.minus.as_deref()].into_iter().flatten().collect::<Vec<_>>().join("-");
+        let of = [&e.sensor, &e.minus].into_iter().flatten().cloned().collect::<Vec<_>>().join("-");
         for (name, p) in &e.parameters {
             println!("  {:20} {of:10} {name:12} {}", e.name, with_bounds(p.value, p.low, p.high));
         }
@@ -238,8 +226,8 @@ fn print_effects(effects: &[Fitted]) {
 
 /// Writes the first chart to the file, each other one to a numbered file.
 pub(crate) fn draw(path: &Path, charts: &[Chart]) -> anyhow::Result<()> {
-    let number = |i: usize| if i == 0 { String::new() } else { format!("{}", i + 1) };
-    draw_beside(path, charts.iter().enumerate().map(|(i, chart)| (number(i), chart)), [1000, 520])
+    let numbers = (1..).map(|n| if n == 1 { String::new() } else { n.to_string() });
+    draw_beside(path, numbers.zip(charts), [1000, 520])
 }
 
 /// Writes each chart to a file with its own word before the extension.
@@ -268,7 +256,7 @@ fn print_sensor_selection(r: &Report) {
     if let Some(e) = &r.environment {
         println!("environment: {e} ({})", r.environment_by);
     }
-    println!("  {:14} {:>8} {:>9} {:>9} {:>8} {:>9}", "kept", "γ", "γ lagged", "lag s", "range K", "CV µm");
+    println!("  kept                  γ  γ lagged     lag s  range K     CV µm");
     for k in &r.kept {
         println!(
             "  {:14} {:8.4} {:9.4} {:9.0} {:8.2} {:9.3}",

@@ -2,8 +2,7 @@
 
 use crate::Outcome;
 use crate::daemon::{Daemon, absolute, check, unexpected, unreachable};
-use crate::document::line;
-use crate::say;
+use crate::document::say_line;
 use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
 use rtec_files::InputError;
 use rtec_files::text::open_regular;
@@ -36,19 +35,19 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let own = args.file.as_deref().map(of_model).transpose()?.unwrap_or_default();
     let mut client = args.daemon.connect()?;
     let names: Vec<String> = own.files.iter().map(|f| f.display().to_string()).collect();
-    let open = || own.files.iter().map(|f| open_regular(f)).collect::<Result<Vec<File>, _>>();
-    let (take, files) = (None, names.clone());
-    let shown = ClientRequest::ModelLoad { file: file.clone(), take, expired: false, files };
-    let shown = client.ask_with(&shown, &open()?).map_err(unreachable)?;
-    let mut preview = match check(shown)? {
+    let mut request = |take: Option<String>| -> anyhow::Result<Response> {
+        let files = own.files.iter().map(|f| open_regular(f)).collect::<Result<Vec<File>, _>>()?;
+        let expired = take.is_some() && args.expired;
+        let request = ClientRequest::ModelLoad { file: file.clone(), take, expired, files: names.clone() };
+        check(client.ask_with(&request, &files).map_err(unreachable)?)
+    };
+    let mut preview = match request(None)? {
         Response::ModelPreview(preview) => preview,
         other => return Err(unexpected(&other)),
     };
     preview.warnings.splice(0..0, own.warnings.clone());
-    let (take, expired) = (Some(preview.sha256.clone()), args.expired);
-    let take = ClientRequest::ModelLoad { file, take, expired, files: names };
     if args.daemon.json {
-        say(&line(&*preview)?);
+        say_line(&*preview)?;
     } else {
         print!("{}", table(&preview));
     }
@@ -56,7 +55,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     if !refused && !args.yes && !agreed()? {
         return Err(Outcome::No("nothing is loaded; the daemon goes on as before".to_owned()).into());
     }
-    check(client.ask_with(&take, &open()?).map_err(unreachable)?)?;
+    request(Some(preview.sha256))?;
     if !args.daemon.json {
         println!("loaded");
     }
@@ -100,22 +99,17 @@ fn agreed() -> anyhow::Result<bool> {
 fn table(p: &ModelPreview) -> String {
     let mut text = format!("model \"{}\", {}\nSHA-256 {}\n", p.name, p.file, p.sha256);
     for fit in &p.fits {
-        // Writing to a String does not fail.
         let _ = writeln!(text, "{fit}");
     }
     for warning in &p.warnings {
         let _ = writeln!(text, "warning: {warning}");
     }
-    let _ = writeln!(
-        text,
-        "{:<8} {:>10} {:>12} {:>10} {:>12} {:>12}",
-        "axis", "now/counts", "now/µm", "then/counts", "then/µm", "change/µm"
-    );
+    text += "axis     now/counts       now/µm then/counts      then/µm    change/µm\n";
     for Change { axis, now_counts, now_um, then_counts, then_um, holds } in &p.axes {
+        let change_um = then_um - now_um;
         let _ = writeln!(
             text,
-            "{axis:<8} {now_counts:>10} {now_um:>12.3} {then_counts:>11} {then_um:>12.3} {:>12.3}",
-            then_um - now_um
+            "{axis:<8} {now_counts:>10} {now_um:>12.3} {then_counts:>11} {then_um:>12.3} {change_um:>12.3}"
         );
         if let Some(why) = holds {
             let _ = writeln!(text, "{axis:<8} holds: {why}");
@@ -130,26 +124,8 @@ mod tests {
 
     #[test]
     fn what_changes_is_shown_per_axis_in_counts_and_micrometres() {
-        let change = |axis: &str, now, then, then_um, holds: Option<&str>| Change {
-            axis: axis.into(),
-            now_counts: now,
-            now_um: now as f64 * 0.5,
-            then_counts: then,
-            then_um,
-            holds: holds.map(str::to_owned),
-        };
-        let preview = ModelPreview {
-            name: "lathe 7".into(),
-            file: "/etc/rtec/machine.toml".into(),
-            sha256: "12ab".into(),
-            fits: vec!["error.z: fitted 2026-05-01, good until 2027-05-01, 95 % within ±0.80 µm".into()],
-            warnings: vec!["error.x: the fit's validity ended on 2026-01-01".into()],
-            expired: Vec::new(),
-            axes: vec![
-                change("x", 0, -24, -12.2, None),
-                change("z", 10, 10, 5.1, Some("sensor T3: not read yet")),
-            ],
-        };
+        let preview: ModelPreview =
+            serde_json::from_str(include_str!("../../../tests/golden/model_load.json")).unwrap();
         crate::golden("model_load.txt", &table(&preview));
     }
 }

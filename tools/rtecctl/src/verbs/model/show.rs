@@ -1,8 +1,7 @@
 //! `rtecctl model show` and `compare`: contents and differences of models.
 
-use crate::document::{pretty, say_pretty};
+use crate::document::say_pretty;
 use crate::rounding::alike;
-use crate::say;
 use crate::verbs::suspicions;
 use rtec_files::date;
 use rtec_measure::plausible;
@@ -43,18 +42,15 @@ pub(crate) struct CompareArgs {
 pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     let machine = match Machine::read(&args.machine) {
         Ok(machine) => machine,
-        // The file may be a chain itself, which models name as `chain`.
-        Err(error) => match Chain::read(&args.machine) {
-            Ok(chain) => {
-                if args.json {
-                    say(&pretty(&json!({"chain": chain.to_json()}))?);
-                } else {
-                    print!("{}", chain_text(&chain));
-                }
-                return Ok(());
+        Err(error) => {
+            // The file may be a chain itself, which models name as `chain`.
+            let Ok(chain) = Chain::read(&args.machine) else { return Err(error.into()) };
+            if args.json {
+                return say_pretty(&json!({"chain": chain.to_json()}));
             }
-            Err(_) => return Err(error.into()),
-        },
+            print!("{}", chain_text(&chain));
+            return Ok(());
+        }
     };
     for warning in machine.doubts(date::today()) {
         eprintln!("warning: {}: {warning}", args.machine.display());
@@ -64,22 +60,17 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     }
     println!("{}", machine.name());
     if machine.listed().is_empty() && machine.chain().is_none() {
-        eprintln!(
-            "rtecctl: no effects: an ideal machine; `rtecctl model fit` or `rtecctl reconcile` find them"
-        );
+        let next = "`rtecctl model fit` or `rtecctl reconcile` find them";
+        eprintln!("rtecctl: no effects: an ideal machine; {next}");
     }
     for l in machine.listed() {
         println!("{}", heading(&l.effect));
         println!("    {}", l.effect.description().law);
         for (i, p) in l.effect.description().parameters.iter().enumerate() {
-            let values = l.effect.get(i);
             let interval = l.provenance.interval.get(&p.name);
-            for (k, v) in values.iter().enumerate() {
-                println!(
-                    "    {:14} {}",
-                    if k == 0 { p.name.as_str() } else { "" },
-                    parameter(*v, &p.unit, interval.map(|i| i[k]))
-                );
+            for (k, v) in l.effect.get(i).iter().enumerate() {
+                let name = if k == 0 { p.name.as_str() } else { "" };
+                println!("    {name:14} {}", parameter(*v, &p.unit, interval.map(|i| i[k])));
             }
         }
         if let Some([lo, hi]) = l.effect.range_k {
@@ -98,15 +89,15 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     if let Some(chain) = machine.chain() {
         print!("{}", chain_text(chain));
     }
-    for f in machine.fits() {
-        let unit = FitNote::unit_of(&f.response);
+    for FitNote { response, date, valid_until, rms_um, half_width_um, by_kind_um, .. } in machine.fits() {
+        let unit = FitNote::unit_of(response);
         println!(
-            "{}: fitted {}, good until {}; {:.3} {unit} RMS on unseen blocks, 95 % within ±{:.3} {unit}",
-            f.response, f.date, f.valid_until, f.rms_um, f.half_width_um
+            "{response}: fitted {date}, good until {valid_until}; {rms_um:.3} {unit} RMS on unseen blocks, 95 % within \
+             ±{half_width_um:.3} {unit}"
         );
-        if f.by_kind_um.len() > 1 {
+        if by_kind_um.len() > 1 {
             let of = |(kind, width): (&String, &f64)| format!("{kind} ±{width:.3} {unit}");
-            println!("    by kind of run: {}", f.by_kind_um.iter().map(of).collect::<Vec<_>>().join(", "));
+            println!("    by kind of run: {}", by_kind_um.iter().map(of).collect::<Vec<_>>().join(", "));
         }
     }
     Ok(())
@@ -138,15 +129,10 @@ fn chain_text(chain: &Chain) -> String {
         }
         text.push('\n');
         for c in &joint.components {
-            let terms: Vec<String> = c.terms.iter().map(term).collect();
+            let (kind, unit) = (COMPONENTS[c.kind], chain::unit(c.kind));
+            let terms = c.terms.iter().map(term).collect::<Vec<_>>().join(" ");
             let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {}", d.in_full()));
-            let _ = writeln!(
-                text,
-                "    {} = {} {}{delta}",
-                COMPONENTS[c.kind],
-                terms.join(" "),
-                chain::unit(c.kind)
-            );
+            let _ = writeln!(text, "    {kind} = {terms} {unit}{delta}");
         }
     }
     text
@@ -212,8 +198,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         }
     }
     if args.json {
-        let document = json!({"differences": rows, "predictions": predictions});
-        return say_pretty(&document);
+        return say_pretty(&json!({"differences": rows, "predictions": predictions}));
     }
     if rows.is_empty() {
         println!("the same effects with the same parameters");
@@ -230,10 +215,7 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     }
     if let Some(record) = args.record.as_ref().filter(|_| !predictions.is_empty()) {
         println!("on {}, RMS in the response's unit:", record.display());
-        println!(
-            "{:16} {:>12} {:>12} {:>12} {:>12}",
-            "", "left by 1st", "left by 2nd", "apart", "most apart"
-        );
+        println!("                  left by 1st  left by 2nd        apart   most apart");
     }
     for p in &predictions {
         let [first, second, apart, most] = ["rms_first", "rms_second", "rms_apart", "most_apart"]

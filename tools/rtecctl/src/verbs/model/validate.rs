@@ -3,8 +3,7 @@
 
 use super::fit::{draw, draw_beside};
 use crate::Outcome;
-use crate::document::{pretty, say_pretty};
-use crate::say;
+use crate::document::say_pretty;
 use crate::verbs::{read_records, suspicions};
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
@@ -65,7 +64,7 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
         draw(path, &found.charts)?;
     }
     if args.json {
-        say(&pretty(&found.document)?);
+        say_pretty(&found.document)?;
     } else {
         for v in found.document["responses"].as_array().into_iter().flatten() {
             print_judged(v);
@@ -84,25 +83,20 @@ fn print_judged(v: &Value) {
     let interval = if let Some(why) = v["no_interval"].as_str() {
         why.to_owned()
     } else {
-        let percent = |key: &str| 100.0 * v[key].as_f64().unwrap_or_default();
+        let width = f(if unit == "N" { "mean_half_width_N" } else { "mean_half_width_um" });
+        let [within, about] =
+            ["coverage", "coverage_about_mean"].map(|key| 100.0 * v[key].as_f64().unwrap_or_default());
         format!(
-            "95 % interval ±{} {unit} (mean): {:.1} % of the rows within it, {:.1} % about the mean left",
-            f(if unit == "N" { "mean_half_width_N" } else { "mean_half_width_um" }),
-            percent("coverage"),
-            percent("coverage_about_mean")
+            "95 % interval ±{width} {unit} (mean): {within:.1} % of the rows within it, {about:.1} % about the mean left"
         )
     };
     let unseen =
         if v["fitted_on_this_record"] == true { "; NOT unseen: the model was fitted on it" } else { "" };
+    let [record, response] = ["record", "response"].map(|key| v[key].as_str().unwrap_or_default());
+    let [left, without, sd, mean, largest] =
+        ["rms", "rms_without_model", "sd", "mean_left", "largest_left"].map(f);
     println!(
-        "{} {}: {} left of {} {unit} (SD {}), mean {}, largest {}; {interval}{unseen}",
-        v["record"].as_str().unwrap_or_default(),
-        v["response"].as_str().unwrap_or_default(),
-        f("rms"),
-        f("rms_without_model"),
-        f("sd"),
-        f("mean_left"),
-        f("largest_left"),
+        "{record} {response}: {left} left of {without} {unit} (SD {sd}), mean {mean}, largest {largest}; {interval}{unseen}"
     );
 }
 
@@ -110,31 +104,21 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     let new = Machine::read(&args.machine)?;
     let present = Machine::read_or_ideal(args.against.as_deref(), "no model")?;
     let shift = plausible::only_good(rtec_measure::record::read_log(&args.record)?, &mut suspicions::said);
-    let options = match &args.config {
-        Some(file) => options(&Config::load(file)?),
-        None => rehearse::Options::default(),
-    };
+    let config = args.config.as_deref().map(Config::load).transpose()?;
+    let options = config.as_ref().map(options).unwrap_or_default();
     for effect in new.effects() {
         for role in effect.description().needs.iter().map(|need| need.role(effect.axes())) {
             if matches!(role, Role::Position(_)) && shift.column(&role).is_none() {
-                eprintln!(
-                    "warning: {}: no {role}, taken as zero for {}",
-                    args.record.display(),
-                    effect.name()
-                );
+                let (record, effect) = (args.record.display(), effect.name());
+                eprintln!("warning: {record}: no {role}, taken as zero for {effect}");
             }
         }
     }
     for warning in new.doubts(date::today()) {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }
-    for fit in new.fits() {
-        eprintln!(
-            "rtecctl: {}: 95 % within ±{:.2} {}",
-            fit.response,
-            fit.half_width_um,
-            FitNote::unit_of(&fit.response)
-        );
+    for FitNote { response, half_width_um, .. } in new.fits() {
+        eprintln!("rtecctl: {response}: 95 % within ±{half_width_um:.2} {}", FitNote::unit_of(response));
     }
     for warning in new.out_of_range(&shift) {
         eprintln!("warning: {}: {warning}", args.record.display());
@@ -143,31 +127,28 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     // If the shift has no times, row numbers take their place and are labelled as rows.
     let timed = shift.column(&Role::Time).is_some();
     if let Some(path) = &args.plot {
-        let charts: Vec<(String, Chart)> =
-            found.axes.iter().map(|a| (a.axis.clone(), chart(a, timed))).collect();
-        draw_beside(path, charts.iter().map(|(axis, chart)| (axis.clone(), chart)), [900, 480])?;
+        let charts: Vec<Chart> = found.axes.iter().map(|a| chart(a, timed)).collect();
+        let names = found.axes.iter().map(|a| a.axis.clone());
+        draw_beside(path, names.zip(&charts), [900, 480])?;
     }
     if args.json {
         return say_pretty(&found);
     }
-    for a in &found.axes {
+    for AxisChange {
+        axis, largest_um, change_um, change_at_s: at, change_rms_um, fastest_um_per_s, ..
+    } in &found.axes
+    {
+        let ([before, after], per) = (largest_um, if timed { "s" } else { "row" });
+        let at = if timed { format!("{at:.0} s") } else { format!("row {:.0}", at + 1.0) };
         println!(
-            "{}: largest correction {:.2} -> {:.2} µm; largest change {:+.2} µm at {}, RMS {:.2} µm; fastest {:.3} µm/{}",
-            a.axis,
-            a.largest_um[0],
-            a.largest_um[1],
-            a.change_um,
-            if timed { format!("{:.0} s", a.change_at_s) } else { format!("row {:.0}", a.change_at_s + 1.0) },
-            a.change_rms_um,
-            a.fastest_um_per_s,
-            if timed { "s" } else { "row" }
+            "{axis}: largest correction {before:.2} -> {after:.2} µm; largest change {change_um:+.2} µm at {at}, RMS \
+             {change_rms_um:.2} µm; fastest {fastest_um_per_s:.3} µm/{per}"
         );
     }
-    for a in found.axes.iter().filter(|a| a.held > 0.0) {
+    for AxisChange { axis, held, .. } in found.axes.iter().filter(|a| a.held > 0.0) {
         println!(
-            "{}: would not follow the new model for {:.1} % of the shift: how warm the machine is inside is not known yet",
-            a.axis,
-            100.0 * a.held
+            "{axis}: would not follow the new model for {:.1} % of the shift: how warm the machine is inside is not known yet",
+            100.0 * held
         );
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! Options of the simulated machine, for the steps that need a machine.
 
 use super::points::{MotionArgs, positive};
-use super::usage;
+use super::{usage, within};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_sim::lathe::{self, Bench};
@@ -50,13 +50,11 @@ impl BenchArgs {
                             probe capture, see `rtecctl designs`";
             return Err(usage("--design", self.design.clone(), expected));
         }
-        if !(self.begin_s.is_finite() && (0.0..=1e6).contains(&self.begin_s)) {
-            return Err(usage("--begin-s", self.begin_s.to_string(), "a time in s, 0 to 1 000 000"));
-        }
+        let begin_s = within("--begin-s", self.begin_s, 0.0..=1e6, "a time in s, 0 to 1 000 000")?;
         let machine = Machine::read_or_ideal(self.true_machine.as_deref(), "ideal lathe")?;
         Ok(Setup {
             machine,
-            begin_s: self.begin_s,
+            begin_s,
             lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
             bench,
             design: self.design.clone(),

@@ -53,12 +53,9 @@ impl DownloadArgs {
         let Some(address) = &self.download else { return Ok(()) };
         let there = self.folder_there.as_ref().unwrap_or(folder).join(name);
         let (connect, enable) = self.passwords.split_once(',').unwrap_or((&self.passwords, "EMCTOO"));
-        let unreachable =
-            |e: &dyn std::fmt::Display| Outcome::Unreachable(format!("LinuxCNC at {address}: {e}"));
-        let mut client = Client::connect(address).map_err(|e| unreachable(&e))?;
-        let mut ask = |command: &str, answer: &str| {
-            client.ask(command, answer).map_err(|e| anyhow::Error::from(unreachable(&e)))
-        };
+        let unreachable = |e| Outcome::Unreachable(format!("LinuxCNC at {address}: {e}"));
+        let mut client = Client::connect(address).map_err(unreachable)?;
+        let mut ask = |command: &str, answer: &str| client.ask(command, answer).map_err(unreachable);
         let path = there.display().to_string();
         for (command, answer) in [
             (format!("hello {connect} rtecctl 1.0"), "HELLO"),

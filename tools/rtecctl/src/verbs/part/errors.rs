@@ -1,7 +1,7 @@
 //! `rtecctl part errors`: part errors, `error.cor` and whiskers from probed points.
 
 use super::{print, write_all};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::verbs::one_of;
 use crate::verbs::suspicions;
 use rtec_part::determine::{self, ErrorRequest, Feature};
@@ -86,16 +86,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     if let Some(folder) = &args.out {
-        let (table, svg, dxf) =
-            (report.error_cor(args.with_size), report.whisker_svg(), report.whisker_dxf());
-        let files = [
-            ("error.cor", table.as_bytes()),
-            ("whisker.svg", svg.as_bytes()),
-            ("whisker.dxf", dxf.as_bytes()),
-        ];
-        write_all(folder, &files)?;
+        let table = report.error_cor(args.with_size);
+        let (svg, dxf) = (report.whisker_svg(), report.whisker_dxf());
+        write_all(folder, &[("error.cor", table), ("whisker.svg", svg), ("whisker.dxf", dxf)])?;
     }
-    if args.json { print(&pretty(&report)?) } else { print(&text(&report, args.with_size)) }
+    if args.json { say_pretty(&report) } else { print(&text(&report, args.with_size)) }
 }
 
 /// Size error per µm of form error above which it is reported.
@@ -115,30 +110,24 @@ fn of_size(r: &ErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> 
     } else {
         "constant, left by error.cor: a tool offset takes it out, or --with-size puts it in"
     };
-    let if_no_form = |held: f64| {
-        let most_um = off_um.abs() / held;
-        format!(
-            "; but it may be all form, unless that is below {most_um:.2} µm: probe more of the circle first"
-        )
-    };
-    format!("{advice}{}", held.map_or_else(String::new, if_no_form))
+    let Some(held) = held else { return advice.to_owned() };
+    let most_um = off_um.abs() / held;
+    format!(
+        "{advice}; but it may be all form, unless that is below {most_um:.2} µm: probe more of the circle first"
+    )
 }
 
 fn text(r: &ErrorReport, with_size: bool) -> String {
-    let mut t = String::new();
-    let [z, x] = r.centre_mm;
-    let _ = writeln!(
-        t,
-        "{} through {} points, {} left out of the second fit",
-        r.feature,
-        r.points,
-        r.rejected.len()
-    );
-    if r.tip_mm == 0.0 {
-        let _ = writeln!(t, "tip             0 mm: the points as they stand are taken as the part's surface");
+    let ErrorReport {
+        feature, points, tip_mm, centre_mm: [z, x], sd_before_um, sd_after_um, form_um, ..
+    } = r;
+    let out = r.rejected.len();
+    let mut t = format!("{feature} through {points} points, {out} left out of the second fit\n");
+    let _ = if *tip_mm == 0.0 {
+        writeln!(t, "tip             0 mm: the points as they stand are taken as the part's surface")
     } else {
-        let _ = writeln!(t, "tip             {} mm taken off: the points are its centres", r.tip_mm);
-    }
+        writeln!(t, "tip             {tip_mm} mm taken off: the points are its centres")
+    };
     let error = match r.centre_standard_error_um {
         Some([along_z, along_x]) if r.radius_mm.is_some() => {
             format!(" (standard errors {along_z:.1} and {along_x:.1} µm)")
@@ -152,12 +141,9 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
     if let (Some(radius), Some(off)) = (r.radius_mm, r.size_error_um) {
         let _ = writeln!(t, "radius          {radius:.5} mm ({off:+.1} µm from nominal{size_error})");
         let all = r.plain_radius_mm.zip(r.plain_size_standard_error_um).filter(|_| !r.rejected.is_empty());
-        if let Some((radius, error)) = all {
-            let [z, x] = r.plain_centre_mm;
-            let _ = writeln!(
-                t,
-                "of all points   {radius:.5} mm (standard error {error:.1} µm) about Z {z:.5} mm  X {x:.5} mm"
-            );
+        if let (Some((radius, error)), [z, x]) = (all, r.plain_centre_mm) {
+            let error = format!("(standard error {error:.1} µm)");
+            let _ = writeln!(t, "of all points   {radius:.5} mm {error} about Z {z:.5} mm  X {x:.5} mm");
         }
     }
     let angles: Vec<f64> = r.errors.iter().map(|e| e.angle_rad).collect();
@@ -173,43 +159,28 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         let _ = writeln!(t, "size            {off:+.1} µm {}", of_size(r, off, held, with_size));
     }
     if let Some(deg) = r.inclination_deg {
-        let _ = writeln!(
-            t,
-            "inclination     {deg:.5}°{}",
-            r.inclination_standard_error_deg
-                .map_or_else(String::new, |e| format!(" (standard error {e:.5}°)"))
-        );
+        let error = r.inclination_standard_error_deg.map(|e| format!(" (standard error {e:.5}°)"));
+        let _ = writeln!(t, "inclination     {deg:.5}°{}", error.unwrap_or_default());
     }
     if let Some(deg) = r.inclination_error_deg {
         let advice = if r.is_inclination_known() {
-            format!(
-                "left by error.cor, which holds the form alone: turn the program's taper by {:+.5}°",
-                -deg
-            )
+            let turn = -deg;
+            format!("left by error.cor, which holds the form alone: turn the program's taper by {turn:+.5}°")
         } else {
             let within = r.inclination_within_deg().unwrap_or(f64::INFINITY);
             format!("within ±{within:.5}° (95 %): no turn of the program's taper is advised")
         };
         let _ = writeln!(t, "from nominal    {deg:+.5}° {advice}");
     }
-    let _ = writeln!(
-        t,
-        "SD              {:.2} µm with all points, {:.2} µm after",
-        r.sd_before_um, r.sd_after_um
-    );
-    let _ = writeln!(t, "form            {:.2} µm, largest minus smallest", r.form_um);
-    let [rz, rx] = r.robust.centre_mm;
+    let _ = writeln!(t, "SD              {sd_before_um:.2} µm with all points, {sd_after_um:.2} µm after");
+    let _ = writeln!(t, "form            {form_um:.2} µm, largest minus smallest");
+    let ([rz, rx], scale_um) = (r.robust.centre_mm, r.robust.scale_um);
     let size = r.robust.size_error_um.map_or_else(String::new, |s| format!(", size {s:+.1} µm"));
-    let _ =
-        writeln!(t, "robust fit      Z {rz:.5} mm  X {rx:.5} mm, scale {:.2} µm{size}", r.robust.scale_um);
+    let _ = writeln!(t, "robust fit      Z {rz:.5} mm  X {rx:.5} mm, scale {scale_um:.2} µm{size}");
     let _ = writeln!(t, "\n   #  angle rad  error µm  robust µm");
-    for (i, e) in r.errors.iter().enumerate() {
+    for (i, (e, robust_um)) in r.errors.iter().zip(&r.robust.errors_um).enumerate() {
         let mark = if r.rejected.contains(&i) { "  not in the fit" } else { "" };
-        let _ = writeln!(
-            t,
-            "{i:>4} {:>10.6} {:>9.2} {:>10.2}{mark}",
-            e.angle_rad, e.error_um, r.robust.errors_um[i]
-        );
+        let _ = writeln!(t, "{i:>4} {:>10.6} {:>9.2} {robust_um:>10.2}{mark}", e.angle_rad, e.error_um);
     }
     t
 }

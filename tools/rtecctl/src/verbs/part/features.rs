@@ -1,7 +1,7 @@
 //! `rtecctl part features`: the features of a drawing, in probing order.
 
 use super::{print, write_all};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::verbs::one_of;
 use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{self, Options};
@@ -48,11 +48,10 @@ impl DrawingOptions {
         if let (Some(asked), Some(header)) = (unit, drawing::header_unit(drawing)?)
             && asked != header
         {
+            let (Unit(asked), Unit(header)) = (asked, header);
             eprintln!(
-                "warning: {}: its header ($INSUNITS) says 1 unit = {} mm, --units says {} mm: --units is taken",
-                drawing.display(),
-                header.0,
-                asked.0
+                "warning: {}: its header ($INSUNITS) says 1 unit = {header} mm, --units says {asked} mm: --units is taken",
+                drawing.display()
             );
         }
         for cleaned in &read.0.cleaned {
@@ -79,13 +78,8 @@ pub(crate) struct Args {
 pub(crate) fn write_drawn(folder: &Path, contour: &Contour) -> anyhow::Result<()> {
     let mut svg = Svg::default();
     contour.draw(&mut svg, true);
-    write_all(
-        folder,
-        &[(
-            "features.svg",
-            svg.finish("Features", &[("outline", "the part"), ("axis", "the part's axis")]).as_bytes(),
-        )],
-    )
+    let drawn = svg.finish("Features", &[("outline", "the part"), ("axis", "the part's axis")]);
+    write_all(folder, &[("features.svg", drawn)])
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -94,16 +88,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write_drawn(folder, &contour)?;
     }
     if args.json {
-        let features: Vec<_> = (0..contour.features.len())
-            .map(|i| {
-                let f = &contour.features[i];
-                let (a, b) = (f.segment.at(0.0), f.segment.at(1.0));
-                json!({"name": f.name, "feature": f.kind, "start_mm": [a.z, a.x], "end_mm": [b.z, b.x],
-                       "length_mm": f.segment.length_mm(), "entity": f.entity})
-            })
-            .collect();
-        let document = json!({"unit_mm": unit.0, "closed": contour.closed, "features": features});
-        return print(&pretty(&document)?);
+        let features = contour.features.iter().map(|f| {
+            let (a, b) = (f.segment.at(0.0), f.segment.at(1.0));
+            json!({"name": f.name, "feature": f.kind, "start_mm": [a.z, a.x], "end_mm": [b.z, b.x],
+                   "length_mm": f.segment.length_mm(), "entity": f.entity})
+        });
+        let features: Vec<_> = features.collect();
+        return say_pretty(&json!({"unit_mm": unit.0, "closed": contour.closed, "features": features}));
     }
     let mut t = format!("{} features, 1 drawing unit = {} mm\n", contour.features.len(), unit.0);
     for f in &contour.features {

@@ -3,8 +3,8 @@
 
 use super::bench::BenchArgs;
 use super::points::positive;
-use super::{failed, print, usage, write_all};
-use crate::document::pretty;
+use super::{failed, print, within, write_all};
+use crate::document::say_pretty;
 use rtec_model::machine::Machine;
 use rtec_part::cor::read_arc;
 use rtec_part::fit::Zx;
@@ -45,9 +45,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut setup = args.bench.setup()?;
     setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     let radius_mm = positive("--radius-mm", args.radius_mm)?;
-    if !args.centre_z_mm.is_finite() {
-        return Err(usage("--centre-z-mm", args.centre_z_mm.to_string(), "a finite number"));
-    }
+    within("--centre-z-mm", args.centre_z_mm, f64::MIN..=f64::MAX, "a finite number")?;
     let mut part = match &args.workpiece {
         Some(file) => Workpiece::read(file)?,
         None => Workpiece::raw(Zx::new(args.centre_z_mm, 0.0), radius_mm + 1.0),
@@ -60,13 +58,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         _ => None,
     };
     let ran = setup.turn(&mut part, radius_mm, table.as_ref(), setup.seed).map_err(failed)?;
-    write_all(&args.out, &[("workpiece.csv", part.to_csv().as_bytes())])?;
+    write_all(&args.out, &[("workpiece.csv", part.to_csv())])?;
     let insertions = [0, 1].map(|n| ran.status.axes[n].insertions);
     let completed = [0, 1].map(|n| ran.status.axes[n].completed);
     if args.json {
-        let document = serde_json::json!({"seconds": ran.seconds, "insertions": insertions, "completed": completed,
-            "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()});
-        return print(&pretty(&document)?);
+        return say_pretty(&serde_json::json!({"seconds": ran.seconds, "insertions": insertions,
+            "completed": completed, "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()}));
     }
     let how = match (&table, &setup.model) {
         (Some(_), Some(_)) => "with the table on top of the model",
@@ -74,8 +71,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         (None, Some(_)) => "with the model",
         (None, None) => "without corrections",
     };
-    print(&format!(
-        "cut to {radius_mm} mm {how} in {:.1} s: {} insertions in Z, {} in X\n",
-        ran.seconds, insertions[0], insertions[1]
-    ))
+    let (seconds, [z, x]) = (ran.seconds, insertions);
+    print(&format!("cut to {radius_mm} mm {how} in {seconds:.1} s: {z} insertions in Z, {x} in X\n"))
 }

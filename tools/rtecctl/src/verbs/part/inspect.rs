@@ -1,9 +1,9 @@
 //! `rtecctl part inspect`: before and after in one report.
 
 use super::points::positive;
-use super::{print, usage, write_all};
+use super::{print, usage, within, write_all};
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::say_pretty;
 use rtec_model::record::span;
 use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::errors::{ErrorReport, Nominal, Probed};
@@ -56,9 +56,7 @@ fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let tip_mm = args.tip_mm.unwrap_or(0.0);
-    if !(tip_mm.is_finite() && tip_mm >= 0.0) {
-        return Err(usage("--tip-mm", tip_mm.to_string(), "a radius in mm, 0 or more"));
-    }
+    let tip_mm = within("--tip-mm", tip_mm, 0.0..=f64::MAX, "a radius in mm, 0 or more")?;
     if args.tip_mm.is_none() {
         eprintln!(
             "rtecctl: no --tip-mm: the points are taken as on the part's surface; a tip's radius would be in the size"
@@ -74,17 +72,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ("--before", "--before-radius-mm", &args.before, &before, args.before_radius_mm),
         ("--after", "--radius-mm", &args.after, &after, args.radius_mm),
     ];
-    let is_of = |r: &ErrorReport, radius_mm: f64| {
-        r.radius_mm.is_none_or(|own| (own - radius_mm).abs() <= OTHER_SIZE * radius_mm)
-    };
+    let near = |own: f64, radius_mm: f64| (own - radius_mm).abs() <= OTHER_SIZE * radius_mm;
+    let is_of = |r: &ErrorReport, radius_mm: f64| r.radius_mm.is_none_or(|own| near(own, radius_mm));
     for (n, (name, option, file, report, radius_mm)) in asked.iter().enumerate() {
         if !is_of(report, *radius_mm) {
             let other = &asked[1 - n];
-            let exchanged = if is_of(report, other.4) && is_of(other.3, *radius_mm) {
-                ": the two files are exchanged"
-            } else {
-                ""
-            };
+            let both = is_of(report, other.4) && is_of(other.3, *radius_mm);
+            let exchanged = if both { ": the two files are exchanged" } else { "" };
             let radius = report.radius_mm.unwrap_or_default();
             let found = format!("{}: an arc of {radius:.3} mm{exchanged}", file.display());
             return Err(usage(name, found, format!("the points of the arc of {option} {radius_mm}")));
@@ -100,20 +94,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if off_mm > OTHER_PLACE_MM.max(known_mm) {
         let at = |r: &ErrorReport| format!("Z {:.3} X {:.3} mm", r.centre_mm[0], r.centre_mm[1]);
         let found = format!("arcs {off_mm:.2} mm apart, about {} and {}", at(&before), at(&after));
-        return Err(usage(
-            "--before and --after",
-            found,
-            "the points of the same arc of the same part, in the same clamping",
-        ));
+        let expected = "the points of the same arc of the same part, in the same clamping";
+        return Err(usage("--before and --after", found, expected));
     }
     let largest = |r: &ErrorReport| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
-    let mut decisions = vec![format!(
-        "largest error {:.2} -> {:.2} µm, SD {:.2} -> {:.2} µm",
-        largest(&before),
-        largest(&after),
-        before.sd_before_um,
-        after.sd_before_um
-    )];
+    let [(was_um, was_sd_um), (is_um, is_sd_um)] =
+        [&before, &after].map(|report| (largest(report), report.sd_before_um));
+    let mut decisions =
+        vec![format!("largest error {was_um:.2} -> {is_um:.2} µm, SD {was_sd_um:.2} -> {is_sd_um:.2} µm")];
     // A part with the right form but the wrong size is not accepted.
     let size_um = after.size_error_um.unwrap_or(0.0);
     let farthest_um = after.errors.iter().map(|e| (e.error_um + size_um).abs()).fold(0.0, f64::max);
@@ -125,29 +113,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ));
     }
     // A bump changes the fitted size, and both together may hide it. So the form is judged by itself too.
-    let judged_um = farthest_um.max(largest(&after));
+    let judged_um = farthest_um.max(is_um);
     let limit = args.limit_um.map(|limit_um| (limit_um, judged_um <= limit_um));
     if let Some((limit_um, kept)) = limit {
-        decisions.push(format!(
-            "limit of {limit_um} µm {}",
-            if kept { "kept: accepted" } else { "not kept: refused" }
-        ));
+        let what = if kept { "kept: accepted" } else { "not kept: refused" };
+        decisions.push(format!("limit of {limit_um} µm {what}"));
     }
     if let Some(folder) = &args.out {
         let page = side_by_side(&before, &after) + &logged(&decisions);
         let log = decisions.join("\n") + "\n";
-        write_all(folder, &[("inspection.html", page.as_bytes()), ("decisions.log", log.as_bytes())])?;
+        write_all(folder, &[("inspection.html", page), ("decisions.log", log)])?;
     }
     if args.json {
-        let document = serde_json::json!({"before": before, "after": after, "decisions": decisions});
-        print(&pretty(&document)?)?;
+        say_pretty(&serde_json::json!({"before": before, "after": after, "decisions": decisions}))?;
     } else {
         print(&(decisions.join("\n") + "\n"))?;
     }
-    match limit {
-        Some((limit_um, false)) => {
-            Err(Outcome::No(format!("{judged_um:.2} µm from nominal, more than {limit_um} µm")).into())
-        }
-        _ => Ok(()),
-    }
+    let Some((limit_um, false)) = limit else { return Ok(()) };
+    Err(Outcome::No(format!("{judged_um:.2} µm from nominal, more than {limit_um} µm")).into())
 }

@@ -2,7 +2,7 @@
 //! The daemon removes its errors while the tool cuts.
 
 use super::table::CutArgs;
-use super::usage;
+use super::within;
 use crate::daemon::{Daemon, absolute};
 use rtec_control::protocol::{ClientRequest, PartTable};
 use rtec_files::text::open_regular;
@@ -34,9 +34,7 @@ pub(crate) struct LoadArgs {
 }
 
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
-    if !(0.0..=1000.0).contains(&args.lead_ms) {
-        return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 to 1000"));
-    }
+    within("--lead-ms", args.lead_ms, 0.0..=1000.0, "a time in ms, 0 to 1000")?;
     // Mistakes are found here, with line and column, before the daemon is asked.
     let errors = FeatureErrors::read(&args.errors)?;
     let (points, [low_um, high_um]) = (errors.len(), errors.range_um());

@@ -18,6 +18,7 @@ mod web;
 
 use crate::Outcome;
 use rtec_sim::turning::TurningError;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops
@@ -25,49 +26,30 @@ use std::path::Path;
 #[command(arg_required_else_help = true)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    step: Step,
+    verb: Verb,
 }
 
-#[derive(Debug, clap::Subcommand)]
-enum Step {
-    Features(Box<features::Args>),
-    Points(Box<points::Args>),
-    Program(Box<program::Args>),
-    Probe(Box<probe::Args>),
-    Errors(Box<errors::Args>),
-    Table(Box<table::Args>),
-    Load(Box<load::LoadArgs>),
+super::verbs_below! {
+    Features Box<features::Args> => features::run;
+    Points Box<points::Args> => points::run;
+    Program Box<program::Args> => program::run;
+    Probe Box<probe::Args> => probe::run;
+    Errors Box<errors::Args> => errors::run;
+    Table Box<table::Args> => table::run;
+    Load Box<load::LoadArgs> => load::load;
     /// Take the part table out: corrections go back in a ramp
-    Unload(crate::daemon::Daemon),
-    Finish(Box<finish::Args>),
-    Inspect(Box<inspect::Args>),
-    PostProcess(Box<post_process::Args>),
-    Run(Box<run::Args>),
+    Unload crate::daemon::Daemon => load::unload;
+    Finish Box<finish::Args> => finish::run;
+    Inspect Box<inspect::Args> => inspect::run;
+    PostProcess Box<post_process::Args> => post_process::run;
+    Run Box<run::Args> => run::run;
 }
 
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.step {
-        Step::Features(args) => features::run(args),
-        Step::Points(args) => points::run(args),
-        Step::Program(args) => program::run(args),
-        Step::Probe(args) => probe::run(args),
-        Step::Errors(args) => errors::run(args),
-        Step::Table(args) => table::run(args),
-        Step::Load(args) => load::load(args),
-        Step::Unload(args) => load::unload(args),
-        Step::Finish(args) => finish::run(args),
-        Step::Inspect(args) => inspect::run(args),
-        Step::PostProcess(args) => post_process::run(args),
-        Step::Run(args) => run::run(args),
-    }
-}
-
-/// Extensions of files that the steps read and write.
-/// A folder may not be named like such a file.
+/// Extensions of the steps' files, after which no folder may be named.
 const FILES: [&str; 10] = ["csv", "cor", "nc", "ngc", "dnc", "svg", "dxf", "cdl", "html", "toml"];
 
 /// Writes the files of one result into a folder, which is made if needed.
-fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
+fn write_all(folder: &Path, files: &[(&str, impl AsRef<[u8]>)]) -> anyhow::Result<()> {
     use anyhow::Context as _;
     let ends = folder.extension().and_then(|e| e.to_str()).unwrap_or_default();
     if !folder.is_dir() && FILES.contains(&ends) {
@@ -79,8 +61,8 @@ fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, content) in files {
         let file = folder.join(name);
-        rtec_files::write::whole(&file, content)
-            .with_context(|| format!("cannot write {}", file.display()))?;
+        let written = rtec_files::write::whole(&file, content.as_ref());
+        written.with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
     Ok(())
@@ -91,6 +73,11 @@ fn write_all(folder: &Path, files: &[(&str, &[u8])]) -> anyhow::Result<()> {
 fn print(text: &str) -> anyhow::Result<()> {
     crate::say(text);
     Ok(())
+}
+
+/// A value within a range; otherwise a usage error.
+fn within(name: &str, value: f64, range: RangeInclusive<f64>, expected: &str) -> anyhow::Result<f64> {
+    if range.contains(&value) { Ok(value) } else { Err(usage(name, value.to_string(), expected)) }
 }
 
 /// A usage error that clap cannot express: exit code 2.

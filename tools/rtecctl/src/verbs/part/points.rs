@@ -2,9 +2,10 @@
 
 use super::features::DrawingArgs;
 use super::web::{Page, PlanEditor};
-use super::{print, usage, write_all};
+use super::{print, usage, within, write_all};
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::say_pretty;
+use rtec_part::fit::Zx;
 use rtec_part::path::{Collision, Plan, Probe, ProbingMotion, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
@@ -84,16 +85,12 @@ pub(crate) struct MotionArgs {
 
 impl MotionArgs {
     pub(crate) fn motion(&self) -> anyhow::Result<ProbingMotion> {
-        let Self { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm } = *self;
-        for (name, value) in [
-            ("--feed-mm-min", feed_mm_min),
-            ("--accel-mm-s2", accel_mm_s2),
-            ("--decel-mm-s2", decel_mm_s2),
-            ("--window-mm", window_mm),
-        ] {
-            positive(name, value)?;
-        }
-        Ok(ProbingMotion { feed_mm_min, accel_mm_s2, decel_mm_s2, window_mm })
+        Ok(ProbingMotion {
+            feed_mm_min: positive("--feed-mm-min", self.feed_mm_min)?,
+            accel_mm_s2: positive("--accel-mm-s2", self.accel_mm_s2)?,
+            decel_mm_s2: positive("--decel-mm-s2", self.decel_mm_s2)?,
+            window_mm: positive("--window-mm", self.window_mm)?,
+        })
     }
 }
 
@@ -147,17 +144,15 @@ impl FromStr for Choice {
         let expected = "NAME:NUMBER or NAME:SPACINGmm, as F1:20 or F1:5mm";
         let (feature, points) = text.split_once(':').ok_or(expected)?;
         let by = if let Some(mm) = points.strip_suffix("mm") {
-            PointSelection::SpacingMm(
-                mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or(expected)?,
-            )
+            let mm = mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
+            PointSelection::SpacingMm(mm.ok_or(expected)?)
         } else {
             let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
             // A number too large for an integer is still a number.
             let number = points.parse().ok().or_else(|| is_whole.then_some(usize::MAX)).ok_or(expected)?;
             if !(1..=MOST_POINTS).contains(&number) {
-                return Err(format!(
-                    "{feature}:{points} asks for {points} points; 1 to {MOST_POINTS} are expected"
-                ));
+                let asks = format!("{feature}:{points} asks for {points} points");
+                return Err(format!("{asks}; 1 to {MOST_POINTS} are expected"));
             }
             PointSelection::Number(number)
         };
@@ -185,9 +180,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             return Err(usage("--stem", found, "LENGTH,RADIUS,DEG, the first two above 0, as 60,2,90"));
         }
     };
-    if !(args.margin_mm.is_finite() && args.margin_mm >= 0.0) {
-        return Err(usage("--margin-mm", args.margin_mm.to_string(), "a length in mm, 0 or more"));
-    }
+    within("--margin-mm", args.margin_mm, 0.0..=f64::MAX, "a length in mm, 0 or more")?;
     positive("--off-mm", args.off_mm)?;
     args.bypass.map(|clear_mm| positive("--bypass", clear_mm)).transpose()?;
     let probe = Probe {
@@ -238,14 +231,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if plan.points.is_empty() {
         return Err(usage("--feature", "no point", "--feature, --points or --web"));
     }
-    let made = plan.files(&contour, unit);
-    write_all(&args.out, &made.each_ref().map(|(name, text)| (*name, text.as_bytes())))?;
+    write_all(&args.out, &plan.files(&contour, unit))?;
     let hits = plan.hits(&contour);
     if args.json {
         let expected: Vec<[f64; 2]> = plan.expected().iter().map(|p| [p.z, p.x]).collect();
-        let document = serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
-            "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits});
-        print(&pretty(&document)?)?;
+        say_pretty(&serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
+            "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits}))?;
     } else {
         print(&text(&plan, &hits))?;
     }
@@ -257,19 +248,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn text(plan: &Plan, hits: &[Collision]) -> String {
-    let probe = &plan.probe;
-    let mut t = format!(
-        "{} points, stand-off {:.3} mm, over-travel {:.3} mm\n",
-        plan.points.len(),
-        probe.stand_off_mm,
-        probe.over_travel_mm
-    );
-    for h in hits {
-        let when = if h.touching { "in the touch of" } else { "on the way to" };
+    let (points, Probe { stand_off_mm, over_travel_mm, .. }) = (plan.points.len(), &plan.probe);
+    let mut t =
+        format!("{points} points, stand-off {stand_off_mm:.3} mm, over-travel {over_travel_mm:.3} mm\n");
+    for Collision { by, feature, point, at: Zx { z, x }, touching, .. } in hits {
+        let when = if *touching { "in the touch of" } else { "on the way to" };
         let _ = writeln!(
             t,
-            "COLLISION: the {} meets {} {when} point {}, tip at Z {:.3} X {:.3} mm",
-            h.by, h.feature, h.point, h.at.z, h.at.x
+            "COLLISION: the {by} meets {feature} {when} point {point}, tip at Z {z:.3} X {x:.3} mm"
         );
     }
     t

@@ -1,9 +1,10 @@
 //! `rtecctl part post-process`: systematic errors of a batch of measured parts.
 //! Changes are offered, not applied.
 
-use super::{print, usage, write_all};
-use crate::document::pretty;
-use rtec_part::batch::{BatchFinding, Judgement, evaluate_columns};
+use super::{print, usage, within, write_all};
+use crate::document::say_pretty;
+use rtec_files::text::short;
+use rtec_part::batch::{BatchFinding, Judgement, PlaceStatistics, WildReading, evaluate_columns};
 use rtec_part::cor::{error_cor, read_arc};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -38,49 +39,39 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !(args.alpha > 0.0 && args.alpha < 1.0) {
         return Err(usage("--alpha", args.alpha.to_string(), "a rate between 0 and 1"));
     }
-    if !(args.least_um >= 0.0 && args.least_um.is_finite()) {
-        return Err(usage("--least-um", args.least_um.to_string(), "0 or more, in µm"));
-    }
+    within("--least-um", args.least_um, 0.0..=f64::MAX, "0 or more, in µm")?;
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
     let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
     let batch = evaluate_columns(&args.batch, &args.columns, seen.as_deref(), judgement)?;
     if let Some(written) = &batch.written {
         eprintln!("note: {written}");
     }
+    let file = args.batch.display();
     if let Some(step) = batch.step_um {
+        let step = short(1e-6 * (1e6 * step).round());
         eprintln!(
-            "warning: the errors are in steps of {} µm, and the parts scatter by little more or less: what rounding may do is in the intervals, \
-             and no mean below half a step is systematic",
-            rtec_files::text::short(1e-6 * (1e6 * step).round())
+            "warning: the errors are in steps of {step} µm, and the parts scatter by little more or less: what rounding may do is in the \
+             intervals, and no mean below half a step is systematic"
         );
     }
     if batch.places.iter().any(|p| p.interval_um.is_none()) {
         eprintln!(
-            "warning: {}: every reading is 0: the step that they are read in does not show, so the means have no interval. Half a step of the \
-             gauge may be hidden: read with a finer one",
-            args.batch.display()
+            "warning: {file}: every reading is 0: the step that they are read in does not show, so the means have no interval. Half a step \
+             of the gauge may be hidden: read with a finer one"
         );
     }
-    for place in &batch.places {
-        if let (false, Some(with)) = (place.left_out.is_empty(), place.with_every_reading) {
-            let readings: Vec<String> = place
-                .left_out
-                .iter()
-                .map(|w| {
-                    format!("part {}, {} µm (line {})", w.part, rtec_files::text::short(w.error_um), w.line)
-                })
-                .collect();
+    for PlaceStatistics { feature, angle_rad, mean_um, sd_um, left_out, with_every_reading, .. } in
+        &batch.places
+    {
+        if let (false, Some(with)) = (left_out.is_empty(), with_every_reading) {
+            let reading =
+                |w: &WildReading| format!("part {}, {} µm (line {})", w.part, short(w.error_um), w.line);
+            let readings = left_out.iter().map(reading).collect::<Vec<_>>().join(", ");
+            let at = angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad"));
             eprintln!(
-                "warning: {}: {}{}: far off the other parts, and in no figure: {}. With every reading the mean would be {:.2} instead of \
-                 {:.2} µm, the SD {:.2} instead of {:.2} µm. Put the reading right, or measure that part again",
-                args.batch.display(),
-                place.feature,
-                place.angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad")),
-                readings.join(", "),
-                with.mean_um,
-                place.mean_um,
-                with.sd_um,
-                place.sd_um
+                "warning: {file}: {feature}{at}: far off the other parts, and in no figure: {readings}. With every reading the mean would be \
+                 {:.2} instead of {mean_um:.2} µm, the SD {:.2} instead of {sd_um:.2} µm. Put the reading right, or measure that part again",
+                with.mean_um, with.sd_um
             );
         }
     }
@@ -98,10 +89,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             return Err(usage("--out", found, "one feature: offer.cor is one table; a batch file for each"));
         }
         let errors: Vec<_> = offered.iter().map(|o| o.error).collect();
-        write_all(folder, &[("offer.cor", error_cor(&errors).as_bytes())])?;
+        write_all(folder, &[("offer.cor", error_cor(&errors))])?;
     }
     if args.json {
-        return print(&pretty(&batch)?);
+        return say_pretty(&batch);
     }
     let mut t =
         "feature         angle rad  parts  mean µm    SD µm        p   trend µm        p\n".to_owned();

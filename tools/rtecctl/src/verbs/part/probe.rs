@@ -6,7 +6,7 @@ use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
 use crate::daemon::{self, Daemon, unreachable};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::verbs::one_of;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
@@ -93,21 +93,20 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let sensors: Vec<&str> = seen.sensors.iter().map(String::as_str).collect();
         let csv = probed_csv(&seen.trips, &approach, &sensors, &seen.degc);
         let record = run_record(&seen.trips, &expected, &approach, seen.origin, &sensors, &seen.degc);
-        write_session(&args.out, &csv, record.as_ref())?;
+        write_session(&args.out, csv, record.as_ref())?;
         return show(args.json, &seen.trips, seen.seconds);
     };
     let part = Workpiece::read(workpiece)?;
     let feed_mm_min = positive("--feed-mm-min", setup.motion.feed_mm_min)?;
     let session =
         setup.probe_path(&part, &records, &expected, &approach, feed_mm_min, setup.seed).map_err(failed)?;
-    write_session(&args.out, &session.csv, session.record.as_ref())?;
+    write_session(&args.out, session.csv, session.record.as_ref())?;
     show(args.json, &session.trips, session.seconds)
 }
 
 fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
     if json {
-        let document = serde_json::json!({"trips": trips, "seconds": seconds});
-        return print(&pretty(&document)?);
+        return say_pretty(&serde_json::json!({"trips": trips, "seconds": seconds}));
     }
     let mut t = "point       Z mm       X mm  within µm\n".to_owned();
     for trip in trips {
@@ -131,8 +130,7 @@ struct ProbedSession {
 /// Wait for a second trip after the last one.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// Switches probing on, compares every trip with the plan, and switches it off.
-/// It is switched off whatever happens.
+/// Compares every trip with the plan; probing ends whatever happens.
 fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbedSession> {
     let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
     let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {
@@ -212,49 +210,44 @@ fn follow(
             }
             Err(error) => return Err(unreachable(error)),
         };
-        match (happened.kind.as_str(), happened.trip) {
+        let trip = match (happened.kind.as_str(), happened.trip) {
             ("fault", _) => return Err(Outcome::Fault(happened.text).into()),
-            ("bounce", _) => captured.bounces.push(captured.trips.len() + 1),
             ("mode", _) if ["disabled", "run", "shadow"].iter().any(|m| happened.text.ends_with(m)) => {
                 return Err(Outcome::No("probing was switched off by somebody else".to_owned()).into());
             }
-            (_, Some(trip)) => {
-                let name = happened.axis.as_deref().unwrap_or_default();
-                let Some(n) = [&args.z_axis, &args.x_axis].iter().position(|a| *a == name) else { continue };
-                match half.take() {
-                    Some((other, first)) if other != n && first.at_ns == trip.at_ns => {
-                        let (z, x) = if n == 0 { (&trip, &first) } else { (&first, &trip) };
-                        let at_ns = u64::midpoint(trip.at_ns[0], trip.at_ns[1]);
-                        let zero_ns = *zero_ns.get_or_insert(at_ns);
-                        captured.trips.push((
-                            [z.position_mm * 1e3, x.position_mm * 1e3],
-                            z.uncertainty_um.hypot(x.uncertainty_um),
-                            at_ns.saturating_sub(zero_ns) as f64 / 1e9,
-                        ));
-                        degc.push(trip.degc);
-                        // A wrong trip ends the session at once; trips still missing do not.
-                        match assign(&captured, expected, 1.0, origin, window_mm) {
-                            Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
-                            judged => {
-                                judged.map_err(no)?;
-                            }
-                        }
-                        eprintln!("point {} of {}", captured.trips.len(), expected.len());
-                    }
-                    _ => half = Some((n, trip)),
-                }
+            ("bounce", _) => {
+                captured.bounces.push(captured.trips.len() + 1);
+                continue;
             }
-            _ => {}
+            (_, Some(trip)) => trip,
+            _ => continue,
+        };
+        let name = happened.axis.as_deref().unwrap_or_default();
+        let Some(n) = [&args.z_axis, &args.x_axis].iter().position(|a| *a == name) else { continue };
+        let Some((_, first)) = half.take_if(|(other, first)| *other != n && first.at_ns == trip.at_ns) else {
+            half = Some((n, trip));
+            continue;
+        };
+        let (z, x) = if n == 0 { (&trip, &first) } else { (&first, &trip) };
+        let at_ns = u64::midpoint(trip.at_ns[0], trip.at_ns[1]);
+        let after_s = at_ns.saturating_sub(*zero_ns.get_or_insert(at_ns)) as f64 / 1e9;
+        let at_um = [z.position_mm * 1e3, x.position_mm * 1e3];
+        captured.trips.push((at_um, z.uncertainty_um.hypot(x.uncertainty_um), after_s));
+        degc.push(trip.degc);
+        // A wrong trip ends the session at once; trips still missing do not.
+        match assign(&captured, expected, 1.0, origin, window_mm) {
+            Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
+            judged => drop(judged.map_err(no)?),
         }
+        eprintln!("point {} of {}", captured.trips.len(), expected.len());
     }
 }
 
 /// Writes the points for `part errors`, and as a run record of the machine.
-fn write_session(folder: &Path, csv: &str, record: Option<&Record>) -> anyhow::Result<()> {
-    let (rows, sidecar) = record.map(|r| (to_csv(r), to_sidecar(r))).unzip();
-    let mut files = vec![("probed.csv", csv.as_bytes())];
-    if let (Some(rows), Some(sidecar)) = (&rows, &sidecar) {
-        files.extend([("probing.csv", rows.as_bytes()), ("probing.run.toml", sidecar.as_bytes())]);
+fn write_session(folder: &Path, csv: String, record: Option<&Record>) -> anyhow::Result<()> {
+    let mut files = vec![("probed.csv", csv)];
+    if let Some(record) = record {
+        files.extend([("probing.csv", to_csv(record)), ("probing.run.toml", to_sidecar(record))]);
     }
     write_all(folder, &files)
 }

@@ -3,7 +3,7 @@
 use super::download::{DownloadArgs, warn_of_dialect};
 use super::points::positive;
 use super::{print, usage, write_all};
-use crate::document::pretty;
+use crate::document::say_pretty;
 use crate::verbs::one_of;
 use rtec_part::path::{PathRole, read_pathfin};
 use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
@@ -101,35 +101,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let unset: Vec<&str> = parameters.unset(&controller.template).collect();
     if !unset.is_empty() {
-        eprintln!(
-            "rtecctl: machine positions left at 0: {}; set them before the program runs",
-            unset.join(", ")
-        );
+        let unset = unset.join(", ");
+        eprintln!("rtecctl: machine positions left at 0: {unset}; set them before the program runs");
     }
-    let made = match &args.date {
-        Some(date) => date.clone(),
-        None => date_time(now_s()?),
-    };
-    let comments = args.comments == Comments::Full;
-    let job = ProbingProgram {
-        controller: &controller,
-        parameters: &parameters,
-        records: &records,
-        unit,
-        comments,
-        made: &made,
-    };
-    let template = args.template.as_deref().unwrap_or(Path::new("template.prb"));
-    let text = job.text(template)?;
+    let made = args.date.clone().map_or_else(|| Ok(date_time(now_s()?)), anyhow::Ok)?;
+    let (controller, parameters, records) = (&controller, &parameters, &records);
+    let (comments, made) = (args.comments == Comments::Full, made.as_str());
+    let job = ProbingProgram { controller, parameters, records, unit, comments, made };
+    let text = job.text(args.template.as_deref().unwrap_or(Path::new("template.prb")))?;
     let name = parameters.file_name();
-    write_all(&args.out, &[(&name, text.as_bytes())])?;
+    write_all(&args.out, &[(&name, &text)])?;
     warn_of_dialect(args.download.asked(), &controller.dialect.name);
     args.download.bring(&name, &text)?;
     let points = records.iter().filter(|r| matches!(r.role, PathRole::Touch(_))).count();
     if args.json {
-        let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
-            "points": points, "lines": text.lines().count(), "bytes": text.len()});
-        return print(&pretty(&document)?);
+        return say_pretty(
+            &serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
+            "points": points, "lines": text.lines().count(), "bytes": text.len()}),
+        );
     }
     let shown: Vec<&str> = text.lines().take(20).collect();
     print(&format!("{}\n… {} lines, {points} points\n", shown.join("\n"), text.lines().count()))
@@ -145,8 +134,8 @@ fn now_s() -> anyhow::Result<u64> {
 fn list() -> anyhow::Result<()> {
     let mut t = String::new();
     for p in PARAMETERS {
-        let _ =
-            writeln!(t, "${:<3} {:<16} {:<12} {}", p.number, p.name, format!("'{}'", p.default), p.meaning);
+        let default = format!("'{}'", p.default);
+        let _ = writeln!(t, "${:<3} {:<16} {default:<12} {}", p.number, p.name, p.meaning);
     }
     print(&t)
 }

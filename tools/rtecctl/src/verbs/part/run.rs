@@ -5,7 +5,7 @@ use super::features::{DrawingOptions, write_drawn};
 use super::points::positive;
 use super::{failed, print, usage, write_all};
 use crate::Outcome;
-use crate::document::pretty;
+use crate::document::say_pretty;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
@@ -75,19 +75,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             write_all(&folder.join(step), &[(file, content)])?;
         }
         for (step, report) in &outcome.reports {
-            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf().as_bytes())])?;
+            write_all(&folder.join(step), &[("whisker.dxf", report.whisker_dxf())])?;
         }
         if let Some(contour) = &drawn {
             write_drawn(folder, contour)?;
         }
-        let log = outcome.decisions.join("\n") + "\n";
-        write_all(folder, &[("decisions.log", log.as_bytes())])?;
+        write_all(folder, &[("decisions.log", outcome.decisions.join("\n") + "\n")])?;
     }
-    if args.json {
-        print(&pretty(&outcome)?)?;
-    } else {
-        print(&text(&outcome))?;
-    }
+    let printed = if args.json { say_pretty(&outcome) } else { print(&text(&outcome)) };
+    printed?;
     if !outcome.balanced() {
         return Err(Outcome::No("the ledger does not balance".into()).into());
     }
@@ -112,21 +108,14 @@ fn text(o: &TurningOutcome) -> String {
             r.largest_um, r.bump_um, r.sd_before_um, r.sd_after_um, r.true_form_um
         );
     }
-    let [z, x] = o.insertions;
-    let _ = writeln!(
-        t,
-        "\nat most {} corrections; {z} insertions in Z, {x} in X; ledger balances",
-        o.corrections
-    );
+    let ([z, x], most) = (o.insertions, o.corrections);
+    let _ = writeln!(t, "\nat most {most} corrections; {z} insertions in Z, {x} in X; ledger balances");
     for p in &o.probing {
+        let feed_m_min = p.feed_mm_min / 1e3;
         let _ = writeln!(
             t,
-            "probing at {:>5.3} m/min: {:>6.1} s, capture within {:.2} µm ({:.2} RMS); 25 µs late costs {:.2} µm",
-            p.feed_mm_min / 1e3,
-            p.seconds,
-            p.capture_worst_um,
-            p.capture_rms_um,
-            p.late_25us_um
+            "probing at {feed_m_min:>5.3} m/min: {:>6.1} s, capture within {:.2} µm ({:.2} RMS); 25 µs late costs {:.2} µm",
+            p.seconds, p.capture_worst_um, p.capture_rms_um, p.late_25us_um
         );
     }
     t.push_str("\ndecisions:\n");

@@ -1,8 +1,8 @@
 //! `rtecctl part table`: the finish cut's corrections by position.
 
 use super::points::positive;
-use super::{print, usage, write_all};
-use crate::document::pretty;
+use super::{print, usage, within, write_all};
+use crate::document::say_pretty;
 use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_part::line_table::LineTable;
@@ -73,12 +73,11 @@ pub(crate) struct CutArgs {
 impl CutArgs {
     pub(crate) fn cut(&self) -> anyhow::Result<FinishCut> {
         let given = |name: &str, value: Option<f64>| {
-            value.ok_or_else(|| {
-                usage(name, "nothing", "a number in mm: the errors are those of an arc, by angle")
-            })
+            let expected = "a number in mm: the errors are those of an arc, by angle";
+            value.ok_or_else(|| usage(name, "nothing", expected))
         };
-        let radius_mm =
-            place("--radius-mm", positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?)?;
+        let radius_mm = positive("--radius-mm", given("--radius-mm", self.radius_mm)?)?;
+        let radius_mm = place("--radius-mm", radius_mm)?;
         let centre_z_mm = place("--centre-z-mm", given("--centre-z-mm", self.centre_z_mm)?)?;
         let (nose_mm, origin) = self.tool()?;
         let centre = Zx::new(centre_z_mm, place("--centre-x-mm", self.centre_x_mm)?);
@@ -105,9 +104,7 @@ impl CutArgs {
     /// Radius of the tool's nose, and position of the part's origin, mm.
     /// The position is the machine's when the nose's centre is at the origin.
     pub(crate) fn tool(&self) -> anyhow::Result<(f64, Zx)> {
-        if !(0.0..=1000.0).contains(&self.nose_mm) {
-            return Err(usage("--nose-mm", self.nose_mm.to_string(), "a radius in mm, 0 to 1000"));
-        }
+        within("--nose-mm", self.nose_mm, 0.0..=1000.0, "a radius in mm, 0 to 1000")?;
         let (z, x) = (place("--tool-z-mm", self.tool_z_mm)?, place("--tool-x-mm", self.tool_x_mm)?);
         Ok((self.nose_mm, Zx::new(z, x)))
     }
@@ -117,11 +114,7 @@ impl CutArgs {
 const FARTHEST_MM: f64 = 100_000.0;
 
 fn place(name: &str, value: f64) -> anyhow::Result<f64> {
-    if value.abs() <= FARTHEST_MM {
-        Ok(value)
-    } else {
-        Err(usage(name, value.to_string(), "a place in mm, within 100 m of zero"))
-    }
+    within(name, value, -FARTHEST_MM..=FARTHEST_MM, "a place in mm, within 100 m of zero")
 }
 
 /// The corrector's counts
@@ -148,13 +141,7 @@ fn increment(text: &str) -> Result<i64, String> {
 impl CountArgs {
     pub(crate) fn axes(&self) -> anyhow::Result<[AxisCounts; 2]> {
         let count_um = self.count_um;
-        if !(1e-4..=1000.0).contains(&count_um) {
-            return Err(usage(
-                "--count-um",
-                count_um.to_string(),
-                "what a scale's count is worth: 0.0001 to 1000 µm",
-            ));
-        }
+        within("--count-um", count_um, 1e-4..=1000.0, "what a scale's count is worth: 0.0001 to 1000 µm")?;
         Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCounts {
             count_um,
             increment: self.increment,
@@ -167,10 +154,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let axes = args.counts.axes()?;
     let (nose_mm, origin) = args.cut.tool()?;
     let feed_mm_s = positive("--feed-mm-min", args.feed_mm_min)? / 60.0;
-    if !(args.lead_ms.is_finite() && args.lead_ms >= 0.0) {
-        return Err(usage("--lead-ms", args.lead_ms.to_string(), "a time in ms, 0 or more"));
-    }
-    let lead_mm = feed_mm_s * args.lead_ms * 1e-3;
+    let lead_ms = within("--lead-ms", args.lead_ms, 0.0..=f64::MAX, "a time in ms, 0 or more")?;
+    let lead_mm = feed_mm_s * lead_ms * 1e-3;
     let off_mm = args.g01_um.map(|um| positive("--g01-um", um)).transpose()?.map(|um| um * 1e-3);
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
         FeatureErrors::Line(errors) => {
@@ -188,26 +173,22 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     let moves = moves.unwrap_or_default();
-    let mut made: Vec<(&str, &[u8])> = vec![("table.csv", text.as_bytes())];
-    let program = g01(&moves, args.feed_mm_min);
+    let mut made = vec![("table.csv", text)];
     if !moves.is_empty() {
-        made.push(("g01.nc", program.as_bytes()));
+        made.push(("g01.nc", g01(&moves, args.feed_mm_min)));
     }
     write_all(&args.out, &made)?;
-    let most = |axis: usize| rows.iter().map(|r| r.requested[axis].abs()).max().unwrap_or(0);
+    let [z, x] = [0, 1].map(|axis| rows.iter().map(|r| r.requested[axis].abs()).max().unwrap_or(0));
     let left_um = rows.iter().map(|r| r.left_um.abs()).fold(0.0, f64::max);
     let lines = moves.len().saturating_sub(1);
     if args.json {
-        let document = serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [most(0), most(1)],
-            "most_left_um": left_um, "g01_lines": lines});
-        return print(&pretty(&document)?);
+        return say_pretty(&serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [z, x],
+            "most_left_um": left_um, "g01_lines": lines}));
     }
     let mut t = format!(
-        "{} entries, at most {} counts in Z and {} in X, at most {left_um:.2} µm left along the normal\n\
+        "{} entries, at most {z} counts in Z and {x} in X, at most {left_um:.2} µm left along the normal\n\
          sent {lead_mm:.3} mm ahead\n",
-        rows.len(),
-        most(0),
-        most(1)
+        rows.len()
     );
     if lines > 0 {
         let _ = writeln!(t, "the same as {lines} G01 lines in g01.nc");
@@ -217,11 +198,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Straight moves of the nose's centre in part coordinates, mm, X a radius.
 fn g01(moves: &[Zx], feed_mm_min: f64) -> String {
-    moves.iter().enumerate().fold(String::new(), |mut t, (i, p)| {
-        let _ = match i {
-            0 => writeln!(t, "G01 Z{:.4} X{:.4} F{feed_mm_min}", p.z, p.x),
-            _ => writeln!(t, "G01 Z{:.4} X{:.4}", p.z, p.x),
-        };
-        t
-    })
+    let line = |(i, p): (usize, &Zx)| {
+        let feed = if i == 0 { format!(" F{feed_mm_min}") } else { String::new() };
+        format!("G01 Z{:.4} X{:.4}{feed}\n", p.z, p.x)
+    };
+    moves.iter().enumerate().map(line).collect()
 }

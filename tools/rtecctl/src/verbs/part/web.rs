@@ -192,29 +192,17 @@ fn save(session: &PlanEditor) -> std::io::Result<()> {
 /// State of the page as JSON, for drawing.
 fn state(session: &PlanEditor) -> Value {
     let pair = |p: Zx| [p.z, p.x];
-    let contour: Vec<Value> = session
-        .contour
-        .chords()
-        .iter()
-        .map(|(i, chords)| {
-            let points: Vec<[f64; 2]> = chords.iter().map(|&p| pair(p)).collect();
-            json!({"name": session.contour.features[*i].name, "points": points})
-        })
-        .collect();
-    let expected = session.plan.expected();
-    let points: Vec<Value> = session
-        .plan
-        .points
-        .iter()
-        .zip(&expected)
-        .map(|(p, &trip)| {
-            let bypass: Vec<[f64; 2]> = p.bypass.iter().map(|&b| pair(b)).collect();
-            json!({"at": pair(p.place.at), "feature": session.contour.features[p.place.feature].name,
-                   "trip": pair(trip), "bypass": bypass})
-        })
-        .collect();
-    let moves: Vec<Value> =
-        session.plan.records().iter().map(|r| json!({"role": r.role, "at": pair(r.at)})).collect();
-    json!({"contour": contour, "points": points, "moves": moves, "hits": session.plan.hits(&session.contour),
-           "tip_mm": session.plan.probe.tip_mm, "folder": session.folder})
+    let pairs = |all: &[Zx]| all.iter().map(|&p| pair(p)).collect::<Vec<_>>();
+    let PlanEditor { contour, plan, folder, .. } = session;
+    let name = |feature: usize| &contour.features[feature].name;
+    let chords = contour.chords();
+    let lines = chords.iter().map(|(i, chords)| json!({"name": name(*i), "points": pairs(chords)}));
+    let expected = plan.expected();
+    let points = plan.points.iter().zip(&expected).map(|(p, &trip)| {
+        json!({"at": pair(p.place.at), "feature": name(p.place.feature), "trip": pair(trip), "bypass": pairs(&p.bypass)})
+    });
+    let records = plan.records();
+    let moves = records.iter().map(|r| json!({"role": r.role, "at": pair(r.at)}));
+    json!({"contour": lines.collect::<Vec<_>>(), "points": points.collect::<Vec<_>>(),
+           "moves": moves.collect::<Vec<_>>(), "hits": plan.hits(contour), "tip_mm": plan.probe.tip_mm, "folder": folder})
 }

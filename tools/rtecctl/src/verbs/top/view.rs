@@ -5,7 +5,7 @@ use ratatui_core::style::{Color, Modifier, Style};
 use ratatui_core::terminal::Frame;
 use ratatui_core::text::{Line, Span, Text};
 use rtec_control::protocol::{
-    AxisReport, DaemonStatus, Distribution, Explained, NumberedEvent, Observed, Reading, word,
+    AxisReport, Contribution, DaemonStatus, Distribution, Explained, NumberedEvent, Observed, Reading, word,
 };
 use rtec_model::record::span;
 use std::collections::VecDeque;
@@ -167,13 +167,8 @@ impl View {
             Constraint::Fill(1),
         ])
         .areas(area);
-        let mut lines = vec![Line::styled(
-            format!(
-                "{:<8} {:>12} {:>9} {:>9} {:>9} {:>8} {:<13}",
-                "axis", "position/mm", "requested", "completed", "in effect", "edges/s", " state"
-            ),
-            Modifier::UNDERLINED,
-        )];
+        let head = "axis      position/mm requested completed in effect  edges/s  state       ";
+        let mut lines = vec![Line::styled(head, Modifier::UNDERLINED)];
         lines.extend(s.axes.iter().map(|a| self.axis(a)));
         frame.render_widget(Text::from(lines), numbers);
         if trend.width < 8 {
@@ -192,14 +187,10 @@ impl View {
     }
 
     fn axis(&self, a: &AxisReport) -> Line<'static> {
+        let AxisReport { position_mm, requested, completed, in_effect, edge_rate_hz, .. } = a;
+        let name = shortened(&a.name, 8);
         let text = format!(
-            "{:<8} {:>12.4} {:>9} {:>9} {:>9} {:>8.0}  ",
-            shortened(&a.name, 8),
-            a.position_mm,
-            a.requested,
-            a.completed,
-            a.in_effect,
-            a.edge_rate_hz
+            "{name:<8} {position_mm:>12.4} {requested:>9} {completed:>9} {in_effect:>9} {edge_rate_hz:>8.0}  "
         );
         let state = if let Some(fault) = a.faults.first() {
             Span::styled(word(fault).replace('_', " "), self.wrong())
@@ -218,11 +209,8 @@ impl View {
             lines.push(Line::styled(format!("{:<28} {:>+9.2}", axis.axis, axis.total_um), Modifier::BOLD));
             let mut parts: Vec<_> = axis.parts.iter().filter(|p| p.um != 0.0).collect();
             parts.sort_by(|a, b| b.um.abs().total_cmp(&a.um.abs()));
-            lines.extend(
-                parts
-                    .into_iter()
-                    .map(|p| Line::raw(format!("  {:<26} {:>+9.2}", shortened(&p.name, 26), p.um))),
-            );
+            let line = |p: &Contribution| format!("  {:<26} {:>+9.2}", shortened(&p.name, 26), p.um);
+            lines.extend(parts.into_iter().map(|p| Line::raw(line(p))));
             if let Some(why) = &axis.holds {
                 lines.push(Line::styled(format!("  holds: {why}"), self.doubtful()));
             }
@@ -242,15 +230,13 @@ impl View {
         other.into_iter().chain(good).map(line).collect()
     }
 
-    /// Reasons why nothing is corrected.
-    /// Faults of the machine come first.
+    /// Reasons why nothing is corrected, faults of the machine first.
     fn why(&self) -> Vec<Line<'static>> {
         let Some(s) = &self.status else { return Vec::new() };
         let style = if s.mode == "fault" { self.wrong() } else { self.doubtful() };
-        let record = s.record_trouble.iter();
-        let record =
-            record.map(|w| Line::styled(format!("record of commands not written: {w}"), self.doubtful()));
-        s.why_not.iter().map(|w| Line::styled(format!("not correcting: {w}"), style)).chain(record).collect()
+        let why = s.why_not.iter().map(|w| Line::styled(format!("not correcting: {w}"), style));
+        let record = s.record_trouble.iter().map(|w| format!("record of commands not written: {w}"));
+        why.chain(record.map(|text| Line::styled(text, self.doubtful()))).collect()
     }
 
     fn events(&self, s: &DaemonStatus, room: usize) -> Vec<Line<'static>> {
@@ -311,13 +297,10 @@ fn draw_framed<'t>(frame: &mut Frame, area: Rect, title: &str, text: impl Into<T
 
 fn thread_line(s: &DaemonStatus) -> Line<'static> {
     let rt = &s.rt;
-    let card = if rt.alive { rt.card.clone() } else { "REAL-TIME THREAD ENDED".to_owned() };
-    Line::raw(format!(
-        " {card}  poll gap {}  edge to done {}{}",
-        times(&rt.poll_gap_ns),
-        times(&rt.edge_to_done_ns),
-        if rt.may_arm { "" } else { "  may not be armed" }
-    ))
+    let card = if rt.alive { &rt.card } else { "REAL-TIME THREAD ENDED" };
+    let (gap, done) = (times(&rt.poll_gap_ns), times(&rt.edge_to_done_ns));
+    let unarmed = if rt.may_arm { "" } else { "  may not be armed" };
+    Line::raw(format!(" {card}  poll gap {gap}  edge to done {done}{unarmed}"))
 }
 
 fn times(d: &Distribution) -> String {
@@ -366,7 +349,7 @@ mod tests {
     use super::*;
     use ratatui_core::backend::TestBackend;
     use ratatui_core::terminal::Terminal;
-    use rtec_control::protocol::{Contribution, EventReport, Histograms, LogState};
+    use serde_json::Value;
 
     /// The screen as text, and its cells' colours.
     fn screen(view: &View, width: u16, height: u16) -> (String, Vec<Color>) {
@@ -380,57 +363,14 @@ mod tests {
 
     /// The status of the golden files, with other data to match.
     fn view(colour: bool) -> View {
-        let mut status: DaemonStatus =
-            serde_json::from_str(include_str!("../../../tests/golden/status.json")).unwrap();
-        status.uptime_s = 4000.0;
-        let part = |name: &str, um| Contribution {
-            name: name.into(),
-            um,
-            sensors: Vec::new(),
-            outside_k: None,
-            weight: None,
-        };
-        let parts = [part("operator", 2.0), part("thermal_growth.x (T8-T18)", -9.25), part("rounding", 0.0)];
-        let explained = status.axes.iter().map(|a| Explained {
-            axis: a.name.clone(),
-            requested: a.requested,
-            total_um: -7.25,
-            parts: parts.to_vec(),
-            holds: None,
-        });
-        let explained: Vec<_> = explained.collect();
-        let event = |n, axis: Option<&str>, kind: &str, text: &str| NumberedEvent {
-            n,
-            at_s: 86_400.0 + 3_723.5 * n as f64,
-            event: EventReport {
-                t_ns: 1,
-                axis: axis.map(str::to_owned),
-                kind: kind.into(),
-                text: text.into(),
-                trip: None,
-            },
-        };
-        let events = vec![event(1, None, "mode", "mode run"), event(2, Some("x"), "homed", "homed")];
-        let seen = |explained| Observed {
-            status: status.clone(),
-            explained,
-            events: events.clone(),
-            events_missed: 0,
-            histograms: Histograms::default(),
-            log: LogState {
-                file: String::new(),
-                last_n: 0,
-                last_hash: String::new(),
-                lost: 0,
-                trouble: None,
-            },
-            clients: Vec::new(),
-        };
+        let json = |text| serde_json::from_str::<Value>(text).unwrap();
+        let mut seen = json(include_str!("../../../tests/golden/top.json"));
+        seen["status"] = json(include_str!("../../../tests/golden/status.json"));
+        seen["status"]["uptime_s"] = 4000.into();
         let mut view = View::new(colour, Duration::from_millis(500));
         for n in 0..40 {
-            let mut axes = explained.clone();
-            axes[0].total_um = f64::from(n) - 20.0;
-            view.take(seen(axes));
+            seen["explained"][0]["total_um"] = (n - 20).into();
+            view.take(serde_json::from_value(seen.clone()).unwrap());
         }
         view
     }

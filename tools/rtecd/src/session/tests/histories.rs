@@ -27,6 +27,7 @@ mod machine;
 mod mishaps;
 
 use super::super::*;
+use super::set_up;
 use crate::start;
 use judge::{Asked, Judge, Planted, World};
 use machine::{AtWrite, Killed, Machine, Wires};
@@ -35,7 +36,7 @@ use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
 use rtec_rt::event::{Fault, Faults};
-use rtec_rt::journal::{Before, Journal, MachineRecord};
+use rtec_rt::journal::{Journal, MachineRecord};
 use rtec_rt::link::link;
 use rtec_rt::thread::Turns;
 use std::cell::{Cell, RefCell};
@@ -226,12 +227,12 @@ impl Life {
 
     /// Runs one process from its start until it is killed or ends.
     fn live(&mut self, tally: &mut Tally) {
-        let (mut log, mut card) = (Log::silent(), Wires(Rc::clone(&self.world.machine)));
+        let mut card = Wires(Rc::clone(&self.world.machine));
         let half = (0..2).any(|n| !self.world.machine.borrow().settled(n));
         if self.planted == Some(Planted::HoldForgotten) {
             self.forget_hold();
         }
-        let Ok((mut engine, _, state_file)) = start::engine(&mut card, &self.config, &mut log) else {
+        let Ok((mut engine, _, state_file)) = start::engine(&mut card, &self.config) else {
             // The message says what to do by hand, and that is done here.
             tally.not_started += 1;
             // At a first start there is no file.
@@ -243,13 +244,7 @@ impl Life {
         tally.finished_halves += u64::from(half);
         self.tell(&format!("started: {:?}", [0, 1].map(|n| engine.in_effect(n))));
         engine.set_may_arm(true);
-        let set_up = SetUp {
-            real: false,
-            wanted: None,
-            missing: None,
-            timing: engine.timing(),
-            before: Before::NOTHING,
-        };
+        let set_up = set_up(&engine, false);
         let (mut control, rt) = link(engine.status());
         {
             let mut judge = self.world.judge.borrow_mut();
@@ -280,7 +275,7 @@ impl Life {
                 break;
             }
             control.beat();
-            session.drain(control, &mut log);
+            session.drain(control);
             if control.pending() == 0 {
                 self.world.judge.borrow_mut().asked = Asked::default();
             }
@@ -289,7 +284,7 @@ impl Life {
             }
             tally.held += u64::from(self.world.judge.borrow().held);
             self.sense(&mut session);
-            session.tick(control, &mut log);
+            session.tick(control);
             session.take_happened();
             if control.ended() {
                 // The service manager would not notice it. A person does, and starts the daemon again.
@@ -299,9 +294,9 @@ impl Life {
                 self.tell(&format!("latched: {:?}", session.latched(&control.status())));
             }
             seen.count(&session.latched(&control.status()), tally);
-            self.people(&mut session, control, &mut log, tally);
+            self.people(&mut session, control, tally);
             self.mishaps();
-            self.lose_state_file(&mut session, control, &mut log, tally);
+            self.lose_state_file(&mut session, control, tally);
             self.world.run(10_000_000);
         }
     }

@@ -20,7 +20,6 @@ struct Hand {
     session: Session,
     running: rtec_rt::thread::Running<MockCard<Patient, Monotonic>>,
     inputs: std::sync::Arc<std::sync::atomic::AtomicU64>,
-    log: Log,
     _directory: tempfile::TempDir,
 }
 
@@ -63,17 +62,16 @@ impl Hand {
         let mut card = MockCard::new(Patient(wires), Monotonic);
         let machine = MachineConfig { lines: config.lines, may_arm: true };
         let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
-        let before = Before::NOTHING;
-        let set_up = SetUp { real: false, wanted: None, missing: None, timing: engine.timing(), before };
+        let set_up = set_up(&engine, false);
         let time = Rc::new(RealTime(Clock::start()));
         let session = Session::by(time, config, set_up, Buses::of(Vec::new()));
         let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
         let running = spawn(engine, card, options).unwrap();
-        Self { session, running, inputs, log: Log::new(), _directory: directory }
+        Self { session, running, inputs, _directory: directory }
     }
 
     fn ask(&mut self, request: &ClientRequest) -> Response {
-        ask(&mut self.session, request, &mut self.running.control, &mut self.log)
+        ask(&mut self.session, request, &mut self.running.control)
     }
 
     fn done(&mut self, request: &ClientRequest) {
@@ -149,7 +147,7 @@ fn enabling_what_is_on_moves_nothing() {
     let file = Some(file.display().to_string());
     hand.done(&ClientRequest::ModelLoad { file, take, expired: false, files: Vec::new() });
     hand.session.due = Instant::now();
-    hand.session.tick(&mut hand.running.control, &mut hand.log);
+    hand.session.tick(&mut hand.running.control);
     let enable = |accept_jump| ClientRequest::Enable { accept_jump };
     let before = hand.running.control.status().axes[1].requested;
     for accept_jump in [false, true] {

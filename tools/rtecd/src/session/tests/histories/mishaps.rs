@@ -70,7 +70,6 @@ impl Life {
         &mut self,
         session: &mut Session,
         control: &mut ControlEnd,
-        log: &mut Log,
         tally: &mut Tally,
     ) {
         let rarely = if self.planted == Some(Planted::FileUnwatched) { 10 } else { 150 };
@@ -87,7 +86,7 @@ impl Life {
         }
         self.tell("the state file is lost");
         tally.lost_files += 1;
-        session.look_after_state_file(control, log);
+        session.look_after_state_file(control);
     }
 
     /// The state of the failures, as text.
@@ -146,7 +145,6 @@ impl Life {
         session: &mut Session,
         request: &ClientRequest,
         control: &mut ControlEnd,
-        log: &mut Log,
         tally: &mut Tally,
     ) {
         tally.requests += 1;
@@ -165,7 +163,7 @@ impl Life {
         let in_effect = control.status().axes().iter().any(|a| a.in_effect != 0);
         for _ in 0..20 {
             self.tell(&format!("{request:?}"));
-            match session.answer(request, RequestContext::default(), control, log) {
+            match session.answer(request, RequestContext::default(), control) {
                 Answer::Again(_) => self.world.run(2_000_000),
                 Answer::Now(response) => {
                     let no = matches!(
@@ -181,13 +179,7 @@ impl Life {
         }
     }
 
-    pub(super) fn people(
-        &mut self,
-        session: &mut Session,
-        control: &mut ControlEnd,
-        log: &mut Log,
-        tally: &mut Tally,
-    ) {
+    pub(super) fn people(&mut self, session: &mut Session, control: &mut ControlEnd, tally: &mut Tally) {
         use ClientRequest as R;
         let status = control.status();
         let wants_arming = matches!(status.mode, Mode::Disabled | Mode::Fault);
@@ -196,7 +188,7 @@ impl Life {
             self.world.machine.borrow_mut().stop = true;
             for _ in 0..100 {
                 control.beat();
-                session.drain(control, log);
+                session.drain(control);
                 self.world.run(5_000_000);
                 if control.status().axes().iter().all(|a| a.edge_rate_hz < 1.0) {
                     break;
@@ -205,7 +197,7 @@ impl Life {
             let controller_homed = self.controller_homed();
             let home = R::Home { axis: None, controller_homed };
             for request in [R::Clear {}, R::Hold { on: false }, home, R::Enable { accept_jump: true }] {
-                self.ask(session, &request, control, log, tally);
+                self.ask(session, &request, control, tally);
             }
             self.world.machine.borrow_mut().stop = false;
             return;
@@ -243,13 +235,13 @@ impl Life {
             return;
         }
         for _ in 0..times {
-            self.ask(session, &request, control, log, tally);
+            self.ask(session, &request, control, tally);
         }
         if self.dice.one_in(12) {
             // The process is stopped with a request pending, and there is no sign of life.
             let axis = ["x", "y"][self.dice.within(0, 1) as usize].to_owned();
             let total_counts = self.dice.within(0, 120) as i64 - 60;
-            self.ask(session, &R::Correct { axis, total_counts, large: true }, control, log, tally);
+            self.ask(session, &R::Correct { axis, total_counts, large: true }, control, tally);
             let (now_ns, ns) = (self.now_ns(), self.dice.within(1, 300) * 1_000_000);
             self.world.judge.borrow_mut().silent_ns = Some(now_ns);
             self.world.run(ns);
