@@ -32,6 +32,11 @@ impl InputError {
         Self::at(file, 0, 0, found, expected)
     }
 
+    /// A finding at the beginning of a line, from 1.
+    pub fn line(file: &Path, line: usize, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::at(file, line, 1, found, expected)
+    }
+
     /// A finding at a line and column, each from 1, or 0 if not known.
     pub fn at(
         file: &Path,
