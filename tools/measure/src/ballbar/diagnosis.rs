@@ -173,6 +173,13 @@ pub(super) struct Term {
     pub(super) only: Option<usize>,
 }
 
+impl Term {
+    /// Whether it is reported: spikes and cyclic errors only if they are in `told`.
+    fn is_told(&self, told: &[String]) -> bool {
+        !(self.name.starts_with("spike.") || self.name.starts_with("cyclic.")) || told.contains(&self.name)
+    }
+}
+
 /// The fit of one plane.
 #[derive(Clone)]
 pub(super) struct Fit<'t> {
@@ -248,12 +255,12 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
             .map(|((read, now), start)| {
                 let q = read.step_um;
                 let predicted = |row: usize| now.radial[row] - left[start + row];
-                let off: Vec<f64> =
-                    (0..read.radial.len()).map(|row| read.radial[row] - predicted(row)).collect();
-                let square = off.iter().map(|v| v * v).sum::<f64>() / off.len() as f64;
+                let off = |row: usize| read.radial[row] - predicted(row);
+                let rows = 0..read.radial.len();
+                let square = rows.clone().map(|row| off(row) * off(row)).sum::<f64>() / rows.len() as f64;
                 let variance = (square - q * q / 12.0).max(0.0);
                 let error = |row| rounding_error(q, predicted(row) - read.radial[0], variance);
-                (0..off.len()).map(|row| if q > 0.0 { error(row) } else { 0.0 }).collect()
+                rows.map(|row| if q > 0.0 { error(row) } else { 0.0 }).collect()
             })
             .collect();
         for ((read, now), taken) in traces.iter().zip(&mut finer).zip(&taken) {
@@ -269,13 +276,11 @@ fn diagnose_beyond(
     settled_mm: f64,
     warnings: &mut Vec<String>,
 ) -> Result<Diagnosis, InputError> {
-    let Some(circle) =
-        traces[0].record.circle().filter(|_| traces.iter().all(|t| t.record.circle().is_some()))
-    else {
-        warnings.push(
-            "no radius_mm and plane in the sidecar: no squareness, scale, reversal or servo mismatch"
-                .to_owned(),
-        );
+    let all_circles = traces.iter().all(|t| t.record.circle().is_some());
+    let Some(circle) = traces[0].record.circle().filter(|_| all_circles) else {
+        let no_circle =
+            "no radius_mm and plane in the sidecar: no squareness, scale, reversal or servo mismatch";
+        warnings.push(no_circle.to_owned());
         return Ok(plain(&traces[0]));
     };
     let planned = [circle.plane[0].clone(), circle.plane[1].clone()];
@@ -359,11 +364,8 @@ impl<'t> Fit<'t> {
             warnings.push("no time: no feed, and so no servo mismatch".to_owned());
         }
         if fit.n < 4 * (fit.terms.len() + 6) {
-            return Err(lacks(
-                &traces[0].record,
-                &format!("{} rows", fit.n),
-                "a circle of more rows than that",
-            ));
+            let found = format!("{} rows", fit.n);
+            return Err(lacks(&traces[0].record, &found, "a circle of more rows than that"));
         }
         if !fit.drop_alike("servo_mismatch_ms", timed) {
             // One direction cannot separate an ellipse at 45°: both causes become one term.
@@ -379,11 +381,19 @@ impl<'t> Fit<'t> {
         Ok(fit)
     }
 
+    /// The terms, each with the places of its free values among all.
+    pub(super) fn placed(&self) -> impl Iterator<Item = (&Term, Range<usize>)> {
+        self.terms.iter().scan(0, |end, t| {
+            let start = *end;
+            *end += t.free.len();
+            Some((t, start..*end))
+        })
+    }
+
     /// Adds columns to those fitted beside the terms.
     pub(super) fn take_beside(&mut self, more: &DMatrix<f64>) {
-        let all: Vec<DVector<f64>> =
-            self.beside.column_iter().chain(more.column_iter()).map(nalgebra::Matrix::into_owned).collect();
-        self.beside = if all.is_empty() { DMatrix::zeros(self.n, 0) } else { DMatrix::from_columns(&all) };
+        let all = [columns_of(&self.beside), columns_of(more)].concat();
+        self.beside = structure::matrix_of(self.n, &all);
         self.prepare_beside();
     }
 
@@ -404,13 +414,9 @@ impl<'t> Fit<'t> {
             };
             let begun: Vec<Range<usize>> = t.contours.iter().enumerate().map(of).collect();
             let at_feed = at_feed(t);
-            let own: Vec<bool> = (0..t.angle.len())
-                .map(|i| {
-                    at_feed[i]
-                        && begun.iter().any(|rows| rows.contains(&i))
-                        && !turns(t, t.angle[i], settled_mm)
-                })
-                .collect();
+            let is_begun = |i: usize| begun.iter().any(|rows| rows.contains(&i));
+            let is_fitted = |i: usize| at_feed[i] && is_begun(i) && !turns(t, t.angle[i], settled_mm);
+            let own: Vec<bool> = (0..t.angle.len()).map(is_fitted).collect();
             let inside =
                 |i: usize| begun.iter().any(|rows| rows.contains(&i) && i > rows.start) && own[i - 1];
             follows.extend((0..t.radial.len()).map(inside));
@@ -552,11 +558,11 @@ impl<'t> Fit<'t> {
     }
 
     fn all_whitened(&self, columns: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut all = columns.clone();
-        for (i, c) in columns.column_iter().enumerate() {
-            all.set_column(i, &self.whitened(&c.into_owned()));
-        }
-        all
+        self.each_column(columns, |c| self.whitened(c))
+    }
+
+    fn each_column(&self, all: &DMatrix<f64>, of: impl Fn(&DVector<f64>) -> DVector<f64>) -> DMatrix<f64> {
+        structure::matrix_of(self.n, &columns_of(all).iter().map(of).collect::<Vec<_>>())
     }
 
     /// Must follow a change of the columns beside or of the autocorrelation.
@@ -686,13 +692,8 @@ impl<'t> Fit<'t> {
         let directions = Directions::by(&j);
         let told_beside = self.told(&left, variance);
         // Change of each value per µm in each of the laws' orders.
-        let moves = told_beside.map(|_| {
-            let mut taken = self.structure.taken.clone();
-            for (i, c) in self.structure.taken.column_iter().enumerate() {
-                taken.set_column(i, &self.white(&c.into_owned()));
-            }
-            directions.solve_all(&taken)
-        });
+        let moves = told_beside
+            .map(|_| directions.solve_all(&self.each_column(&self.structure.taken, |c| self.white(c))));
         let half = |at: usize| {
             let noise = (variance * directions.covariance[(at, at)]).max(0.0);
             let (mut all, mut spread) = (noise, noise * noise / freedom);
@@ -736,8 +737,7 @@ impl<'t> Fit<'t> {
         without.drift = 0;
         without.prepare_beside();
         without.free_all(told);
-        let drift: Vec<DVector<f64>> =
-            self.beside.columns(kept, self.drift).column_iter().map(nalgebra::Matrix::into_owned).collect();
+        let drift = columns_of(&self.beside.columns(kept, self.drift).into_owned());
         let mut odds: f64 = spikes.iter().filter_map(|axis| without.spike_odds(axis)).sum();
         for columns in drift.chunks(structure::DRIFTS) {
             odds += without.odds(columns, DRIFT_UM);
@@ -794,14 +794,11 @@ impl<'t> Fit<'t> {
 
     /// Causes and set-up terms that these runs cannot determine, in words.
     fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
-        let (mut at, mut names) = (0, Vec::new());
-        for t in &self.terms {
-            let lost = t.free.iter().enumerate().any(|(k, _)| !shown.resolved[at + k]);
-            at += t.free.len();
-            let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
-            if lost && self.separates(&t.name) && (!searched || told.contains(&t.name)) {
-                let name =
-                    if t.only.is_some() { "the set-up (centre, radius)".to_owned() } else { cause(&t.name) };
+        let mut names = Vec::new();
+        for (t, places) in self.placed() {
+            if !shown.resolved[places].iter().all(|r| *r) && self.separates(&t.name) && t.is_told(told) {
+                let set_up = t.only.map(|_| "the set-up (centre, radius)".to_owned());
+                let name = set_up.unwrap_or_else(|| cause(&t.name));
                 if !names.contains(&name) {
                     names.push(name);
                 }
@@ -813,31 +810,18 @@ impl<'t> Fit<'t> {
     /// Free values with their half widths, and the causes' contributions.
     /// Unresolved values are left out.
     fn values(&self, shown: &Shown, told: &[String]) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
-        let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
+        let mut values = Values::new();
         let (mut contributions, mut not_separable) = (Vec::new(), None);
-        let mut at = 0;
-        for t in &self.terms {
+        for (t, places) in
+            self.placed().filter(|(_, places)| shown.resolved[places.clone()].iter().all(|r| *r))
+        {
             let Some((effect, _)) = t.parts.first() else { continue };
-            let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
-            for i in &t.free {
-                let half = shown.halves[at];
-                at += 1;
-                if !known {
-                    continue;
-                }
-                let key = if t.free.len() > 1 {
-                    format!("{}.{}", t.name, effect.description().parameters[*i].name)
-                } else {
-                    t.name.clone()
-                };
-                values.insert(key, (effect.values()[*i], half));
+            for (i, half) in t.free.iter().zip(&shown.halves[places]) {
+                let parameter = || format!("{}.{}", t.name, effect.description().parameters[*i].name);
+                let key = if t.free.len() > 1 { parameter() } else { t.name.clone() };
+                values.insert(key, (effect.values()[*i], *half));
             }
-            let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
-            let fitted_only = !known
-                || t.only.is_some()
-                || (searched && !told.contains(&t.name))
-                || !self.separates(&t.name);
-            if !fitted_only {
+            if t.only.is_none() && t.is_told(told) && self.separates(&t.name) {
                 let shape = self.shape(t);
                 let um = shape.max() - shape.min();
                 if t.name == TOGETHER {
@@ -876,23 +860,21 @@ impl<'t> Fit<'t> {
     fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
         let (values, mut contributions, not_separable) = self.values(shown, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
-        let of_axes = |what: &str| {
-            axes.iter()
-                .filter(|a| told.contains(&format!("{what}.{a}")))
-                .map(ToString::to_string)
-                .collect::<Vec<_>>()
+        // The two values of a reported term, by axis.
+        let of_axes = |what: &str, values: [&str; 2]| -> Vec<(String, [f64; 2])> {
+            let of = |a: &&Axis| {
+                let [one, other] = values.map(|value| get(&format!("{what}.{a}.{value}")));
+                Some((a.to_string(), [one?, other?])).filter(|_| told.contains(&format!("{what}.{a}")))
+            };
+            axes.iter().filter_map(of).collect()
         };
         let reversal =
             axes.iter().map(|a| (a, format!("reversal.{a}"))).filter(|(_, name)| self.separates(name));
         let reversal = reversal.filter_map(|(a, name)| Some((a.to_string(), get(&name)?))).collect();
-        let spike = of_axes("spike").into_iter().filter_map(|a| {
-            let at = |p: &str| get(&format!("spike.{a}.{p}"));
-            Some((a.clone(), Spike { um: at("um")?, length_mm: at("length_mm")? }))
-        });
-        let cyclic = of_axes("cyclic").into_iter().filter_map(|a| {
-            let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
-            Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
-        });
+        let spike = of_axes("spike", ["um", "length_mm"]).into_iter();
+        let spike = spike.map(|(a, [um, length_mm])| (a, Spike { um, length_mm }));
+        let cyclic = of_axes("cyclic", ["period_mm", "um"]).into_iter();
+        let cyclic = cyclic.map(|(a, [period_mm, um])| (a, Cyclic { period_mm, um }));
         let unexplained_um = self.unexplained_um(shown);
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
@@ -942,14 +924,11 @@ impl<'t> Fit<'t> {
                 }),
             }
         };
-        let mut interval_95: BTreeMap<String, [f64; 2]> = values
-            .iter()
-            .filter(|(name, _)| stands(name))
-            .filter_map(|(name, (v, half))| {
-                let v = v + circle(name);
-                Some((rename(name)?, [v - half, v + half]))
-            })
-            .collect();
+        let interval = |(name, (v, half)): (&String, &(f64, f64))| {
+            let v = v + circle(name);
+            Some((rename(name).filter(|_| stands(name))?, [v - half, v + half]))
+        };
+        let mut interval_95: BTreeMap<String, [f64; 2]> = values.iter().filter_map(interval).collect();
         interval_95.extend(self.spike_intervals(told, shown));
         Diagnosis {
             centre_um: [set_up("centre.0.0", 1), set_up("centre.1.0", 2)],
@@ -972,16 +951,16 @@ impl<'t> Fit<'t> {
 
     /// Intervals of reported spikes, by the names of their values.
     fn spike_intervals(&self, told: &[String], shown: &Shown) -> Vec<(String, [f64; 2])> {
-        let (mut at, mut intervals) = (0, Vec::new());
-        for t in &self.terms {
-            let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
+        let mut intervals = Vec::new();
+        for (t, places) in self.placed() {
+            let known = shown.resolved[places.clone()].iter().all(|r| *r);
             if known && t.name.starts_with("spike.") && told.contains(&t.name) && t.free.len() == 2 {
-                let profile = self.spike_profile(t, [shown.rises[at], shown.rises[at + 1]]);
+                let profile =
+                    self.spike_profile(t, [shown.rises[places.start], shown.rises[places.start + 1]]);
                 let named =
                     |ends| ["um", "length_mm"].map(|p| format!("{}.{p}", t.name)).into_iter().zip(ends);
                 intervals.extend(profile.into_iter().flat_map(named));
             }
-            at += t.free.len();
         }
         intervals
     }
@@ -1060,6 +1039,10 @@ fn cause(name: &str) -> String {
         other => other,
     };
     format!("{words} {axis}")
+}
+
+pub(super) fn columns_of(all: &DMatrix<f64>) -> Vec<DVector<f64>> {
+    all.column_iter().map(nalgebra::Matrix::into_owned).collect()
 }
 
 fn residual(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
