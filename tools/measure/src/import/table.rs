@@ -1,7 +1,7 @@
 //! Imports any table with named columns.
 //! Options: separator, number format, roles and units.
 
-use super::{add_note, record_of};
+use super::{add_note, finite, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
@@ -59,7 +59,7 @@ impl ImportColumn {
         else {
             return Self::of(name, name, role, Some(unit), 1.0, 0.0);
         };
-        let number = factor.parse().ok().filter(|v: &f64| v.is_finite() && *v != 0.0);
+        let number = finite(factor).filter(|v| *v != 0.0);
         let number = number.ok_or_else(|| bad(factor, "a factor that is no zero, as in V*35.15=N"))?;
         if unit.is_empty() {
             return Err(bad(rest, "the unit that the factor leads to, as in V*35.15=N"));
@@ -107,6 +107,11 @@ impl ImportColumn {
             unit_given,
             unit_said,
         })
+    }
+
+    /// The record's column with these values.
+    pub(super) fn filled(&self, data: Vec<f64>) -> Column {
+        Column { unit: self.unit.clone(), ..Column::new(&self.name, self.role.clone(), data) }
     }
 
     /// The column in the unit that its header name states, and that unit.
@@ -177,12 +182,12 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
             let mut inside = false;
             for c in line.trim_end().chars() {
                 let blank = c.is_whitespace();
-                out.push(if blank && inside {
-                    '\t'
-                } else if blank {
-                    ' '
-                } else {
+                out.push(if !blank {
                     c
+                } else if inside {
+                    '\t'
+                } else {
+                    ' '
                 });
                 inside = !blank;
             }
@@ -217,12 +222,9 @@ pub fn table(
         .iter()
         .map(|w| match &header {
             Some(header) => header.place_or_number(&w.column),
-            None => w.column.parse::<usize>().ok().filter(|n| *n > 0).map(|n| n - 1).ok_or_else(|| {
-                InputError::whole(
-                    from,
-                    format!("column `{}`", w.column),
-                    "a column's number, from 1: the table has no names",
-                )
+            None => w.column.parse::<usize>().ok().and_then(|n| n.checked_sub(1)).ok_or_else(|| {
+                let expected = "a column's number, from 1: the table has no names";
+                InputError::whole(from, format!("column `{}`", w.column), expected)
             }),
         })
         .collect::<Result<Vec<_>, _>>()?;
@@ -271,9 +273,8 @@ pub fn table(
             if is_time && clock.moments.start().is_some() {
                 let expected =
                     clock::expected_instead(cell.text()).filter(|_| clock::has_two_days(cell.text()));
-                return Err(named(cell.finding(
-                    expected.unwrap_or("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
-                )));
+                let as_before = "a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37";
+                return Err(named(cell.finding(expected.unwrap_or(as_before))));
             }
             let number = numbers.parse(cell.text()).ok_or_else(|| {
                 let in_units = data.is_empty() && cells.iter().all(|cell| is_unit(cell.text()));
@@ -294,11 +295,8 @@ pub fn table(
             None => InputError::whole(from, "no rows", "at least one"),
         });
     }
-    let columns = wanted
-        .iter()
-        .zip(data)
-        .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) });
-    let mut record = record_of(to, kind, columns.collect(), form.log)?;
+    let columns = wanted.iter().zip(data).map(|(w, data)| w.filled(data)).collect();
+    let mut record = record_of(to, kind, columns, form.log)?;
     let by_name = (!by_name.is_empty())
         .then(|| format!("{}: read by its name: {}", from.display(), by_name.join(", ")));
     let said: Vec<String> = written.into_iter().chain(by_name).collect();
@@ -336,10 +334,8 @@ fn opened<'t>(
     form: &Form,
 ) -> Result<(Reader<&'t [u8]>, Option<Header>), InputError> {
     let mut reader = Reader::new(from, text.as_bytes())?;
-    match form.by {
-        Some(' ') => reader = reader.parted_by('\t'),
-        Some(by) => reader = reader.parted_by(by),
-        None => {}
+    if let Some(by) = form.by {
+        reader = reader.parted_by(if by == ' ' { '\t' } else { by });
     }
     let columns: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
     let header = match (form.nameless, form.by) {
@@ -510,13 +506,11 @@ impl Clock {
         let local = self.moments.start().is_some_and(|text| !has_zone(text));
         let gap = record.data(&Role::Time).and_then(put_forward).filter(|_| local);
         if let Some((row, gap_s, usual_s)) = gap {
-            add_note(
-                record,
-                &format!(
-                    "row {row} is {gap_s} s after the row before, the others {usual_s} s: was the clock put forward to summer time? \
-                     Then write the times with their offset, as 2025-03-30T03:00:00+02:00"
-                ),
+            let text = format!(
+                "row {row} is {gap_s} s after the row before, the others {usual_s} s: was the clock put forward to summer time? \
+                 Then write the times with their offset, as 2025-03-30T03:00:00+02:00"
             );
+            add_note(record, &text);
         }
     }
 }
@@ -563,8 +557,8 @@ fn cells<'a>(
         let (fields, names) = (row.cells().count(), header.names().count());
         if by == ',' && form.decimal_comma != Some(true) && row.has_decimal_commas(names) {
             let found = format!("{fields} fields in {names} columns: decimal commas between commas?");
-            return row
-                .finding(found, "numbers with a decimal point, or columns parted by semicolons or tabs");
+            let expected = "numbers with a decimal point, or columns parted by semicolons or tabs";
+            return row.finding(found, expected);
         }
         e
     })
