@@ -50,20 +50,16 @@ impl Format for LinuxCnc {
     }
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
-        let (mm, decimals) = (self.unit.mm(), 9);
+        let in_unit = |mm: f64| number(mm / self.unit.mm(), 9);
         let mut text = String::new();
         let mut before: Option<String> = None;
         for p in &table.points {
             let value = |um: f64| if self.trims { -um / 1000.0 } else { p.position_mm + um / 1000.0 };
-            let nominal = number(p.position_mm / mm, decimals);
+            let nominal = in_unit(p.position_mm);
             if before.as_ref() == Some(&nominal) {
                 return Err(usage(format!("the position {nominal} twice"), "a larger --step"));
             }
-            let line = format!(
-                "{nominal} {} {}\n",
-                number(value(p.up_um) / mm, decimals),
-                number(value(p.down_um) / mm, decimals)
-            );
+            let line = format!("{nominal} {} {}\n", in_unit(value(p.up_um)), in_unit(value(p.down_um)));
             if line.len() >= LINE {
                 return Err(usage(format!("a line of {} bytes", line.len()), "lines below 255 bytes"));
             }
@@ -74,10 +70,7 @@ impl Format for LinuxCnc {
     }
 
     fn advice(&self, _: &Table) -> Vec<String> {
-        let unit = match self.unit {
-            Unit::Mm => "mm",
-            Unit::Inch => "inch",
-        };
+        let unit = if self.unit == Unit::Mm { "mm" } else { "inch" };
         vec![format!(
             "in the [JOINT_n] section: COMP_FILE = this file, COMP_FILE_TYPE = {}; the machine's LINEAR_UNITS are {unit}; BACKLASH is \
              ignored then; add no comment: LinuxCNC stops at the first line that is not three numbers",

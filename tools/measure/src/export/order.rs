@@ -88,19 +88,17 @@ impl TableOrder {
             return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
         }
         let most = self.wanted.most;
-        if let Some(along) = &self.along {
-            let cannot = match self.format {
-                ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
-                    "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one"
-                }
-                ExportFormat::Ssfk => "kw.ssfk is looked up at the axis' own position",
-                ExportFormat::Siemens => "$AA_ENC_COMP is looked up at the axis' own position",
-                ExportFormat::SiemensCec | ExportFormat::Csv | ExportFormat::Own => "",
-            };
-            if !cannot.is_empty() {
-                let expected = format!("--format siemens-cec, csv or own, or no --along: {cannot}");
-                return Err(usage(format!("--along {along} with this format"), expected));
-            }
+        let cannot_along = match self.format {
+            ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => Some(
+                "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one",
+            ),
+            ExportFormat::Ssfk => Some("kw.ssfk is looked up at the axis' own position"),
+            ExportFormat::Siemens => Some("$AA_ENC_COMP is looked up at the axis' own position"),
+            ExportFormat::SiemensCec | ExportFormat::Csv | ExportFormat::Own => None,
+        };
+        if let Some((along, why)) = self.along.as_ref().zip(cannot_along) {
+            let expected = format!("--format siemens-cec, csv or own, or no --along: {why}");
+            return Err(usage(format!("--along {along} with this format"), expected));
         }
         Ok(match self.format {
             ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
@@ -158,13 +156,15 @@ impl TableOrder {
         warnings.extend(self.coarse(&table, rules.both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
         let spike_um = errors.behind_turn_um(f64::midpoint(self.wanted.from_mm, self.wanted.to_mm))?;
+        let beside =
+            format!("; right behind a turn up to {spike_um:.2} um more, which no table of positions holds");
         let mut notes = vec![
             format!(
                 "axis {}{}, {points} positions, {:.4} mm apart, {} to {} mm",
                 table.axis,
                 self.along.as_ref().map_or(String::new(), |along| format!(" along {along}")),
                 table.step_mm,
-                short(table.points[0].position_mm),
+                short(table.start_mm()),
                 short(table.end_mm())
             ),
             format!(
@@ -172,13 +172,7 @@ impl TableOrder {
                 left.max_up_um,
                 left.max_down_um,
                 left.rms_um,
-                if spike_um > 0.0 {
-                    format!(
-                        "; right behind a turn up to {spike_um:.2} um more, which no table of positions holds"
-                    )
-                } else {
-                    String::new()
-                }
+                if spike_um > 0.0 { &beside } else { "" }
             ),
         ];
         if !held.is_empty() {
@@ -193,7 +187,7 @@ impl TableOrder {
         notes.extend(format.advice(&table));
         let document = json!({
             "axis": table.axis.as_str(), "along": along, "points": points, "step_mm": table.step_mm,
-            "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
+            "from_mm": table.start_mm(), "to_mm": table.end_mm(),
             "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
             "between_um": table.between_um, "behind_turn_um": spike_um, "constant_um": table.constant_um, "warnings": warnings,
             "temperatures_degC": held.iter().copied().collect::<BTreeMap<&str, f64>>(),
@@ -218,14 +212,13 @@ impl TableOrder {
     fn coarse(&self, table: &Table, both: bool) -> Vec<String> {
         let (limit_um, to_mm, mut found) = (self.wanted.limit_um, self.wanted.to_mm, Vec::new());
         if table.between_um > limit_um {
+            let finer = self
+                .wanted
+                .step_mm
+                .map_or("the format takes no more positions", |_| "a smaller --step, or none");
             found.push(format!(
-                "between its positions the table is up to {:.2} um off the model, more than the limit of {limit_um} um{}",
-                table.between_um,
-                if self.wanted.step_mm.is_some() {
-                    ": a smaller --step, or none"
-                } else {
-                    ": the format takes no more positions"
-                }
+                "between its positions the table is up to {:.2} um off the model, more than the limit of {limit_um} um: {finer}",
+                table.between_um
             ));
         }
         if table.end_mm() > to_mm + 1e-9 {

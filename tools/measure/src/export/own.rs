@@ -25,6 +25,8 @@ use std::path::Path;
 
 const UNITS: [(&str, f64); 3] = [("mm", 1.0), ("um", 1e-3), ("inch", 25.4)];
 const ONCE: [&str; 5] = ["axis", "points", "step", "first", "last"];
+const KEYS: &str = "header line footer value position_unit value_unit position_decimals value_decimals \
+                    max_points first_index zero_at_reference decimal_comma line_end";
 const EACH: [&str; 5] = ["n", "position", "forward", "reverse", "mean"];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,21 +101,7 @@ impl OwnForm {
     pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self, InputError> {
         let document = Document::parse(file, text)?;
         let root = document.root();
-        root.only(&[
-            "header",
-            "line",
-            "footer",
-            "value",
-            "position_unit",
-            "value_unit",
-            "position_decimals",
-            "value_decimals",
-            "max_points",
-            "first_index",
-            "zero_at_reference",
-            "decimal_comma",
-            "line_end",
-        ])?;
+        root.only(&KEYS.split_whitespace().collect::<Vec<_>>())?;
         let once = |key: &str| root.get(key).map_or(Ok(Vec::new()), |entry| template(entry, &ONCE));
         let line_entry =
             root.required("line", "what a point's line is, as line = \"{position} {forward} {reverse}\"")?;
@@ -155,13 +143,10 @@ impl OwnForm {
         let Some(count) = Some(most.integer::<usize>(expected)?).filter(|n| (2..=100_000).contains(n)) else {
             return Err(most.mismatch(expected));
         };
-        let line_end = match root.get("line_end") {
-            None => "\n",
-            Some(entry) => match entry.as_str() {
-                Some("lf") => "\n",
-                Some("crlf") => "\r\n",
-                _ => return Err(entry.mismatch("line_end = \"lf\" or \"crlf\"")),
-            },
+        let line_end = match root.get("line_end").map(|entry| (entry, entry.as_str())) {
+            None | Some((_, Some("lf"))) => "\n",
+            Some((_, Some("crlf"))) => "\r\n",
+            Some((entry, _)) => return Err(entry.mismatch("line_end = \"lf\" or \"crlf\"")),
         };
         let zero = flag("zero_at_reference")?;
         if zero && value == Value::Reached {
@@ -221,22 +206,19 @@ impl Format for OwnForm {
 
     fn text(&self, table: &Table) -> Result<String, InputError> {
         let mut text = String::new();
-        let ends = (table.points.first().map_or(0.0, |p| p.position_mm), table.end_mm());
         let once = |name: &str| match name {
             "axis" => table.axis.to_string(),
             "points" => table.points.len().to_string(),
             "step" => self.position(table.step_mm),
-            "first" => self.position(ends.0),
-            _ => self.position(ends.1),
+            "first" => self.position(table.start_mm()),
+            _ => self.position(table.end_mm()),
         };
         let fill = |pieces: &[Piece], of: &dyn Fn(&str) -> String| -> String {
-            pieces
-                .iter()
-                .map(|p| match p {
-                    Piece::Text(text) => text.clone(),
-                    Piece::Place(name) => of(name),
-                })
-                .collect()
+            let written = |p: &Piece| match p {
+                Piece::Text(text) => text.clone(),
+                Piece::Place(name) => of(name),
+            };
+            pieces.iter().map(written).collect()
         };
         text.push_str(&fill(&self.header, &once));
         let mut before = String::new();

@@ -10,11 +10,11 @@ use rtec_files::InputError;
 use std::fmt::Write as _;
 
 /// Points of an 808D; an 840D or 828D has the number in MD38000.
-pub const MOST: usize = 200;
+pub(super) const MOST: usize = 200;
 
 /// A table of encoder compensation.
 #[derive(Debug, Clone, PartialEq)]
-pub struct EncComp {
+pub(super) struct EncComp {
     /// Name of the machine axis in the controller, such as X1.
     pub axis: String,
     /// The reference point, mm.
@@ -48,13 +48,12 @@ impl Format for EncComp {
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AA_ENC_COMP[{e},{i},{axis}]={}", number(p.mean_um() / 1000.0, 6));
         }
-        let start = table.points.first().map_or(0.0, |p| p.position_mm);
         let _ = write!(
             text,
             "$AA_ENC_COMP_STEP[{e},{axis}]={}\n$AA_ENC_COMP_MIN[{e},{axis}]={}\n$AA_ENC_COMP_MAX[{e},{axis}]={}\n\
              $AA_ENC_COMP_IS_MODULO[{e},{axis}]=0\nM17\n",
             number(table.step_mm, 4),
-            number(start, 4),
+            number(table.start_mm(), 4),
             number(table.end_mm(), 4)
         );
         Ok(text)

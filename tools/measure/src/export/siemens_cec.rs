@@ -12,11 +12,11 @@ use std::fmt::Write as _;
 
 /// Points of a table of an 828D (the manual, p. 264).
 /// An 840D has the number in MD18342.
-pub const MOST: usize = 200;
+pub(super) const MOST: usize = 200;
 
 /// A table of sag compensation.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Cec {
+pub(super) struct Cec {
     /// Name of the compensation axis in the controller, such as Y1.
     pub axis: String,
     /// Name of the basic axis, whose position is looked up, such as X1.
@@ -55,7 +55,6 @@ impl Format for Cec {
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AN_CEC[{t},{i}]={}", number(self.value_mm(p), 6));
         }
-        let start = table.points.first().map_or(0.0, |p| p.position_mm);
         let _ = write!(
             text,
             "$AN_CEC_INPUT_AXIS[{t}]=({})\n$AN_CEC_OUTPUT_AXIS[{t}]=({})\n$AN_CEC_STEP[{t}]={}\n$AN_CEC_MIN[{t}]={}\n\
@@ -63,7 +62,7 @@ impl Format for Cec {
             self.along,
             self.axis,
             number(table.step_mm, 4),
-            number(start, 4),
+            number(table.start_mm(), 4),
             number(table.end_mm(), 4)
         );
         Ok(text)
