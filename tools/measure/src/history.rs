@@ -1,17 +1,14 @@
 //! One machine's figures of merit over time, with limits and trends.
 
+use crate::ballbar;
+use crate::evaluation::{Standard, is_same_figure};
 use crate::iso230::{self, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report};
-use crate::{
-    ballbar,
-    evaluation::{Standard, is_same_figure},
-};
-use rtec_files::InputError;
-use rtec_files::date;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Record, Role, span};
+use rtec_files::{InputError, date};
+use rtec_model::record::{Column, Record, Role, mean, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -161,26 +158,24 @@ pub struct History {
 /// Records that cannot be read are listed in `left_out`.
 pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
-    let mut left_out = Vec::new();
-    let (mut suspicions, mut changes) = (Vec::new(), Vec::new());
+    let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
     let records: Vec<(&String, Result<Rows, &InputError>)> = records
         .iter()
         .map(|(path, record)| (path, record.as_ref().map(|r| Rows::of(r, &mut suspicions))))
         .collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()).map(|rows| &rows.good));
-    for (path, rows) in &records {
-        let path = *path;
-        let said = rows.as_ref().map_err(ToString::to_string).and_then(|rows| {
-            let r = &rows.good;
+    for (path, rows) in records {
+        let said = rows.map_err(ToString::to_string).and_then(|Rows { good: r, every }| {
             let day = r.date.as_deref().and_then(date::parse);
             let day = day.ok_or_else(|| "no date = \"YYYY-MM-DD\" in it".to_owned())?;
-            let every = rows.every.as_ref().and_then(|every| figures(every, &sensors).ok());
-            Ok((r, day, figures(r, &sensors).map_err(|e| e.to_string())?, every.unwrap_or_default()))
+            let every = every.and_then(|every| figures(&every, &sensors).ok()).unwrap_or_default();
+            let figures = figures(&r, &sensors).map_err(|e| e.to_string())?;
+            Ok((r, day, figures, every))
         });
         match said {
             Err(why) => left_out.push(LeftOut { record: path.clone(), why }),
             Ok((record, day, figures, every)) => {
-                changes.extend(held_changes(record).into_iter().map(|held| format!("{path}: {held}")));
+                changes.extend(held_changes(&record).into_iter().map(|held| format!("{path}: {held}")));
                 for (name, unit, sensor, value) in figures {
                     let with = every.iter().find(|f| f.0 == name).map(|f| f.3);
                     let with_every_row = with.filter(|with| !is_same_figure(*with, value));
@@ -238,14 +233,11 @@ fn held_changes(record: &Record) -> Vec<String> {
     let options = Options { one_way: true, ..Options::default() };
     let held = |p: &iso230::Positioning| {
         let (by, unit) = (p.changes_by()?, if p.unit == "urad" { "µrad" } else { "µm" });
-        let figures: Vec<String> = p
-            .figures()
-            .into_iter()
-            .filter(|(symbol, _)| !symbol.starts_with("R_") || p.R.is_none())
-            .filter_map(|(symbol, with)| {
-                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", p.without_change(symbol)?, with?))
-            })
-            .collect();
+        let kept = p.figures().into_iter().filter(|(s, _)| !s.starts_with("R_") || p.R.is_none());
+        let words = |(s, with): (&str, Option<f64>)| {
+            Some(format!("{s} {:.2} instead of {:.2} {unit}", p.without_change(s)?, with?))
+        };
+        let figures: Vec<String> = kept.filter_map(words).collect();
         Some(format!("{} holds a {by} of its run; without it {}", p.response, figures.join(", ")))
     };
     iso230::positioning_with(record, &options).iter().flatten().filter_map(held).collect()
@@ -315,7 +307,7 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
 /// `None` if x hardly varies.
 fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let (mx, my) = (mean(x), mean(y));
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
     let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
     let [low, high] = span(x);
@@ -336,7 +328,6 @@ fn judged(mut figure: Figure) -> Figure {
     let values: Vec<f64> = figure.points.iter().map(|p| p.value).collect();
     figure.trend = slope(&days, &values).and_then(|(per_day, error, _)| {
         let t = StudentsT::new(0.0, 1.0, days.len() as f64 - 2.0).ok()?.inverse_cdf(0.975);
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let interval = [YEAR * (per_day - t * error), YEAR * (per_day + t * error)];
         let drifts = interval[0] > 0.0 || interval[1] < 0.0;
         Some(Trend { per_year: YEAR * per_day, interval, drifts, now: mean(&values) - per_day * mean(&days) })
@@ -356,7 +347,7 @@ impl History {
     pub fn with_every_row(&self) -> impl Iterator<Item = String> {
         self.figures.iter().flat_map(|f| {
             f.points.iter().filter_map(|p| {
-                let (with, unit) = (p.with_every_row?, f.unit.replace("um", "µm").replace("urad", "µrad"));
+                let (with, unit) = (p.with_every_row?, f.written_unit());
                 let (name, of, value) = (&f.name, &p.record, p.value);
                 Some(format!(
                     "{of}: {name} is {value:.2} {unit}; with every row it would be {with:.2} {unit}"
@@ -380,6 +371,11 @@ impl History {
 }
 
 impl Figure {
+    /// Its unit with the letter µ.
+    pub(crate) fn written_unit(&self) -> String {
+        self.unit.replace("um", "µm").replace("urad", "µrad")
+    }
+
     /// Days since the first record, with the values.
     pub(crate) fn over_days(&self) -> Vec<(f64, f64)> {
         let first = self.points.first().map_or(0, |p| p.day);
@@ -440,11 +436,8 @@ mod tests {
         assert!((m.points[0].value - 3.0).abs() < 0.02 && (m.points[3].value - 5.7).abs() < 0.02, "{m:?}");
         let trend = m.trend.unwrap();
         assert!(trend.drifts && (trend.per_year - 3.6).abs() < 0.2, "{trend:?}");
-        assert!(
-            m.reaches.as_deref().is_some_and(|d| d > "2026-12-01" && d < "2027-04-01"),
-            "{:?}",
-            m.reaches
-        );
+        let day = m.reaches.as_deref();
+        assert!(day.is_some_and(|d| d > "2026-12-01" && d < "2027-04-01"), "{day:?}");
         assert!(!m.beyond && of("x.B_mean").beyond && !of("x.B_mean").trend.unwrap().drifts);
         assert_eq!(found.left_out.len(), 2);
         let page = found.report().unwrap().html();
@@ -471,12 +464,8 @@ mod tests {
             let found = history("m", &[("d".to_owned(), Ok(record))], &Limits::default());
             found.figures.iter().find(|f| f.name == "z.growth_um_per_K").unwrap().points[0].value
         };
-        assert!(
-            (run(false) - 6.0).abs() < 1e-9 && (run(true) - 6.0).abs() < 1e-9,
-            "{} {}",
-            run(false),
-            run(true)
-        );
+        let [good, bad] = [run(false), run(true)];
+        assert!((good - 6.0).abs() < 1e-9 && (bad - 6.0).abs() < 1e-9, "{good} {bad}");
     }
 
     #[test]

@@ -184,6 +184,15 @@ impl Chart {
         self
     }
 
+    /// Adds a side of approach: a line through its points and a dot at each; nothing without points.
+    pub(crate) fn with_side(self, label: &str, points: Vec<(f64, f64)>, colour: Colour) -> Self {
+        if points.is_empty() {
+            return self;
+        }
+        let line = Series::new(label, Style::Line, points.clone()).coloured(colour);
+        self.with(line).with(Series::new("", Style::Dots, points).coloured(colour))
+    }
+
     /// An SVG document of this size in pixels.
     ///
     /// # Errors

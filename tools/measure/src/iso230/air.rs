@@ -6,10 +6,10 @@
 //! "Index of Refraction of Air", appendix A-IV). The pressure of saturated vapour is that of IAPWS R7-97 over
 //! water, and of Wagner and others (1994) over ice (A-I there).
 
-use super::lacks;
+use super::no_temperature;
 use rtec_files::InputError;
 use rtec_files::toml::Table;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::Record;
 use serde::Serialize;
 
 /// The vacuum wavelength of a helium-neon laser, nm.
@@ -122,16 +122,15 @@ impl Air {
         let temperature = match (table.get("sensor"), table.get("degC")) {
             (Some(e), None) => AirTemperature::Sensor(e.str("the name of a temperature sensor")?.to_owned()),
             (Some(e), Some(_)) => {
-                return Err(
-                    e.error("sensor beside degC", "one of them: the air's sensor, or its temperature")
-                );
+                let expected = "one of them: the air's sensor, or its temperature";
+                return Err(e.error("sensor beside degC", expected));
             }
-            _ => AirTemperature::Degc(number(
-                "degC",
-                DEGC,
-                "the air's temperature in °C (or sensor = \"T18\")",
-            )?),
+            _ => {
+                let what = "the air's temperature in °C (or sensor = \"T18\")";
+                AirTemperature::Degc(number("degC", DEGC, what)?)
+            }
         };
+        let waves_nm = [300.0, 1700.0];
         Ok(Self {
             temperature,
             kpa: number("kPa", KPA, "the air's pressure in kPa")?,
@@ -143,12 +142,7 @@ impl Air {
             },
             dead_path_mm: or("dead_path_mm", 0.0, [0.0, 1e5], "the path at the laser's zero in mm")?,
             zero_mm: table.get("zero_mm").map(|e| e.within([-1e6, 1e6], "mm on the axis")).transpose()?,
-            wavelength_nm: or(
-                "wavelength_nm",
-                HELIUM_NEON_NM,
-                [300.0, 1700.0],
-                "the vacuum wavelength in nm",
-            )?,
+            wavelength_nm: or("wavelength_nm", HELIUM_NEON_NM, waves_nm, "the vacuum wavelength in nm")?,
         })
     }
 
@@ -162,12 +156,9 @@ impl Air {
         let degc: Vec<f64> = match &self.temperature {
             AirTemperature::Degc(degc) => vec![*degc; position_mm.len()],
             AirTemperature::Sensor(sensor) => {
-                let has = || record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
-                let read = record.temperature(sensor).ok_or_else(|| {
-                    let found = format!("no temperature {sensor} for the air (the record has: {})", has());
-                    lacks(record, &found, "the sensor that [air] of the conditions names")
-                })?;
-                read.to_vec()
+                let expected = "the sensor that [air] of the conditions names";
+                let read = record.temperature(sensor);
+                read.ok_or_else(|| no_temperature(record, sensor, "air", expected))?.to_vec()
             }
         };
         let n = |degc: f64| {
@@ -207,7 +198,7 @@ impl Air {
 mod tests {
     use super::*;
     use rtec_files::toml::Document;
-    use rtec_model::record::{Column, Kind};
+    use rtec_model::record::{Column, Kind, Role};
     use std::path::Path;
 
     /// NIST Engineering Metrology Toolbox, "Index of Refraction of Air", table of the modified Edlén

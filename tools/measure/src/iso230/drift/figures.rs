@@ -42,24 +42,18 @@ impl Sums {
     }
 }
 
-/// Smallest and largest value.
-#[derive(Debug, Clone, Copy)]
-struct Span([f64; 2]);
-
-/// An empty range.
-impl Default for Span {
-    fn default() -> Self {
-        Self([f64::INFINITY, f64::NEG_INFINITY])
-    }
-}
+/// Smallest and largest value so far.
+#[derive(Debug, Clone, Copy, Default)]
+struct Span(Option<[f64; 2]>);
 
 impl Span {
     fn see(&mut self, v: f64) {
-        self.0 = [self.0[0].min(v), self.0[1].max(v)];
+        let [low, high] = self.0.unwrap_or([v; 2]);
+        self.0 = Some([low.min(v), high.max(v)]);
     }
 
     fn range(self) -> f64 {
-        (self.0[1] - self.0[0]).max(0.0)
+        self.0.map_or(0.0, |[low, high]| high - low)
     }
 }
 
