@@ -59,11 +59,8 @@ pub fn write(
     }
     pieces.rewind()?;
     let (mut running, mut asked) = (Running::of(machine), FitRangeCheck::of(machine));
-    let mut looked_over = None;
-    if interval {
-        looked_over = Some(look_over(&mut pieces, &mut asked)?);
-        pieces.rewind()?;
-    }
+    let looked_over = if interval { Some(look_over(&mut pieces, &mut asked)?) } else { None };
+    pieces.rewind()?;
     let mut widths: Vec<HalfWidths<'_>> = Vec::new();
     let style = pieces.style();
     let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
@@ -190,9 +187,8 @@ pub fn csv(
             let width = machine.half_widths_um(&good, &response.role);
             let width = width.ok_or_else(|| no_interval(machine, &response.role))?;
             let bound = |sign: f64| data.iter().zip(&width).map(|(p, w)| p + sign * w).collect::<Vec<f64>>();
-            let (low, high) = (bound(-1.0), bound(1.0));
-            columns.push((format!("low_{name}"), low));
-            columns.push((format!("high_{name}"), high));
+            columns.push((format!("low_{name}"), bound(-1.0)));
+            columns.push((format!("high_{name}"), bound(1.0)));
         }
         columns.push((format!("predicted_{name}"), data));
     }
@@ -278,11 +274,8 @@ mod tests {
             .unwrap();
             assert!(String::from_utf8(written).unwrap() == whole, "{time}");
             assert_eq!(said_by_rows, said);
-            assert!(
-                interval == whole.starts_with("t,z,T1,\"a note\",T2,e,low_e,high_e,predicted_e\n"),
-                "{}",
-                &whole[..60]
-            );
+            let head = "t,z,T1,\"a note\",T2,e,low_e,high_e,predicted_e\n";
+            assert!(interval == whole.starts_with(head), "{}", &whole[..60]);
             // Warnings: at a bound, outside the range of the fit, outside the knots, no direction logged.
             assert_eq!(said.len(), 4, "{said:?}");
         }

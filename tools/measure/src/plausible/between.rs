@@ -194,7 +194,7 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     }
     let all = bins.iter().map(|b| b.count).product::<usize>();
     let means = |r: &Record, e: &[f64], side: usize| {
-        let d = r.data(&Role::Direction(axis.clone()));
+        let d = r.direction(axis);
         let mut sums = vec![(0.0, 0.0, 0.0); 2 * all];
         for (i, e) in e.iter().enumerate() {
             let bin = bins.iter().fold(0, |bin, b| bin * b.count + b.bin(side, i));

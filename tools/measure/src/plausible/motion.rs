@@ -106,7 +106,7 @@ const OTHER_ANGLE_RAD: f64 = 0.0175;
 
 fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return };
-    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.data(&Role::Position(a.clone()))) else {
+    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.position(a)) else {
         return;
     };
     let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
@@ -220,7 +220,7 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
         return false;
     }
     let way = record
-        .data(&Role::Direction(axis.clone()))
+        .direction(axis)
         .or_else(|| record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == Kind::Positioning));
     let by_direction = way.is_some_and(|w| {
         let ((as_error, asked), (as_position, others)) = (agreement(&e.data, w), agreement(&p.data, w));
@@ -286,9 +286,7 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
 fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
     let place = |a: &Axis| record.column(&Role::Position(a.clone()));
     let moving: Vec<&Axis> = axes.iter().filter(|a| place(a).is_some_and(|p| range(&p.data) > 0.0)).collect();
-    let way = |a: &Axis| {
-        record.data(&Role::Direction(a.clone())).or_else(|| record.data(&Role::Velocity(a.clone())))
-    };
+    let way = |a: &Axis| record.direction(a).or_else(|| record.data(&Role::Velocity(a.clone())));
     let [only] = moving[..] else { return };
     let Some(p) = place(only).filter(|_| record.kind == Kind::Positioning && way(only).is_none()) else {
         return;

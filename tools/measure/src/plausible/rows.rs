@@ -383,7 +383,7 @@ fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
 
 /// The rows of each place, from the rows of each direction sorted by position.
 fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
-    let Some(p) = read_along(record, c).and_then(|a| record.data(&Role::Position(a.clone()))) else {
+    let Some(p) = read_along(record, c).and_then(|a| record.position(a)) else {
         return Vec::new();
     };
     let of_way = |rows: &Vec<usize>| {

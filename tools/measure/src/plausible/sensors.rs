@@ -11,7 +11,7 @@ use rtec_model::record::{Column, Record, Role, span};
 pub(crate) const DEGC: [f64; 2] = [-40.0, 150.0];
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
-    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let sensors: Vec<&Column> = record.temperatures().collect();
     // Sensors that are read at least at times, with unread rows interpolated, and whether all rows were read.
     let mut read: Vec<(Column, bool)> = Vec::new();
     for c in &sensors {

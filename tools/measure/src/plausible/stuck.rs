@@ -27,7 +27,7 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     for k in 0..records.len() {
         let (record, before) = (&records[k], out.len());
         let path = record.path.display().to_string();
-        for c in temperatures(record) {
+        for c in record.temperatures() {
             let known = |s: &&Suspicion| s.record == path && s.column == c.name;
             if out[..before].iter().filter(known).any(|s| s.rows.is_empty() || s.what == What::Jump) {
                 continue;
@@ -64,13 +64,9 @@ pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
                 c.name, c.data[0]
             )
         };
-        temperatures(record).filter(still).map(line).collect::<Vec<_>>()
+        record.temperatures().filter(still).map(line).collect::<Vec<_>>()
     };
     records.iter().flat_map(of).collect()
-}
-
-fn temperatures(record: &Record) -> impl Iterator<Item = &Column> {
-    record.columns.iter().filter(|c| c.role == Role::Temperature)
 }
 
 /// Standard deviation of a sensor's row-to-row noise, and its resolution.
@@ -158,7 +154,7 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
     let chance = (length - 1) as f64 * stays.max(0.05).ln() + (record.rows() as f64).ln();
     // Noise that the spindle causes stops with the spindle, for all sensors at once.
     let outside = |o: &[f64]| [o[..start].to_vec(), o[end..].to_vec()].concat();
-    let noisy = temperatures(record).filter(|o| o.name != c.name).filter(|o| {
+    let noisy = record.temperatures().filter(|o| o.name != c.name).filter(|o| {
         let rest = outside(&o.data);
         let (s, q) = noise(&[&rest]);
         rest.len() >= ENOUGH && s > 0.3 * q
@@ -254,7 +250,7 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
 /// Detects a sensor frozen in every row while all others change in most rows.
 /// At least one of the others must move by more than 1 K: a coarse sensor may stay constant in a calm room.
 fn among_lively_ones(record: &Record, c: &Column) -> bool {
-    let others: Vec<&Column> = temperatures(record).filter(|o| o.name != c.name).collect();
+    let others: Vec<&Column> = record.temperatures().filter(|o| o.name != c.name).collect();
     let changes = |o: &Column| steps(&o.data).iter().filter(|d| **d != 0.0).count() as f64;
     let lively = |o: &&&Column| changes(o) > 0.5 * (o.data.len() - 1) as f64;
     let moving = others.iter().any(|o| range(&o.data) > 1.0);

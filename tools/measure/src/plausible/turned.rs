@@ -105,7 +105,7 @@ fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
 
 /// Detects two sensors that exchange columns: each steps to where the other was.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
-    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let sensors: Vec<&Column> = record.temperatures().collect();
     let usual: Vec<f64> = sensors.iter().map(|c| spread(&steps(&c.data)).max(quantum(&c.data))).collect();
     let n = record.rows();
     for (k, q) in sensors.iter().enumerate() {
@@ -138,9 +138,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
 
 /// Detects runs of rows whose direction column contradicts the movement.
 fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
-    let (Some(p), Some(d)) =
-        (record.data(&Role::Position(axis.clone())), record.column(&Role::Direction(axis.clone())))
-    else {
+    let (Some(p), Some(d)) = (record.position(axis), record.column(&Role::Direction(axis.clone()))) else {
         return;
     };
     let known = |s: &Suspicion| s.column == d.name && s.record == record.path.display().to_string();
@@ -172,7 +170,7 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
 /// Taken from the direction column, else the velocity, else (on circles) the positions, because lag changes
 /// sign with the direction.
 fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
-    if let Some(d) = record.data(&Role::Direction(axis.clone())) {
+    if let Some(d) = record.direction(axis) {
         return d.to_vec();
     }
     if let Some(v) = record.data(&Role::Velocity(axis.clone())) {
@@ -188,7 +186,7 @@ fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
 /// The row from which an error has the opposite sign at the same place.
 fn by_place(record: &Record, c: &Column) -> Option<usize> {
     let axis = c.role.axis()?;
-    let p = record.data(&Role::Position(axis.clone()))?;
+    let p = record.position(axis)?;
     let d = ways(record, axis, p);
     let others = repeats::also_moved(record, axis);
     let groups = others.iter().fold(repeats::groups(p, &d), |groups, q| repeats::apart_by(groups, q));
@@ -224,8 +222,8 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
 /// One direction against the other is not compared: a screw worn along its length looks the same.
 fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
-    let p = record.data(&Role::Position(axis.clone()))?;
-    let d = record.data(&Role::Direction(axis.clone()))?;
+    let p = record.position(axis)?;
+    let d = record.direction(axis)?;
     let groups = repeats::groups(p, d);
     let cycles = groups.iter().map(Vec::len).min().filter(|n| *n >= 3 && groups.len() >= 8)?;
     let others_of = |g: &Vec<usize>| medians_of_others(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
@@ -324,8 +322,7 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         let moved = c.data[at + 1] - c.data[at];
         (alike && due.abs() > 1.0).then(|| moved.abs() > 0.3 * due.abs())
     };
-    let told: Vec<bool> =
-        record.columns.iter().filter(|c| c.role == Role::Temperature).filter_map(went_on).collect();
+    let told: Vec<bool> = record.temperatures().filter_map(went_on).collect();
     if told.len() >= 2 && told.iter().all(|on| !on) {
         let text = format!(
             "goes on by {:.0} s in one step, in which no temperature moves on: the clock looks put forward",

@@ -124,7 +124,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     if record.kind != Kind::Drift || record.rows() < 20 {
         return;
     }
-    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let sensors: Vec<&Column> = record.temperatures().collect();
     let cold: Vec<&&Column> = sensors.iter().filter(|c| c.data[0].abs() < 5.0).collect();
     let [sensor] = cold[..] else { return };
     let others: Vec<f64> = sensors.iter().filter(|c| c.name != sensor.name).map(|c| c.data[0]).collect();
@@ -150,7 +150,7 @@ fn heat(record: &Record, out: &mut Vec<Suspicion>) {
     else {
         return;
     };
-    let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
+    let temperatures = record.temperatures();
     let halves: Vec<f64> = temperatures.filter_map(|c| half_warm(&t.data, c)).collect();
     if halves.len() < 2 {
         return;
