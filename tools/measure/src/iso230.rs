@@ -86,8 +86,7 @@ pub(crate) struct Round {
 impl Round {
     /// `None` for fewer than three places, or places on a line.
     pub(crate) fn through(x: &[f64], y: &[f64]) -> Option<Self> {
-        let n = x.len() as f64;
-        let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+        let (mx, my) = (mean(x), mean(y));
         let size = x.iter().zip(y).map(|(x, y)| (x - mx).hypot(y - my)).fold(0.0, f64::max);
         let place = |i: usize| [(x[i] - mx) / size, (y[i] - my) / size];
         let of = |k: usize| (0..x.len()).map(|i| place(i)[k]).collect::<Vec<f64>>();
@@ -131,11 +130,9 @@ pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
         .filter(|w| w[0] > ALIKE * span && w[1] > APART * w[0])
         .max_by(|a, b| (a[1] / a[0]).total_cmp(&(b[1] / b[0])));
     // A limit between the two, so that rounding does not split a target.
-    let Some(wider) = break_at.map(|w| self::alike(position, (w[0] * w[1]).sqrt() / span)) else {
-        return alike;
-    };
+    let wider = break_at.map(|w| self::alike(position, (w[0] * w[1]).sqrt() / span));
     // There are several targets, and each repeats.
-    if wider.len() >= 3 && 2 * wider.len() <= position.len() { wider } else { alike }
+    wider.filter(|wider| wider.len() >= 3 && 2 * wider.len() <= position.len()).unwrap_or(alike)
 }
 
 /// Groups rows whose sorted positions differ by at most a share of the span.
@@ -156,17 +153,14 @@ pub(crate) fn mean_and_s(values: &[f64]) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
     }
-    let mean = values.iter().sum::<f64>() / n;
+    let mean = mean(values);
     let s = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
     Some((mean, s))
 }
 
 pub(crate) fn range(values: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
-    let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (l, h) in values {
-        lo = lo.min(l);
-        hi = hi.max(h);
-    }
+    let wider = |(lo, hi): (f64, f64), (l, h): (f64, f64)| (lo.min(l), hi.max(h));
+    let (lo, hi) = values.into_iter().reduce(wider)?;
     (hi >= lo).then_some(hi - lo)
 }
 
@@ -201,15 +195,9 @@ fn no_temperature(record: &Record, sensor: &str, of: &str, expected: &str) -> In
 
 /// Correlation coefficient; 0 if one of the two does not vary.
 pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
-    let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
-    let (mut xx, mut yy, mut xy) = (0.0, 0.0, 0.0);
-    for (a, b) in x.iter().zip(y) {
-        let (a, b) = (a - mx, b - my);
-        xx += a * a;
-        yy += b * b;
-        xy += a * b;
-    }
+    let (mx, my) = (mean(x), mean(y));
+    let sum = |of: fn(f64, f64) -> f64| x.iter().zip(y).map(|(a, b)| of(a - mx, b - my)).sum::<f64>();
+    let (xx, yy, xy) = (sum(|a, _| a * a), sum(|_, b| b * b), sum(|a, b| a * b));
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 

@@ -78,8 +78,8 @@ pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result
     }
     let shortest = shortest_mm(axes);
     if let Some(radius) = ballbar_mm.filter(|r| axes.len() > 1 && 2.0 * r > shortest) {
-        let found =
-            format!("--ballbar-mm {radius}: a circle {} mm across on an axis of {shortest} mm", 2.0 * radius);
+        let across = 2.0 * radius;
+        let found = format!("--ballbar-mm {radius}: a circle {across} mm across on an axis of {shortest} mm");
         return Err(usage(found, "a bar whose circle fits every axis"));
     }
     Ok(())
@@ -243,19 +243,13 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
     let warm = run.warmer_k.map_or_else(String::new, |k| {
         format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
     });
-    let mount = if n == response {
-        format!(
-            "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
-        )
-    } else {
-        format!("straightness optics or a straightedge along {n}, read across it in {response}")
-    };
+    let across = || format!("straightness optics or a straightedge along {n}, read across it in {response}");
     Step {
         number: 0,
         record: record.to_owned(),
         kind: "positioning",
         state: "cold, spindle at rest",
-        mount,
+        mount: if n == response { laser_along(n) } else { across() },
         run: format!(
             "targets {} mm from the lower end, up and down, {} cycles, the end targets from beyond them, 3 s at rest before each \
              reading{warm}; the record states turns = \"overtravel\"",
@@ -266,6 +260,12 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
         evaluate: "reconcile, together with the records of the verdict".to_owned(),
         minutes: run.minutes(),
     }
+}
+
+fn laser_along(axis: &str) -> String {
+    format!(
+        "laser interferometer along {axis}, reflector in the spindle; a temperature sensor at scale or screw"
+    )
 }
 
 /// The columns of a run from target to target along an axis.
@@ -305,21 +305,17 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
 
 fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     let n = &axis.name;
-
-    let evaluate = if cycles == 1 {
-        "iso230-2: E, B, M of a long axis; scale, reversal, position map"
+    let (how_often, evaluate) = if cycles == 1 {
+        ("once each way", "iso230-2: E, B, M of a long axis; scale, reversal, position map")
     } else {
-        "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period"
+        ("five cycles", "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period")
     };
-    let how_often = if cycles == 1 { "once each way".to_owned() } else { "five cycles".to_owned() };
     Step {
         number: 0,
         record: format!("linear_{n}{of}"),
         kind: "positioning",
         state: "cold, spindle at rest",
-        mount: format!(
-            "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
-        ),
+        mount: laser_along(n),
         run: format!(
             "targets {} mm from the lower end, up and down, {how_often}, each approached from beyond the one before, 3 s at \
              rest before each reading",
@@ -364,20 +360,16 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
 
 /// Spindle cycles cold-dry, cold-wet, warm, production, and cooling down.
 fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
-    let full = 0.9 * max_rpm;
+    let [full, slowest, slow, middle] = [1.0, 0.2, 0.3, 0.6].map(|share| share * (0.9 * max_rpm));
     let cycle = |wet: &str| {
         format!(
-            "{full:.0} rpm for 3 h, {wet}, gauges read every minute; then 15 min at each of {:.0}, {:.0} and \
-             {full:.0} rpm with 5 min at rest between",
-            0.3 * full,
-            0.6 * full
+            "{full:.0} rpm for 3 h, {wet}, gauges read every minute; then 15 min at each of {slow:.0}, {middle:.0} and \
+             {full:.0} rpm with 5 min at rest between"
         )
     };
     let cooling = || "spindle and coolant off, gauges read for 3 h".to_owned();
-    let warm = format!(
-        "speeds in random order between {:.0} and {full:.0} rpm, 10 min each, coolant on",
-        0.2 * full
-    );
+    let warm =
+        format!("speeds in random order between {slowest:.0} and {full:.0} rpm, 10 min each, coolant on");
     let production = "a production program without work piece, coolant as programmed, two cycles".to_owned();
     let runs = [
         ("spindle_cold_dry", "cold (over night)", cycle("no coolant"), 245.0),
@@ -392,13 +384,8 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
         .into_iter()
         .filter(|(axis, _)| axes.iter().any(|a| a.name == *axis))
         .map(|(_, role)| role.to_owned());
-    let columns = [
-        words(&["time", "spindle_speed", "coolant"]),
-        errors.to_vec(),
-        tilts.collect(),
-        words(&[TEMPERATURES]),
-    ]
-    .concat();
+    let causes = words(&["time", "spindle_speed", "coolant"]);
+    let columns = [causes, errors.to_vec(), tilts.collect(), words(&[TEMPERATURES])].concat();
     let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| {
         Step {
         number: 0,
@@ -460,21 +447,16 @@ mod tests {
         let counts =
             [count("ballbar_"), count("linear_"), count("straightness_"), count("tool_change"), steps.len()];
         assert_eq!(counts, [18, 3, 6, 1, 34]);
-        for want in ["spindle_cold_dry", "spindle_cold_wet", "spindle_warm", "production_cycle", "cool_down"]
-        {
+        let runs = ["spindle_cold_dry", "spindle_cold_wet", "spindle_warm", "production_cycle", "cool_down"];
+        for want in runs {
             assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
         }
         assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
         // Record names are those of the effects, and tilts of five gauges have roles.
         let bow = steps.iter().find(|s| s.record == "straightness_y_x").unwrap();
-        assert!(
-            bow.columns.contains(&"position.x".to_owned()) && bow.columns.contains(&"error.y".to_owned())
-        );
-        assert!(
-            steps
-                .iter()
-                .any(|s| s.record == "straightness_z_x" && s.evaluate.contains("straightness.z.x is EZX"))
-        );
+        assert!(["position.x", "error.y"].iter().all(|role| bow.columns.iter().any(|c| c == role)));
+        let of_z = steps.iter().find(|s| s.record == "straightness_z_x").unwrap();
+        assert!(of_z.evaluate.contains("straightness.z.x is EZX"));
         let warm = &steps.iter().find(|s| s.record == "spindle_warm").unwrap().columns;
         for role in steps.iter().flat_map(|s| &s.columns).filter(|c| *c != TEMPERATURES) {
             assert!(rtec_model::record::Role::parse(role).is_some(), "{role}");
@@ -487,11 +469,7 @@ mod tests {
         let ends: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();
         assert!(ends[0] >= 2.0 && ends[10] <= 498.0 && ends.len() >= 11, "{line}");
         // Targets are not all a whole number of 5 mm leads apart.
-        assert!(
-            ends[..11].windows(3).any(|w| ((w[2] - w[1]) - (w[1] - w[0])).abs() > 1.0),
-            "{}",
-            steps[18].run
-        );
+        assert!(ends[..11].windows(3).any(|w| ((w[2] - w[1]) - (w[1] - w[0])).abs() > 1.0), "{line}");
     }
 
     /// A screw's wave of any period is sampled at many phases.
@@ -528,11 +506,11 @@ mod tests {
             run.split(" mm from").next().unwrap().split(' ').filter_map(|w| w.parse().ok()).collect()
         };
         let long = numbers("linear_x");
+        let (first, last) = (long[0], long[long.len() - 1]);
         assert!(
-            (long[long.len() - 1] - long[0]) / (long.len() - 1) as f64 <= 250.0 && long[0] >= 2.0,
+            (last - first) / (long.len() - 1) as f64 <= 250.0 && first >= 2.0 && last <= 3998.0,
             "{long:?}"
         );
-        assert!(long[long.len() - 1] <= 3998.0);
         let short = numbers("linear_x_2m");
         assert!(short.len() >= 10 && (short[short.len() - 1] - short[0] - 2000.0).abs() < 1e-6, "{short:?}");
         assert!(steps.iter().find(|s| s.record == "linear_x").unwrap().run.contains("once each way"));

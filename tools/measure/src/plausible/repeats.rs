@@ -13,9 +13,8 @@ const WORST: f64 = 14.0;
 /// Outliers among the approaches of a positioning run to the same target.
 /// Columns with known outliers are skipped.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
-    let path = record.path.display().to_string();
     for c in record.measured().filter(|_| record.kind == Kind::Positioning) {
-        let known = |s: &Suspicion| s.record == path && s.column == c.name && s.what == What::Outliers;
+        let known = |s: &Suspicion| s.what == What::Outliers && s.is_of(record, c);
         let Some(axis) = read_along(record, c).filter(|_| !out.iter().any(known)) else { continue };
         let (Some(p), Some(d)) = (record.position(axis), record.direction(axis)) else {
             continue;

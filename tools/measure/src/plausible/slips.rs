@@ -38,17 +38,12 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         let Some((first, meant)) = found.first().filter(|_| rows.len() <= 1 + record.rows() / ONE_IN) else {
             continue;
         };
-        let text = said(c, *first, *meant, rows.len());
+        let (at, n) = (c.data[*first], rows.len());
+        let more = if n > 1 { format!(", as in {n} rows") } else { String::new() };
+        let slip = "a slip of the decimal point, or of a digit";
+        let text = format!("goes to {at} where the run goes through {meant}: {slip}{more}");
         out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
     }
-}
-
-fn said(c: &Column, row: usize, meant: f64, rows: usize) -> String {
-    let more = if rows > 1 { format!(", as in {rows} rows") } else { String::new() };
-    format!(
-        "goes to {} where the run goes through {meant}: a slip of the decimal point, or of a digit{more}",
-        c.data[row]
-    )
 }
 
 /// The positions of a run in row order.

@@ -26,25 +26,23 @@ const CHANCE: f64 = 1e-4;
 pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     for k in 0..records.len() {
         let (record, before) = (&records[k], out.len());
-        let path = record.path.display().to_string();
         for c in record.temperatures() {
-            let known = |s: &&Suspicion| s.record == path && s.column == c.name;
-            if out[..before].iter().filter(known).any(|s| s.rows.is_empty() || s.what == What::Jump) {
+            let known: Vec<&Suspicion> = out[..before].iter().filter(|s| s.is_of(record, c)).collect();
+            if known.iter().any(|s| s.rows.is_empty() || s.what == What::Jump) {
                 continue;
             }
             if let Some((start, end)) = stands_still(records, k, c) {
                 let first = record.first_row();
                 let is_there = |row: usize| (first + start..first + end).contains(&row);
-                if out[..before].iter().filter(known).any(|s| s.row_list().into_iter().any(is_there)) {
+                if known.iter().any(|s| s.row_list().into_iter().any(is_there)) {
                     continue;
                 }
                 let all = end - start == c.data.len();
                 let rows: Vec<usize> = if all { Vec::new() } else { (start..end).collect() };
-                let text = format!(
-                    "reads {} degC in {}, as a sensor that is alive does not",
-                    c.data[start],
-                    if all { "every row".to_owned() } else { format!("{} rows on end", end - start) }
-                );
+                let stretch =
+                    if all { "every row".to_owned() } else { format!("{} rows on end", end - start) };
+                let text =
+                    format!("reads {} degC in {stretch}, as a sensor that is alive does not", c.data[start]);
                 out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
             }
         }
@@ -55,14 +53,11 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
 /// The sensor may not be read, or be coarse in a calm room.
 pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
     let of = |record: &Record| {
-        let path = record.path.display().to_string();
-        let is_doubted = |c: &Column| found.iter().any(|s| s.record == path && s.column == c.name);
+        let is_doubted = |c: &Column| found.iter().any(|s| s.is_of(record, c));
         let still = |c: &&Column| c.data.len() >= ENOUGH && range(&c.data) <= 0.0 && !is_doubted(c);
         let line = |c: &Column| {
-            format!(
-                "{path}: {} reads {} degC in every row: is it read? It explains nothing",
-                c.name, c.data[0]
-            )
+            let (path, name, degc) = (record.path.display(), &c.name, c.data[0]);
+            format!("{path}: {name} reads {degc} degC in every row: is it read? It explains nothing")
         };
         record.temperatures().filter(still).map(line).collect::<Vec<_>>()
     };
@@ -93,11 +88,9 @@ fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usiz
     if end - start < SHORTEST || n < 20 {
         return None;
     }
-    let elsewhere = records.iter().enumerate().filter(|(i, _)| *i != k);
-    let elsewhere: Vec<&Record> = elsewhere
-        .map(|(_, r)| r)
-        .filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0))
-        .collect();
+    let others = records.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, r)| r);
+    let elsewhere: Vec<&Record> =
+        others.filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0)).collect();
     let found = in_full_course(record, c, start)
         || by_noise(record, c, (start, end), &elsewhere)
         || by_the_others(record, c, (start, end), &elsewhere)
@@ -238,13 +231,8 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
         return None;
     }
     let known = record.select(&far);
-    Some(wrong_beside(
-        record,
-        c,
-        (start, end),
-        &sensor_regression(&known, known.temperature(&c.name)?, rest),
-        rest,
-    ))
+    let told = sensor_regression(&known, known.temperature(&c.name)?, rest);
+    Some(wrong_beside(record, c, (start, end), &told, rest))
 }
 
 /// Detects a sensor frozen in every row while all others change in most rows.

@@ -5,7 +5,7 @@
 use super::sensor_regression::sensor_regression;
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What, motion, repeats};
-use crate::iso230::correlation;
+use crate::iso230::{correlation, mean_of};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
@@ -81,17 +81,15 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let (small, large) = (size(rows.clone()), size(other));
     if A_THOUSAND.contains(&times.max(1.0 / times)) && small > 0.0 && large > A_THOUSAND.start() * small {
         let rows: Vec<usize> = rows.collect();
-        let text =
-            "is some 1000 times smaller than in the other rows: given in mm there, called µm?".to_owned();
-        out.push(Suspicion::new(record, &c.name, What::Unit, &rows, text));
+        let text = "is some 1000 times smaller than in the other rows: given in mm there, called µm?";
+        out.push(Suspicion::new(record, &c.name, What::Unit, &rows, text.to_owned()));
     }
 }
 
 /// Detects time and cycle in each other's column.
 /// The cycle has fractions and never decreases, and the time repeats whole numbers.
 fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
-    let column = |role: &Role| record.columns.iter().find(|c| c.role == *role);
-    let (Some(t), Some(n)) = (column(&Role::Time), column(&Role::Cycle)) else { return };
+    let (Some(t), Some(n)) = (record.column(&Role::Time), record.column(&Role::Cycle)) else { return };
     let whole = |c: &Column| c.data.iter().all(|v| (v - v.round()).abs() < 1e-9);
     let stands = t.data.windows(2).filter(|w| w[1] <= w[0]).count() * 2 > t.data.len();
     if whole(t) && stands && !whole(n) && n.data.windows(2).all(|w| w[1] >= w[0]) {
@@ -141,8 +139,7 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let (Some(p), Some(d)) = (record.position(axis), record.column(&Role::Direction(axis.clone()))) else {
         return;
     };
-    let known = |s: &Suspicion| s.column == d.name && s.record == record.path.display().to_string();
-    if out.iter().any(known) {
+    if out.iter().any(|s| s.is_of(record, d)) {
         return;
     }
     let mut stretches: Vec<(f64, Vec<usize>)> = Vec::new();
@@ -170,11 +167,8 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
 /// Taken from the direction column, else the velocity, else (on circles) the positions, because lag changes
 /// sign with the direction.
 fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
-    if let Some(d) = record.direction(axis) {
-        return d.to_vec();
-    }
-    if let Some(v) = record.data(&Role::Velocity(axis.clone())) {
-        return v.iter().map(|v| sign(*v)).collect();
+    if let Some(way) = record.way(axis) {
+        return way.iter().map(|v| sign(*v)).collect();
     }
     if record.kind != Kind::Ballbar {
         return vec![0.0; p.len()];
@@ -210,8 +204,7 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     }
     // A step across zero also looks like that, but it does not reverse the dependence on the place.
     let mean = |g: &Vec<usize>, before: bool| {
-        let own: Vec<f64> = g.iter().filter(|i| (**i < at) == before).map(|i| c.data[*i]).collect();
-        (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64)
+        mean_of(&g.iter().filter(|i| (**i < at) == before).map(|i| c.data[*i]).collect::<Vec<_>>())
     };
     let (a, b): (Vec<f64>, Vec<f64>) =
         groups.iter().filter_map(|g| Some((mean(g, true)?, mean(g, false)?))).unzip();
@@ -222,9 +215,7 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
 /// One direction against the other is not compared: a screw worn along its length looks the same.
 fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
-    let p = record.position(axis)?;
-    let d = record.direction(axis)?;
-    let groups = repeats::groups(p, d);
+    let groups = repeats::groups(record.position(axis)?, record.direction(axis)?);
     let cycles = groups.iter().map(Vec::len).min().filter(|n| *n >= 3 && groups.len() >= 8)?;
     let others_of = |g: &Vec<usize>| medians_of_others(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
     let without: Vec<Vec<f64>> = groups.iter().map(others_of).collect();
