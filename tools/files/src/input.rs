@@ -26,6 +26,9 @@ pub struct InputError {
     pub expected: String,
 }
 
+/// A result of reading what a person wrote.
+pub type Result<T, E = InputError> = std::result::Result<T, E>;
+
 impl InputError {
     /// A finding about the file as a whole.
     pub fn whole(file: &Path, found: impl Into<String>, expected: impl Into<String>) -> Self {

@@ -51,7 +51,7 @@ pub mod watch;
 pub mod words;
 pub mod write;
 
-pub use input::{InputError, Said};
+pub use input::{InputError, Result, Said};
 pub use numbers::{Numbers, TableMarks};
 pub use sheet::{Columns, Sheet};
 pub use words::nearest;

@@ -14,7 +14,7 @@
 use crate::derive::noise;
 use crate::iso230::{Budget, Round, error_axes, lacks};
 use crate::steps::step_of;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::circle::{Circle, rates, turn_rad};
 use rtec_model::effect::Dictionary;
 use rtec_model::effect::sign;
@@ -127,7 +127,7 @@ pub(crate) struct Trace {
 ///
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
-pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
+pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>> {
     let mut planes: Vec<(String, Vec<Trace>)> = Vec::new();
     for record in records {
         let trace = Trace::of(record)?;
@@ -154,7 +154,7 @@ fn same_plane(a: &str, b: &str) -> bool {
     a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
 }
 
-fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
+fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar> {
     let contours: Vec<Contour> = traces.iter().flat_map(Trace::evaluate).collect();
     let largest = |of: &dyn Fn(&Contour) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
     let way = |w: &'static str| move |c: &Contour| (c.direction == w).then_some(c.g);
@@ -293,7 +293,7 @@ fn hysteresis(rows: &[Row]) -> Option<f64> {
 }
 
 impl Trace {
-    fn of(record: &Record) -> Result<Self, InputError> {
+    fn of(record: &Record) -> Result<Self> {
         let (record, plane) = as_circle(record)?;
         let get = |role: &Role| record.data(role).map(<[f64]>::to_vec).unwrap_or_default();
         let angle = get(&Role::Angle);
@@ -479,7 +479,7 @@ pub fn in_motion(record: &Record) -> Record {
 }
 
 /// The record as a circle with a radial error, and the name of its plane.
-fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
+fn as_circle(record: &Record) -> Result<(Record, String)> {
     let name = |c: &Circle| format!("{}-{}", c.plane[0], c.plane[1]);
     if let Some(circle) = record.circle() {
         return Ok((record.clone(), name(circle)));
@@ -526,7 +526,7 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
 }
 
 /// The circle that the positions run on.
-fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round, InputError> {
+fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round> {
     let error = || lacks(record, "positions that are on no circle", "positions of both axes on one circle");
     Round::through(x, y).filter(Round::is_met).ok_or_else(error)
 }

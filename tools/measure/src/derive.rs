@@ -6,7 +6,7 @@
 //! half their width: what the noise does not explain of the change is distortion. The window with the least
 //! sum of noise and distortion is used.
 
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_least_squares::Factor;
 use rtec_model::machine::{Machine, Prediction};
 use rtec_model::record::{Axis, Column, Kind, Record, Role, median};
@@ -88,7 +88,7 @@ pub fn derive(record: &mut Record) -> Vec<String> {
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
-pub fn predict(machine: &Machine, record: &Record) -> Result<(Prediction, Vec<String>), InputError> {
+pub fn predict(machine: &Machine, record: &Record) -> Result<(Prediction, Vec<String>)> {
     let as_logged = machine.predict(record)?;
     if !lacks_motion(&as_logged, record) {
         return Ok((as_logged, Vec::new()));

@@ -8,7 +8,7 @@ use crate::report::{self, Report, Run};
 use crate::steps;
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::record::{Column, Kind, Record, Role, median, sha256_of};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl Standard {
     ///
     /// # Errors
     /// There is none.
-    pub fn of(record: &Record) -> Result<Self, InputError> {
+    pub fn of(record: &Record) -> Result<Self> {
         match record.kind {
             // Errors across the moving axis only are straightness, not positioning.
             Kind::Positioning if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
@@ -121,7 +121,7 @@ pub fn evaluate(
     records: &[Record],
     asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
-) -> Result<Evaluation, InputError> {
+) -> Result<Evaluation> {
     let Some(first) = records.first() else {
         return Err(InputError::whole(Path::new("characterise evaluate"), "no record", "a record"));
     };
@@ -170,7 +170,7 @@ pub fn evaluate_files(
     paths: &[PathBuf],
     asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
-) -> Result<Evaluation, InputError> {
+) -> Result<Evaluation> {
     if let [path] = paths
         && let Some(mut long) = long_drift(path, asked, MOST_ROWS)?
     {
@@ -183,11 +183,7 @@ pub fn evaluate_files(
 pub const MOST_ROWS: usize = 1 << 18;
 
 /// The evaluation of a drift test of more rows; `None` for other records.
-fn long_drift(
-    path: &Path,
-    asked: &EvaluationRequest,
-    more_than: usize,
-) -> Result<Option<LongDrift>, InputError> {
+fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<LongDrift>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
         None => record::RecordPieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
@@ -201,7 +197,7 @@ fn in_pieces(
     asked: &EvaluationRequest,
     most_rows: usize,
     say: &mut dyn FnMut(Said),
-) -> Result<Evaluation, InputError> {
+) -> Result<Evaluation> {
     // Pieces of equal length, so that none is too short for the checks.
     let pieces = long.rows.div_ceil(most_rows);
     let mut looked_at = plausible::PieceSuspicions::default();
@@ -235,7 +231,7 @@ fn in_pieces(
 }
 
 /// The figures for programs: one as it is, several as a list under a name.
-fn figures(file: &Path, name: &str, all: &[impl serde::Serialize]) -> Result<Value, InputError> {
+fn figures(file: &Path, name: &str, all: &[impl serde::Serialize]) -> Result<Value> {
     let written = match all {
         [one] => serde_json::to_value(one),
         all => serde_json::to_value(all).map(|list| json!({ name: list })),
@@ -243,7 +239,7 @@ fn figures(file: &Path, name: &str, all: &[impl serde::Serialize]) -> Result<Val
     written.map_err(|e| InputError::whole(file, e.to_string(), "figures that can be written"))
 }
 
-fn drawn(file: &Path, report: Result<Report, PlotError>) -> Result<Report, InputError> {
+fn drawn(file: &Path, report: Result<Report, PlotError>) -> Result<Report> {
     report.map_err(|e| InputError::whole(file, e.to_string(), "figures that can be drawn"))
 }
 
@@ -325,7 +321,7 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
 }
 
 /// Refuses a bad sensor, which would spoil every figure reduced to 20 °C.
-fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
+fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<()> {
     let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
     let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
     let air = conditions.air.iter().filter_map(|air| match &air.temperature {
@@ -346,7 +342,7 @@ fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputE
 }
 
 /// The only record of an evaluation that takes one at a time.
-fn single(records: &[Record]) -> Result<&Record, InputError> {
+fn single(records: &[Record]) -> Result<&Record> {
     match records {
         [_, second, ..] => {
             let found = format!("{} records", records.len());
@@ -361,7 +357,7 @@ fn by(
     records: &[Record],
     asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
-) -> Result<(Value, Report), InputError> {
+) -> Result<(Value, Report)> {
     let file = &records[0].path;
     let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };
     let conditions = &asked.conditions;
@@ -430,7 +426,7 @@ fn by(
     })
 }
 
-fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), InputError> {
+fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report)> {
     let axes = iso230::returns(record);
     if axes.is_empty() {
         let expected = "a column of role error.AXIS with two returns at least";

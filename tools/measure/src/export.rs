@@ -20,7 +20,7 @@ pub mod own;
 mod siemens;
 mod siemens_cec;
 
-use rtec_files::{InputError, nearest};
+use rtec_files::{InputError, Result, nearest};
 use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
@@ -102,7 +102,7 @@ pub(crate) trait Format {
     fn rules(&self) -> Rules;
 
     /// The file's text.
-    fn text(&self, table: &Table) -> Result<String, InputError>;
+    fn text(&self, table: &Table) -> Result<String>;
 
     /// Advice for the person who loads the table.
     fn advice(&self, _: &Table) -> Vec<String> {
@@ -119,7 +119,7 @@ impl Format for Csv {
         Rules::both_directions(MANY, 1e-6, 1e-6)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         let mut text = "position_mm,error_up_um,error_down_um\n".to_owned();
         for p in &table.points {
             // Writing to a String cannot fail.
@@ -172,7 +172,7 @@ impl<'m> Errors<'m> {
         axis: &str,
         temperatures: &[(String, f64)],
         others_mm: &[(String, f64)],
-    ) -> Result<Self, InputError> {
+    ) -> Result<Self> {
         if Axis::new(axis).is_some_and(|a| a.is_rotary()) {
             return Err(usage(format!("--axis {axis}: a rotary axis"), LINEAR));
         }
@@ -231,7 +231,7 @@ impl<'m> Errors<'m> {
 
     /// The errors along another axis, with the own axis at `own_mm`: a cross table.
     /// They come from squareness, straightness and sag.
-    pub(crate) fn across(mut self, along: &str, own_mm: f64) -> Result<Self, InputError> {
+    pub(crate) fn across(mut self, along: &str, own_mm: f64) -> Result<Self> {
         let acts = |e: &&Effect| acts_on(e, &self.axis);
         let mut others: Vec<&str> =
             self.machine.effects().filter(acts).flat_map(Effect::axes).map(Axis::as_str).collect();
@@ -262,7 +262,7 @@ impl<'m> Errors<'m> {
     }
 
     /// Errors at these rising positions, µm, approached from below (`up`) or above.
-    pub(crate) fn along(&self, positions_mm: &[f64], up: bool) -> Result<Vec<f64>, InputError> {
+    pub(crate) fn along(&self, positions_mm: &[f64], up: bool) -> Result<Vec<f64>> {
         let mut live = self.live()?;
         let (mut column, n) = (vec![0.0; positions_mm.len()], positions_mm.len());
         for k in 0..n {
@@ -273,8 +273,8 @@ impl<'m> Errors<'m> {
     }
 
     /// Spike after a reversal at a position, µm, which no table of positions can hold.
-    pub(crate) fn behind_turn_um(&self, position_mm: f64) -> Result<f64, InputError> {
-        let behind = |up: bool| -> Result<f64, InputError> {
+    pub(crate) fn behind_turn_um(&self, position_mm: f64) -> Result<f64> {
+        let behind = |up: bool| -> Result<f64> {
             let way = if up { 1.0 } else { -1.0 };
             let (mut turns, mut goes_on) = (self.live()?, self.live()?);
             self.at(&mut turns, position_mm, -way);
@@ -284,7 +284,7 @@ impl<'m> Errors<'m> {
         Ok(behind(true)?.max(behind(false)?))
     }
 
-    fn live(&self) -> Result<Live, InputError> {
+    fn live(&self) -> Result<Live> {
         Live::at_work(self.machine, self.layout.clone())
             .map_err(|e| usage(e.to_string(), "sensors and axes only"))
     }
@@ -302,7 +302,7 @@ impl<'m> Errors<'m> {
 
     /// Sensors that the axis's errors use, with the table's temperatures, °C.
     /// A sensor without a stated temperature is at 20 °C.
-    pub(crate) fn temperatures_degc(&self) -> Result<Vec<(&str, f64)>, InputError> {
+    pub(crate) fn temperatures_degc(&self) -> Result<Vec<(&str, f64)>> {
         let live = self.live()?;
         let read: Vec<&str> = live
             .parts()
@@ -319,7 +319,7 @@ impl<'m> Errors<'m> {
     /// Warnings about the table.
     /// Effects of the axis that a table of positions cannot hold, and temperatures outside the range of a
     /// fit.
-    pub(crate) fn doubts(&self) -> Result<Vec<String>, InputError> {
+    pub(crate) fn doubts(&self) -> Result<Vec<String>> {
         let mut live = self.live()?;
         self.at(&mut live, 0.0, 1.0);
         let mut doubts = Vec::new();
@@ -375,7 +375,7 @@ fn placed(
     known: &[String],
     [expected, once]: [&str; 2],
     (range, of_range): (RangeInclusive<f64>, &str),
-) -> Result<Vec<(usize, f64)>, InputError> {
+) -> Result<Vec<(usize, f64)>> {
     let of = |(n, (name, value)): (usize, &(String, f64))| {
         let words = format!("{option} {name}={value}");
         match known.iter().position(|k| k == name) {
@@ -487,7 +487,7 @@ fn round_to(value: f64, resolution: f64) -> f64 {
 impl Table {
     /// The table for a format, with the given step or the widest within the limit.
     /// If no step keeps the limit, the table with the smallest error is used.
-    pub(crate) fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self, InputError> {
+    pub(crate) fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self> {
         let (from, to) = (wanted.from_mm, wanted.to_mm);
         if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
             let step = rules.position_mm;
@@ -559,7 +559,7 @@ impl Table {
         to: f64,
         step_mm: f64,
         rules: &Rules,
-    ) -> Result<Self, InputError> {
+    ) -> Result<Self> {
         let intervals = (((to - from) / step_mm - 1e-9).ceil() as usize).max(1);
         let places: Vec<f64> =
             (0..=intervals).map(|i| round_to(from + step_mm * i as f64, rules.position_mm)).collect();
@@ -592,12 +592,12 @@ impl Table {
     /// The table with its residual where a controller applies it.
     /// A controller that looks up the commanded position moves the drive to a place with another error. Near
     /// a large reversal that is a good part of a screw's wave.
-    fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self, InputError> {
+    fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self> {
         if rules.lookup == Lookup::Encoder {
             // `judge` already used value and error of one place.
             return Ok(self);
         }
-        let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>, InputError> {
+        let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>> {
             let values: Vec<f64> = interpolate(&self.points, &dense.positions_mm, value).collect();
             let places = dense.positions_mm.iter().zip(&values);
             let driven: Vec<f64> = places.map(|(p, um)| p - um / 1000.0).collect();
@@ -644,7 +644,7 @@ impl Table {
 impl Dense {
     /// Evenly spread places, each shifted within its interval by the golden ratio.
     /// So no period of an error matches them.
-    fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self, InputError> {
+    fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);
         let stretch = (to - from) / n as f64;

@@ -7,7 +7,7 @@ use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report};
 use rtec_files::toml::Document;
-use rtec_files::{InputError, date};
+use rtec_files::{InputError, Result, date};
 use rtec_model::record::{Column, Record, Role, mean, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -35,7 +35,7 @@ impl Limits {
     ///
     /// # Errors
     /// The first finding: an unknown key or figure, a limit that is not a number above zero.
-    pub fn read(path: &Path) -> Result<Self, InputError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let text = rtec_files::text::read(path)?;
         let document = Document::parse(path, &text)?;
         let root = document.root();
@@ -156,7 +156,7 @@ pub struct History {
 
 /// One machine's history from its records, each by its path.
 /// Records that cannot be read are listed in `left_out`.
-pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
+pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
     let records: Vec<(&String, Result<Rows, &InputError>)> = records
@@ -244,7 +244,7 @@ fn held_changes(record: &Record) -> Vec<String> {
 }
 
 /// The figures of a record; none for evaluations without a history.
-fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<RecordFigure>, InputError> {
+fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<RecordFigure>> {
     Ok(match Standard::of(record) {
         Ok(Standard::Iso230_2) => {
             let all = iso230::positioning_with(record, &Options { one_way: true, ..Options::default() })?;
@@ -394,7 +394,7 @@ mod tests {
     use super::*;
     use rtec_model::record::{Axis, Kind};
 
-    fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record, InputError>) {
+    fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record>) {
         let x = Axis::new("x").unwrap();
         let (mut at, mut up, mut e) = (Vec::new(), Vec::new(), Vec::new());
         for cycle in 0..5 {

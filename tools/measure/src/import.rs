@@ -35,12 +35,12 @@ pub use renishaw::{any_text, rtl};
 pub use shdr::shdr;
 pub use table::{Form, ImportColumn, table};
 
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
 /// A record of targets on an axis; a row is cycle, position, direction and error.
-fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record, InputError> {
+fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record> {
     let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
     let columns = vec![
         Column::new("cycle", Role::Cycle, get(0)),
@@ -61,7 +61,7 @@ fn finite(word: &str) -> Option<f64> {
 
 /// A record of these columns.
 /// A log, for example for a rehearsal, needs no response.
-fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record, InputError> {
+fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record> {
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {
         // Checked like any record, with a temporary response.

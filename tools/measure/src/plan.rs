@@ -3,7 +3,7 @@
 //! dry and wet).
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::record::{Axis, LINEAR};
 use serde::Serialize;
 use std::path::Path;
@@ -53,7 +53,7 @@ const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 /// # Errors
 /// No axis, a repeated or invalid name, a travel, speed or bar that is not a number above zero, a circle
 /// larger than an axis.
-pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<(), InputError> {
+pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<()> {
     let usage =
         |found: String, expected: &str| InputError::whole(Path::new("characterise plan"), found, expected);
     if axes.is_empty() {
@@ -99,7 +99,7 @@ pub fn for_machine(
     max_rpm: f64,
     ballbar_mm: Option<f64>,
     say: &mut dyn FnMut(Said),
-) -> Result<Vec<Step>, InputError> {
+) -> Result<Vec<Step>> {
     check(axes, max_rpm, ballbar_mm)?;
     let shortest = shortest_mm(axes);
     let bar_mm = ballbar_mm.or_else(|| BARS_MM.into_iter().find(|r| 2.0 * r <= shortest));

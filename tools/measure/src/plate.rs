@@ -5,7 +5,7 @@
 //! a disc, the first fit takes part of the quadrupole. [`Joint`] fits all linear terms at once and does not.
 
 use crate::plot::Vectors;
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record, Role, mean};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -197,7 +197,7 @@ fn solve(
     columns: usize,
     of: &dyn Fn(usize, usize) -> [f64; 2],
     to: &nalgebra::DVector<f64>,
-) -> Result<Solved, InputError> {
+) -> Result<Solved> {
     let n = to.len() / 2;
     let a: Vec<Vec<f64>> =
         (0..columns).map(|j| (0..2 * n).map(|row| of(row / 2, j)[row % 2]).collect()).collect();
@@ -234,7 +234,7 @@ fn solve(
 ///
 /// # Errors
 /// The record lacks position or error of x or y, has fewer than three holes, or holes on one line only.
-pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
+pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
     let get = |role: fn(Axis) -> Role, name: &str| {
         let expected = "columns position and error of x and y";
         let error = || InputError::whole(&record.path, format!("no {name} of a plate"), expected);

@@ -1,7 +1,7 @@
 //! Predictions of a machine model for a record, with notes on their assumptions.
 
 use crate::{derive, plausible, record};
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, Reach, Running};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ pub fn predict(
     machine: &Machine,
     record: &Record,
     say: &mut dyn FnMut(Said),
-) -> Result<Vec<(String, Vec<f64>)>, InputError> {
+) -> Result<Vec<(String, Vec<f64>)>> {
     let (prediction, notes) = derive::predict(machine, record)?;
     for note in notes {
         say(Said::Note(format!("{}: {note}", record.path.display())));
@@ -123,10 +123,7 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
 }
 
 /// The range of a record, and its number of rows.
-fn look_over(
-    pieces: &mut record::RecordPieces,
-    asked: &mut FitRangeCheck<'_>,
-) -> Result<(Reach, usize), InputError> {
+fn look_over(pieces: &mut record::RecordPieces, asked: &mut FitRangeCheck<'_>) -> Result<(Reach, usize)> {
     let (mut reach, mut rows, mut held) = (Reach::default(), 0, BTreeMap::new());
     while let Some(mut record) = pieces.next_record(PIECE_ROWS)? {
         plausible::hold_last_good(&mut record, &mut held);
@@ -138,11 +135,7 @@ fn look_over(
 }
 
 /// Half widths of every response of the record.
-fn half_widths<'m>(
-    machine: &'m Machine,
-    reach: &Reach,
-    record: &Record,
-) -> Result<Vec<HalfWidths<'m>>, InputError> {
+fn half_widths<'m>(machine: &'m Machine, reach: &Reach, record: &Record) -> Result<Vec<HalfWidths<'m>>> {
     let of = |role: &Role| HalfWidths::of(machine, reach, role).ok_or_else(|| no_interval(machine, role));
     record.responses().map(|response| of(&response.role)).collect()
 }
@@ -172,12 +165,7 @@ pub enum Failed {
 ///
 /// # Errors
 /// As [`predict`]; no interval is known; the record's CSV has changed.
-pub fn csv(
-    machine: &Machine,
-    record: &Record,
-    interval: bool,
-    say: &mut dyn FnMut(Said),
-) -> Result<String, InputError> {
+pub fn csv(machine: &Machine, record: &Record, interval: bool, say: &mut dyn FnMut(Said)) -> Result<String> {
     let mut columns = Vec::new();
     let mut good = record.clone();
     let not_taken = plausible::hold_last_good(&mut good, &mut BTreeMap::new());

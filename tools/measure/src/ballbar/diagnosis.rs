@@ -8,7 +8,7 @@ use super::structure::{self, Structure, StructureVariance};
 use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_least_squares::{Directions, orthonormal};
 use rtec_model::circle::{rates, tick};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
@@ -221,7 +221,7 @@ pub(super) struct Shown {
 }
 
 /// Fits one plane.
-pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis, InputError> {
+pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis> {
     let mut settled_mm = SETTLED_MM;
     loop {
         let mut said = Vec::new();
@@ -240,7 +240,7 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
 /// The readings of a coarse gauge less the rounding error that the laws predict.
 /// Equal values round alike, so rounding looks like a cause. Where noise or structure dithers the readings
 /// the correction vanishes. `None` for gauges without steps.
-fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>, InputError> {
+fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>> {
     let axes = traces[0].record.circle().map(|c| c.plane.clone());
     let Some(axes) = axes.filter(|_| traces.iter().any(|t| t.step_um > 0.0)) else { return Ok(None) };
     let mut finer = traces.to_vec();
@@ -271,11 +271,7 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
 }
 
 /// As `diagnose`, from rows at least this far from both axes' reversals, mm.
-fn diagnose_beyond(
-    traces: &[Trace],
-    settled_mm: f64,
-    warnings: &mut Vec<String>,
-) -> Result<Diagnosis, InputError> {
+fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>) -> Result<Diagnosis> {
     let all_circles = traces.iter().all(|t| t.record.circle().is_some());
     let Some(circle) = traces[0].record.circle().filter(|_| all_circles) else {
         let no_circle =
@@ -347,7 +343,7 @@ impl<'t> Fit<'t> {
         [a, b]: [&Axis; 2],
         settled_mm: f64,
         warnings: &mut Vec<String>,
-    ) -> Result<Self, InputError> {
+    ) -> Result<Self> {
         let mut fit = Self::new(traces, settled_mm);
         let d = Dictionary::default();
         let one = |name: &str, axis: &Axis| Some((law(&d, name, &[axis])?, 1.0));

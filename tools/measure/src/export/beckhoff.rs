@@ -5,7 +5,7 @@
 //! ends are those at the ends.
 
 use super::{Format, Point, Rules, Table, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use std::fmt::Write as _;
 
 /// Most points in builds before V3.1.3079.06.
@@ -30,7 +30,7 @@ impl Format for Ssfk {
         Rules::both_directions(self.most, 1e-4, 0.1)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         if self.axis_number == 0 {
             return Err(usage("--axis-number 0", "the controller's logical axis number, from 1"));
         }

@@ -5,7 +5,7 @@
 //! motor's command. The loader converts type 0 to type 1 as nominal less reached.
 
 use super::{Format, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 
 /// Most points of LinuxCNC (`EMCMOT_COMP_SIZE`).
 pub const MOST: usize = 256;
@@ -49,7 +49,7 @@ impl Format for LinuxCnc {
         Rules::both_directions(MOST, 1e-6, 1e-6)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         let in_unit = |mm: f64| number(mm / self.unit.mm(), 9);
         let mut text = String::new();
         let mut before: Option<String> = None;

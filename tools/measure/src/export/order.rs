@@ -3,7 +3,7 @@
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::OwnForm;
 use super::{Csv, Errors, Format, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
@@ -73,12 +73,12 @@ pub struct Exported {
 }
 
 /// The value of an option that a format needs.
-fn needed<T>(value: Option<T>, option: &str) -> Result<T, InputError> {
+fn needed<T>(value: Option<T>, option: &str) -> Result<T> {
     value.ok_or_else(|| usage(format!("no --{option}"), format!("--{option} with this format")))
 }
 
 impl TableOrder {
-    fn format(&self) -> Result<Box<dyn Format>, InputError> {
+    fn format(&self) -> Result<Box<dyn Format>> {
         let linuxcnc = matches!(self.format, ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1);
         if self.unit == Unit::Inch && !linuxcnc {
             return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
@@ -139,7 +139,7 @@ impl TableOrder {
     ///
     /// # Errors
     /// The model has no such axis or lacks what the table needs; the format cannot hold it.
-    pub fn of(&self, machine: &Machine) -> Result<Exported, InputError> {
+    pub fn of(&self, machine: &Machine) -> Result<Exported> {
         let format = self.format()?;
         let errors = self.errors(machine)?;
         let mut rules = format.rules();
@@ -196,7 +196,7 @@ impl TableOrder {
     }
 
     /// The model's errors along the axis, or along `along`.
-    fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>, InputError> {
+    fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>> {
         let Some(along) = &self.along else {
             return Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
         };

@@ -19,7 +19,7 @@
 //! `{step}`, `{first}` and `{last}` are positions too; `{{` and `}}` stand for braces.
 
 use super::{Format, Lookup, Point, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
 
@@ -61,7 +61,7 @@ pub struct OwnForm {
     line_end: &'static str,
 }
 
-fn template(entry: Entry<'_>, known: &[&'static str]) -> Result<Vec<Piece>, InputError> {
+fn template(entry: Entry<'_>, known: &[&'static str]) -> Result<Vec<Piece>> {
     let names: Vec<String> = known.iter().map(|n| format!("{{{n}}}")).collect();
     let expected = format!("text with {}; {{{{ and }}}} for braces", names.join(", "));
     let text = entry.str(&expected)?;
@@ -98,7 +98,7 @@ impl OwnForm {
     ///
     /// # Errors
     /// The first finding, with its place.
-    pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self, InputError> {
+    pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self> {
         let document = Document::parse(file, text)?;
         let root = document.root();
         root.only(&KEYS.split_whitespace().collect::<Vec<_>>())?;
@@ -111,7 +111,7 @@ impl OwnForm {
             let expected = "both {forward} and {reverse}, or {mean} where one value serves both directions";
             return Err(line_entry.error(format!("'{}'", line_entry.text()), expected));
         }
-        let unit = |key: &str, default: Option<f64>| -> Result<f64, InputError> {
+        let unit = |key: &str, default: Option<f64>| -> Result<f64> {
             let expected = format!("{key} = \"mm\", \"um\" or \"inch\"");
             match (root.get(key), default) {
                 (None, Some(mm)) => Ok(mm),
@@ -122,7 +122,7 @@ impl OwnForm {
                 }
             }
         };
-        let decimals = |key: &str| -> Result<usize, InputError> {
+        let decimals = |key: &str| -> Result<usize> {
             let expected = format!("{key}, 0 to 12");
             let entry = root.required(key, &expected)?;
             let n: usize = entry.integer(&expected)?;
@@ -204,7 +204,7 @@ impl Format for OwnForm {
         }
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         let mut text = String::new();
         let once = |name: &str| match name {
             "axis" => table.axis.to_string(),

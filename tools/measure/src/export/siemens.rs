@@ -6,7 +6,7 @@
 //! point.
 
 use super::{Format, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use std::fmt::Write as _;
 
 /// Points of an 808D; an 840D or 828D has the number in MD38000.
@@ -26,7 +26,7 @@ pub(super) struct EncComp {
 }
 
 /// Refuses an axis name that SINUMERIK does not take.
-pub(super) fn check_axis_name(option: &str, name: &str) -> Result<(), InputError> {
+pub(super) fn check_axis_name(option: &str, name: &str) -> Result<()> {
     let good = name.starts_with(|c: char| c.is_ascii_alphabetic())
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     let expected = "the machine axis as the controller names it, as X1";
@@ -38,7 +38,7 @@ impl Format for EncComp {
         Rules::siemens(self.most, self.reference_mm)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         check_axis_name("--axis-name", &self.axis)?;
         if self.encoder > 1 {
             return Err(usage(format!("--encoder {}", self.encoder), "encoder 0 or 1"));

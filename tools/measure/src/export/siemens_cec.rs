@@ -7,7 +7,7 @@
 
 use super::siemens::check_axis_name;
 use super::{Format, Point, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use std::fmt::Write as _;
 
 /// Points of a table of an 828D (the manual, p. 264).
@@ -44,7 +44,7 @@ impl Format for Cec {
         Rules::siemens(self.most, self.reference_mm)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         check_axis_name("--axis-name", &self.axis)?;
         check_axis_name("--along-name", &self.along)?;
         if self.axis == self.along {

@@ -2,7 +2,7 @@
 
 use super::letter;
 use crate::plate::NOMINAL_DIAMETER;
-use rtec_files::{InputError, Numbers};
+use rtec_files::{InputError, Numbers, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// No line with the headings; a row that is too short or has no numbers.
-pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record, InputError> {
+pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record> {
     const HEADINGS: [&str; 5] = ["Meas X", "Meas Y", "Nom X", "Nom Y", "Nom D"];
     let mut places: Option<[usize; 5]> = None;
     let mut rows: Vec<[f64; 5]> = Vec::new();

@@ -1,7 +1,7 @@
 //! The data file of ecmc's ISO 230-2 test.
 
 use super::{finite, of_targets};
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// An invalid assignment, an index outside its range, a missing reading or target.
-pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record> {
     let mut targets: BTreeMap<usize, f64> = BTreeMap::new();
     let mut readings: BTreeMap<(usize, bool, usize), f64> = BTreeMap::new();
     for (i, line) in text.lines().enumerate() {

@@ -5,7 +5,7 @@
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 
 use super::{add_note, finite};
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -15,7 +15,7 @@ struct Block {
     points: Vec<(f64, f64)>,
 }
 
-fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
+fn blocks(from: &Path, text: &str) -> Result<Vec<Block>> {
     let mut blocks: Vec<Block> = Vec::new();
     let mut open: Option<usize> = None;
     for (i, raw) in text.lines().enumerate() {
@@ -81,7 +81,7 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
 ///
 /// # Errors
 /// An invalid line, no such block, blocks with different positions, positions that do not rise.
-pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record> {
     let blocks = blocks(from, text)?;
     let moving = axis.as_str().to_ascii_uppercase();
     let mut columns = Vec::new();

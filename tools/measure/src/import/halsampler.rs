@@ -4,8 +4,8 @@
 
 use super::add_note;
 use super::table::{Form, ImportColumn, table};
-use rtec_files::InputError;
 use rtec_files::words::is_comment;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -31,7 +31,7 @@ pub fn halsampler(
     form: &Form,
     kind: Kind,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     /// Fewest lines that count by one and are not chance.
     const COUNTED: usize = 3;
     let Sampling { period_s, numbered } = *sampling;

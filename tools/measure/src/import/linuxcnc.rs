@@ -2,7 +2,7 @@
 
 use super::finite;
 use crate::export::linuxcnc::{MOST, Unit};
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -20,7 +20,7 @@ pub fn linuxcnc_comp(
     trims: bool,
     unit: Unit,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     let mut rows: Vec<[f64; 3]> = Vec::new();
     let mut stopped: Option<(usize, &str)> = None;
     for (i, line) in text.lines().enumerate() {

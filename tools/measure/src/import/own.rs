@@ -15,7 +15,7 @@
 //! ```
 
 use super::table::{Form, ImportColumn, table};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::Document;
 use rtec_model::record::{Kind, Record, Role};
 use std::path::Path;
@@ -33,7 +33,7 @@ impl OwnTable {
     ///
     /// # Errors
     /// The first finding, with its place.
-    pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
+    pub fn parse(file: &Path, text: &str) -> Result<Self> {
         let document = Document::parse(file, text)?;
         let root = document.root();
         root.only(&["kind", "separator", "decimal", "skip_lines", "names", "comment", "log", "columns"])?;
@@ -119,7 +119,7 @@ impl OwnTable {
     ///
     /// # Errors
     /// As [`table`].
-    pub fn read(&self, from: &Path, text: &str, to: &Path) -> Result<Record, InputError> {
+    pub fn read(&self, from: &Path, text: &str, to: &Path) -> Result<Record> {
         table(from, text, &self.columns, &self.form, self.kind, to)
     }
 }

@@ -6,7 +6,7 @@
 //! not by the order of rows.
 
 use super::{add_note, finite, of_targets};
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record};
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// UTF-16 with half a character.
-pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
+pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String> {
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return rtec_files::text::decode(file, bytes);
     }
@@ -47,7 +47,7 @@ fn sections(text: &str) -> Vec<Section<'_>> {
 ///
 /// # Errors
 /// A missing section, a wrong count, a run without one of its targets, a file of angles.
-pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record> {
     let sections = sections(text);
     let section = |name: &str| {
         let found = sections.iter().find(|s| s.name.eq_ignore_ascii_case(name));
@@ -114,7 +114,7 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
 }
 
 /// The numbers after `Targets :`, over several lines if needed.
-fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>, InputError> {
+fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>> {
     let mut targets = Vec::new();
     let mut inside = false;
     for (line, text) in &section.lines {
@@ -148,7 +148,7 @@ fn deviations(
     section: &Section<'_>,
     targets: usize,
     runs: usize,
-) -> Result<Vec<Vec<Deviation>>, InputError> {
+) -> Result<Vec<Vec<Deviation>>> {
     if runs > section.lines.len() {
         let found = format!("Run-count {runs} and {} lines of deviations", section.lines.len());
         return Err(InputError::whole(from, found, "a deviation for each target of each run"));
@@ -185,11 +185,7 @@ fn deviations(
 }
 
 /// Rows of cycle, position, direction and error; and a message about rows left out.
-fn rows(
-    from: &Path,
-    listed: &[Vec<Deviation>],
-    targets: &[f64],
-) -> Result<(Vec<[f64; 4]>, Vec<String>), InputError> {
+fn rows(from: &Path, listed: &[Vec<Deviation>], targets: &[f64]) -> Result<(Vec<[f64; 4]>, Vec<String>)> {
     let mut rows: Vec<[f64; 4]> = Vec::new();
     let (mut notes, mut seen) = (Vec::new(), [0.0, 0.0]);
     let some = listed.iter().flatten().any(|(_, _, um)| *um != 0.0);

@@ -5,7 +5,7 @@ use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rt
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::path::{Path, PathBuf};
@@ -84,7 +84,7 @@ impl ImportRequest {
     ///
     /// # Errors
     /// The first finding in the file or in the options.
-    pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record, InputError> {
+    pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let bytes = rtec_files::text::bytes(file)?;
         let text = if self.format == ImportFormat::Rtl {
@@ -131,9 +131,9 @@ impl ImportRequest {
         Ok(record)
     }
 
-    fn of_text(&self, text: &str) -> Result<Record, InputError> {
+    fn of_text(&self, text: &str) -> Result<Record> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
-        let axis = || -> Result<Axis, InputError> {
+        let axis = || -> Result<Axis> {
             let name = self.axis.as_deref().unwrap_or_default();
             let found = if name.is_empty() { "no --axis".to_owned() } else { format!("--axis {name}") };
             Axis::new(name).ok_or_else(|| InputError::whole(file, found, "--axis with the axis' name"))

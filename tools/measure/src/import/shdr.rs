@@ -3,9 +3,9 @@
 
 use super::table::ImportColumn;
 use super::{add_note, finite, record_of};
-use rtec_files::InputError;
 use rtec_files::clock::{self, Counted, day, iso8601_ns};
 use rtec_files::words::is_comment;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub fn shdr(
     kind: Kind,
     log: bool,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     if let Some(w) = wanted.iter().find(|w| w.role == Role::Time) {
         let expected = "no column for the time: it stands in front of every line";
         return Err(InputError::whole(from, format!("`{}` as time", w.column), expected));

@@ -5,7 +5,7 @@ use super::{add_note, finite, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
-use rtec_files::{InputError, Numbers, TableMarks, units};
+use rtec_files::{InputError, Numbers, Result, TableMarks, units};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -115,7 +115,7 @@ impl ImportColumn {
     }
 
     /// The column in the unit that its header name states, and that unit.
-    fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>), InputError> {
+    fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>)> {
         let name = header.names().nth(place).unwrap_or_default();
         if let Some((said, stated)) =
             self.unit_said.as_deref().and_then(|s| Some((s, units::contradicted(name, s)?)))
@@ -215,7 +215,7 @@ pub fn table(
     form: &Form,
     kind: Kind,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     let (whole, text) = (text, prepared(text, form));
     let (mut reader, header) = opened(from, &text, wanted, form)?;
     let places = wanted
@@ -237,7 +237,7 @@ pub fn table(
                 by_name.extend(stated);
                 Ok(column)
             };
-            wanted.iter().zip(&places).map(of).collect::<Result<_, InputError>>()?
+            wanted.iter().zip(&places).map(of).collect::<Result<_>>()?
         }
     };
     let (wanted, places, clock_place) = with_one_time(own, places);
@@ -332,7 +332,7 @@ fn opened<'t>(
     text: &'t str,
     wanted: &[ImportColumn],
     form: &Form,
-) -> Result<(Reader<&'t [u8]>, Option<Header>), InputError> {
+) -> Result<(Reader<&'t [u8]>, Option<Header>)> {
     let mut reader = Reader::new(from, text.as_bytes())?;
     if let Some(by) = form.by {
         reader = reader.parted_by(if by == ' ' { '\t' } else { by });
@@ -536,7 +536,7 @@ fn numbers(
     wanted: &[ImportColumn],
     form: &Form,
     places: &[usize],
-) -> Result<(Vec<Numbers>, Option<String>), InputError> {
+) -> Result<(Vec<Numbers>, Option<String>)> {
     if let Some(comma) = form.decimal_comma {
         return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
     }
@@ -546,12 +546,7 @@ fn numbers(
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }
 
-fn cells<'a>(
-    header: Option<&Header>,
-    row: Row<'a>,
-    form: &Form,
-    by: char,
-) -> Result<Vec<Cell<'a>>, InputError> {
+fn cells<'a>(header: Option<&Header>, row: Row<'a>, form: &Form, by: char) -> Result<Vec<Cell<'a>>> {
     let Some(header) = header else { return Ok(row.cells().collect()) };
     header.cells(row).map_err(|e| {
         let (fields, names) = (row.cells().count(), header.names().count());

@@ -7,7 +7,7 @@
 //! water, and of Wagner and others (1994) over ice (A-I there).
 
 use super::no_temperature;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::Table;
 use rtec_model::record::Record;
 use serde::Serialize;
@@ -110,7 +110,7 @@ const PERCENT: [f64; 2] = [0.0, 100.0];
 
 impl Air {
     /// Reads the table `[air]`.
-    pub(super) fn read(table: &Table<'_>) -> Result<Self, InputError> {
+    pub(super) fn read(table: &Table<'_>) -> Result<Self> {
         table.only(&KEYS)?;
         let number = |key: &str, [low, high]: [f64; 2], what: &str| {
             let expected = format!("{what}, {low} to {high}");
@@ -152,7 +152,7 @@ impl Air {
         record: &Record,
         position_mm: &[f64],
         error_um: &[f64],
-    ) -> Result<(Vec<f64>, String), InputError> {
+    ) -> Result<(Vec<f64>, String)> {
         let degc: Vec<f64> = match &self.temperature {
             AirTemperature::Degc(degc) => vec![*degc; position_mm.len()],
             AirTemperature::Sensor(sensor) => {
@@ -266,7 +266,7 @@ mod tests {
         assert_eq!(seen, 6);
     }
 
-    fn air(text: &str) -> Result<Air, InputError> {
+    fn air(text: &str) -> Result<Air> {
         let whole = format!("[air]\n{text}");
         let doc = Document::parse(Path::new("c.toml"), &whole)?;
         let entry = doc.root().get("air").unwrap();

@@ -26,7 +26,7 @@
 //! ```
 
 use super::air::Air;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::{Document, Entry, Table};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -92,7 +92,7 @@ impl Conditions {
     ///
     /// # Errors
     /// The first finding, with file, line and column.
-    pub fn read(path: &Path) -> Result<Self, InputError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)
     }
@@ -101,7 +101,7 @@ impl Conditions {
     ///
     /// # Errors
     /// As [`Conditions::read`].
-    pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+    pub fn parse(path: &Path, text: &str) -> Result<Self> {
         let doc = Document::parse(path, text)?;
         let root = doc.root();
         let mut found = Self::default();
@@ -206,7 +206,7 @@ impl Conditions {
     }
 }
 
-fn words(table: &Table<'_>) -> Result<Vec<(String, String)>, InputError> {
+fn words(table: &Table<'_>) -> Result<Vec<(String, String)>> {
     table.entries().map(|e| Ok((plain(e.key()), word(&e)?))).collect()
 }
 
@@ -228,7 +228,7 @@ fn plain(key: &str) -> String {
     UNITS.iter().find_map(in_unit).unwrap_or_else(|| key.replace('_', " "))
 }
 
-fn word(entry: &Entry<'_>) -> Result<String, InputError> {
+fn word(entry: &Entry<'_>) -> Result<String> {
     let number = entry.as_number().map(|n| n.to_string()).or(entry.as_bool().map(|b| b.to_string()));
     let text = entry.as_str().map(str::to_owned).or(number);
     // A date is written without quotes.
@@ -243,7 +243,7 @@ const LARGEST_UM: f64 = 500.0;
 /// Largest contributor in mm.
 const LARGEST_MM: f64 = 100.0;
 
-fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
+fn expansion(entry: Entry<'_>) -> Result<Expansion> {
     const FORM: &str = "{ sensor = \"T3\", ppm_per_K = 8.5 }";
     let t = entry.table(FORM)?;
     t.only(&["sensor", "ppm_per_K"])?;

@@ -3,7 +3,7 @@
 //! differences give squareness.
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -69,7 +69,7 @@ pub struct Diagonals {
 /// # Errors
 /// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals
 /// mixed; what [`positioning_with`] finds.
-pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, InputError> {
+pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
     let all = records.iter().map(|r| diagonal(r, options)).collect::<Result<Vec<_>, _>>()?;
     let first = all.first().map_or(0, |d| d.axes.len());
     if let Some((odd, r)) = all.iter().zip(records).find(|(d, _)| d.axes.len() != first) {
@@ -112,7 +112,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
     })
 }
 
-fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> {
+fn diagonal(record: &Record, options: &Options) -> Result<Diagonal> {
     let travel = |a| {
         let p = record.position(a)?;
         let [lo, hi] = span(p);

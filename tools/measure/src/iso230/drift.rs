@@ -10,7 +10,7 @@ pub(crate) use long::LongDrift;
 use super::{Budget, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
 use figures::{Look, Sums};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
 use serde::Serialize;
@@ -101,7 +101,7 @@ const MOST_PLACES: usize = 10;
 ///
 /// # Errors
 /// The record has no time or no error response.
-pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
+pub fn drift(record: &Record) -> Result<Vec<Drift>> {
     let t = record
         .data(&Role::Time)
         .ok_or_else(|| lacks(record, "no time", "a column of role time: drift is an error over time"))?;

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::plot::{Chart, Colour, Series, Style};
 use crate::steps::Steps;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::text::short;
 use rtec_model::record::{Axis, Column, Record, Role, mean};
 use serde::Serialize;
@@ -130,7 +130,7 @@ pub fn has_positioning(record: &Record) -> bool {
 ///
 /// # Errors
 /// As [`positioning_with`].
-pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
+pub fn positioning(record: &Record) -> Result<Vec<Positioning>> {
     positioning_with(record, &Options::default())
 }
 
@@ -141,7 +141,7 @@ pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
 /// swapped.
 /// One side only without `one_way`; no target with two approaches from one side on an axis of up to 2 m; a
 /// sensor of the conditions that the record lacks.
-pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>, InputError> {
+pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>> {
     let mut found = Vec::new();
     for column in &record.columns {
         let (Role::Error(axis) | Role::AngleError(axis, _)) = &column.role else { continue };
@@ -166,7 +166,7 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
 }
 
 /// The direction of approach of every row.
-fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputError> {
+fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64]> {
     let role = Role::Direction(axis.clone());
     let direction = record
         .way(axis)
@@ -191,7 +191,7 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
 
 /// Refuses a record in which the error and the position look exchanged.
 /// Targets are a few repeated places, errors are not.
-fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
+fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<()> {
     let n = position.len();
     let (places, values) = (targets(position).len(), alike(&error.data, ALIKE).len());
     let is_wider = spread(&error.data) > spread(position);
@@ -221,7 +221,7 @@ struct Run<'r> {
 impl Run<'_> {
     /// Corrects the error for the laser's air and reduces it to 20 °C.
     /// Scale and work piece have the expansions and sensors of the conditions.
-    fn reduce(&mut self, conditions: &Conditions) -> Result<(), InputError> {
+    fn reduce(&mut self, conditions: &Conditions) -> Result<()> {
         if let Some(air) = &conditions.air {
             let (corrected, words) = air.corrected(self.record, self.position, &self.error)?;
             self.error = corrected;
@@ -266,7 +266,7 @@ impl Run<'_> {
         places(self.position, Some(self.direction), error).into_iter().map(of).collect()
     }
 
-    fn evaluate(mut self, options: &Options) -> Result<Positioning, InputError> {
+    fn evaluate(mut self, options: &Options) -> Result<Positioning> {
         let list = self.list();
         let role = &self.column.role;
         let bidirectional = list.iter().any(|t| t.reversal.is_some());

@@ -4,7 +4,7 @@
 
 use super::{Place, lacks, line, mean_of, spread};
 use crate::plot::{Chart, Colour};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 
@@ -87,7 +87,7 @@ pub fn has_straightness(record: &Record) -> bool {
 ///
 /// # Errors
 /// No error across a moving axis; fewer than five places.
-pub fn straightness(record: &Record) -> Result<Vec<Straightness>, InputError> {
+pub fn straightness(record: &Record) -> Result<Vec<Straightness>> {
     let pairs = pairs(record);
     if pairs.is_empty() {
         let expected = "one moving position.AXIS and the error across it, as position.x with error.y";
@@ -112,7 +112,7 @@ fn slope_error(off: &[StraightPlace]) -> f64 {
     (left / (n - 2.0) / square).sqrt()
 }
 
-fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, InputError> {
+fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
     let position = record.position(axis).unwrap_or_default();
     let error = record.data(&Role::Error(across.clone())).unwrap_or_default();
     let direction = record.way(axis);

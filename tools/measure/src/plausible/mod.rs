@@ -47,7 +47,7 @@ pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
 use crate::steps;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -265,7 +265,7 @@ pub fn enter(document: &mut serde_json::Value, found: &[Suspicion]) {
 ///
 /// # Errors
 /// The first such suspicion against one of these records.
-pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<(), InputError> {
+pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<()> {
     let learned = |s: &&Suspicion| records.iter().any(|r| r.display().to_string() == s.record);
     let wrong = |s: &&Suspicion| {
         let dead = s.what == What::Stuck && s.rows.is_empty();

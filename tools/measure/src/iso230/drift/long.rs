@@ -8,7 +8,7 @@ use super::{Drift, Figures, Phase, charts_of, displaced};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
 use crate::record::RecordPieces;
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role, median, span};
 use std::collections::BTreeSet;
@@ -68,7 +68,7 @@ const UNUSUAL_K: f64 = 15.0;
 impl LongDrift {
     /// Reads a record of more than `more_than` rows; `None` for a shorter one.
     /// Also `None` if an axis moves, because its positions are grouped over all rows.
-    pub(crate) fn of(path: &Path, more_than: usize) -> Result<Option<Self>, InputError> {
+    pub(crate) fn of(path: &Path, more_than: usize) -> Result<Option<Self>> {
         let Some(mut pieces) = RecordPieces::of(path)?.filter(|p| p.most_rows() > more_than as u64) else {
             return Ok(None);
         };
@@ -104,7 +104,7 @@ impl LongDrift {
 
     /// Leaves the rows of these suspicions out of all figures and plots.
     /// As [`crate::plausible::in_figures`] does; it reads the file once.
-    pub(crate) fn leave_out(&mut self, doubts: &[Suspicion]) -> Result<(), InputError> {
+    pub(crate) fn leave_out(&mut self, doubts: &[Suspicion]) -> Result<()> {
         doubts.clone_into(&mut self.doubts);
         self.left_out = rows_left_out(doubts).into_values().flatten().collect();
         // A phase that would lose all rows keeps them.
@@ -137,11 +137,7 @@ impl LongDrift {
 
     /// The same result as [`super::drift`], to the last bit.
     /// Reads the file twice; `each` gets its rows in pieces of `rows_at_once`.
-    pub(crate) fn drift(
-        &mut self,
-        rows_at_once: usize,
-        mut each: impl FnMut(&Record),
-    ) -> Result<Vec<Drift>, InputError> {
+    pub(crate) fn drift(&mut self, rows_at_once: usize, mut each: impl FnMut(&Record)) -> Result<Vec<Drift>> {
         let (responses, sensors) = (self.errors.len(), self.degc.len());
         let none = vec![Sums::new(sensors); responses];
         let (mut whole, mut by_span) = (none.clone(), vec![none; self.spans.len()]);
@@ -192,7 +188,7 @@ impl LongDrift {
         rows_at_once: usize,
         each: &mut dyn FnMut(&Record),
         mut see: impl FnMut(usize, usize, Row<'_>),
-    ) -> Result<(), InputError> {
+    ) -> Result<()> {
         self.pieces.rewind()?;
         let (mut seen, mut span) = (0, 0);
         while let Some(record) = self.pieces.next_record(rows_at_once)? {
