@@ -392,10 +392,10 @@ impl Figure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_model::record::{Axis, Kind};
+    use rtec_builders::{column, record};
+    use rtec_model::record::Kind;
 
     fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record>) {
-        let x = Axis::new("x").unwrap();
         let (mut at, mut up, mut e) = (Vec::new(), Vec::new(), Vec::new());
         for cycle in 0..5 {
             for side in [1.0, -1.0] {
@@ -407,12 +407,9 @@ mod tests {
                 }
             }
         }
-        let columns = vec![
-            Column::new("x", Role::Position(x.clone()), at),
-            Column::new("d", Role::Direction(x.clone()), up),
-            Column::new("e", Role::Error(x), e),
-        ];
-        let mut record = Record::new(Path::new(name), Kind::Positioning, columns).unwrap();
+        let columns =
+            vec![column("x", "position.x", at), column("d", "direction.x", up), column("e", "error.x", e)];
+        let mut record = record(name, Kind::Positioning, columns);
         record.date = date.map(str::to_owned);
         (name.to_owned(), Ok(record))
     }
@@ -454,12 +451,9 @@ mod tests {
                 (t1[0], t1[31]) = (85.0, 85.0);
             }
             let t = (0..n).map(|i| 60.0 * f64::from(i)).collect();
-            let columns = vec![
-                Column::new("t", Role::Time, t),
-                Column::new("T1", Role::Temperature, t1),
-                Column::new("e", Role::parse("error.z").unwrap(), e),
-            ];
-            let mut record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+            let columns =
+                vec![column("t", "time", t), column("T1", "temperature", t1), column("e", "error.z", e)];
+            let mut record = record("d.run.toml", Kind::Drift, columns);
             record.date = Some("2026-01-02".to_owned());
             let found = history("m", &[("d".to_owned(), Ok(record))], &Limits::default());
             found.figures.iter().find(|f| f.name == "z.growth_um_per_K").unwrap().points[0].value

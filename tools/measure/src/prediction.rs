@@ -236,6 +236,19 @@ mod tests {
                      valid = [{ sensor = \"T2\", range_K = [0.0, 1.0], um_per_K = 1.0 }]\n";
         std::fs::write(at("m.toml"), model).unwrap();
         let machine = Machine::read(&at("m.toml")).unwrap();
+        // Text and messages, which are the same of the whole record and row by row.
+        let both = |machine: &Machine, interval: bool| {
+            let (mut said, mut written, mut said_by_rows) = (Vec::new(), Vec::new(), Vec::new());
+            let path = at("r.run.toml");
+            let record = record::read(&path).unwrap();
+            let whole = csv(machine, &record, interval, &mut |s| said.push(s.to_string()));
+            let by_rows =
+                write(machine, &path, interval, &mut written, &mut |s| said_by_rows.push(s.to_string()));
+            assert_eq!(said_by_rows, said);
+            let by_rows = by_rows.map(|()| String::from_utf8(written).unwrap()).map_err(|e| e.to_string());
+            assert!(by_rows == whole.map_err(|e| e.to_string()));
+            (by_rows, said)
+        };
         let times = ["", "t = { role = \"time\", unit = \"s\" }\n"];
         for (time, interval) in times.into_iter().flat_map(|time| [(time, false), (time, true)]) {
             let sidecar = format!(
@@ -253,15 +266,8 @@ mod tests {
                 rows.push_str(if i % 1000 == 3 { " # seen\n\n" } else { "\n" });
             }
             std::fs::write(at("r.csv"), rows).unwrap();
-            let (mut said, mut written, mut said_by_rows) = (Vec::new(), Vec::new(), Vec::new());
-            let record = record::read(&at("r.run.toml")).unwrap();
-            let whole = csv(&machine, &record, interval, &mut |s| said.push(s.to_string())).unwrap();
-            write(&machine, &at("r.run.toml"), interval, &mut written, &mut |s| {
-                said_by_rows.push(s.to_string());
-            })
-            .unwrap();
-            assert!(String::from_utf8(written).unwrap() == whole, "{time}");
-            assert_eq!(said_by_rows, said);
+            let (whole, said) = both(&machine, interval);
+            let whole = whole.unwrap();
             let head = "t,z,T1,\"a note\",T2,e,low_e,high_e,predicted_e\n";
             assert!(interval == whole.starts_with(head), "{}", &whole[..60]);
             // Warnings: at a bound, outside the range of the fit, outside the knots, no direction logged.
@@ -271,24 +277,11 @@ mod tests {
         let narrow = model.replace("valid =", "at_mm = { z = [-20.0, 20.0] }\nvalid =");
         std::fs::write(at("m.toml"), narrow).unwrap();
         let narrow = Machine::read(&at("m.toml")).unwrap();
-        let both = |machine: &Machine| {
-            let (mut said, mut said_by_rows) = (Vec::new(), Vec::new());
-            let record = record::read(&at("r.run.toml")).unwrap();
-            let whole = csv(machine, &record, true, &mut |s| said.push(s.to_string()));
-            let mut written = Vec::new();
-            let by_rows = write(machine, &at("r.run.toml"), true, &mut written, &mut |s| {
-                said_by_rows.push(s.to_string());
-            });
-            assert_eq!(said_by_rows, said);
-            let by_rows = by_rows.map(|()| String::from_utf8(written).unwrap()).map_err(|e| e.to_string());
-            assert!(by_rows == whole.map_err(|e| e.to_string()));
-            by_rows
-        };
-        assert!(both(&narrow).is_ok());
+        assert!(both(&narrow, true).0.is_ok());
         let text = std::fs::read_to_string(at("r.csv")).unwrap();
         std::fs::write(at("r.csv"), text.clone() + "9999999,90,21,,21,0\n").unwrap();
-        assert!(both(&narrow).unwrap_err().contains("no fit of error.z"));
-        assert!(both(&machine).is_ok());
+        assert!(both(&narrow, true).0.unwrap_err().contains("no fit of error.z"));
+        assert!(both(&machine, true).0.is_ok());
         // A mistake far after the first piece names its row.
         std::fs::write(at("r.csv"), text + "5,1,2,,3,4\n").unwrap();
         let whole = record::read(&at("r.run.toml")).unwrap_err();

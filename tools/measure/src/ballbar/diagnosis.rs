@@ -304,10 +304,9 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
     let found = fit.answer(axes, &told, &shown);
     let lost = fit.not_told(&told, &shown);
     if !lost.is_empty() {
-        warnings.push(format!(
-            "these runs do not tell {} apart: full circles both ways in one record do",
-            lost.join(", ")
-        ));
+        let lost = lost.join(", ");
+        warnings
+            .push(format!("these runs do not tell {lost} apart: full circles both ways in one record do"));
     }
     if let Some(um) = found.unexplained_um {
         warnings.push(format!(
@@ -369,10 +368,8 @@ impl<'t> Fit<'t> {
             for t in fit.terms.iter_mut().filter(|t| t.name == "squareness_urad") {
                 TOGETHER.clone_into(&mut t.name);
             }
-            warnings.push(
-                "one sense of turning at one feed: squareness and servo mismatch look alike; measure both ways"
-                    .to_owned(),
-            );
+            let alike = "squareness and servo mismatch look alike; measure both ways";
+            warnings.push(format!("one sense of turning at one feed: {alike}"));
         }
         Ok(fit)
     }
@@ -889,16 +886,14 @@ impl<'t> Fit<'t> {
             self.circle[0][k] + moved.sum::<f64>()
         };
         // With one direction reversals shift the set-up: use the least-squares circle.
-        let set_up = |name: &str, k: usize| {
-            let circle = if self.structure.both_ways { circle_of(k) } else { self.circle[0][k] };
-            if self.structure.both_ways { get(name).map(|v| v + circle) } else { Some(circle) }
-        };
-        let circle = |name: &str| match name {
-            "radius.0" => circle_of(0),
-            "centre.0.0" => circle_of(1),
-            "centre.1.0" => circle_of(2),
-            _ => 0.0,
-        };
+        let set_up = ["radius.0", "centre.0.0", "centre.1.0"];
+        let [radius_um, centre_a, centre_b] = [0, 1, 2].map(|k| {
+            if self.structure.both_ways {
+                Some(get(set_up[k])? + circle_of(k))
+            } else {
+                Some(self.circle[0][k])
+            }
+        });
         let stands = |name: &str| {
             let hidden = |what: &str| {
                 name.starts_with(what)
@@ -906,29 +901,27 @@ impl<'t> Fit<'t> {
             };
             !(hidden("spike.") || hidden("cyclic.") || name.ends_with(".phase_rad") || !self.separates(name))
         };
-        let rename = |name: &str| -> Option<String> {
-            match name {
-                "radius.0" if self.structure.both_ways => Some("radius_um".to_owned()),
-                "centre.0.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[0])),
-                "centre.1.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[1])),
-                n if n.starts_with("radius.") || n.starts_with("centre.") || n == TOGETHER => None,
-                n => Some(match n.strip_prefix("cyclic.") {
-                    Some(rest) if rest.split('.').next().is_some_and(|a| form.contains_key(a)) => {
-                        format!("form.{rest}")
-                    }
-                    _ => n.to_owned(),
-                }),
+        let set_up_names =
+            ["radius_um".to_owned(), format!("centre_um.{}", axes[0]), format!("centre_um.{}", axes[1])];
+        // Name for users, and what the value is counted from.
+        let rename = |name: &str| match set_up.iter().position(|s| *s == name) {
+            Some(k) if self.structure.both_ways => Some((set_up_names[k].clone(), circle_of(k))),
+            _ if name.starts_with("radius.") || name.starts_with("centre.") || name == TOGETHER => None,
+            _ => {
+                let is_form = |rest: &&str| rest.split('.').next().is_some_and(|a| form.contains_key(a));
+                let form = name.strip_prefix("cyclic.").filter(is_form).map(|rest| format!("form.{rest}"));
+                Some((form.unwrap_or_else(|| name.to_owned()), 0.0))
             }
         };
         let interval = |(name, (v, half)): (&String, &(f64, f64))| {
-            let v = v + circle(name);
-            Some((rename(name).filter(|_| stands(name))?, [v - half, v + half]))
+            let (words, circle) = rename(name).filter(|_| stands(name))?;
+            Some((words, [v + circle - half, v + circle + half]))
         };
         let mut interval_95: BTreeMap<String, [f64; 2]> = values.iter().filter_map(interval).collect();
         interval_95.extend(self.spike_intervals(told, shown));
         Diagnosis {
-            centre_um: [set_up("centre.0.0", 1), set_up("centre.1.0", 2)],
-            radius_um: set_up("radius.0", 0),
+            centre_um: [centre_a, centre_b],
+            radius_um,
             scale_mismatch_ppm: get("scale_mismatch_ppm"),
             squareness_urad: get("squareness_urad"),
             reversal,
@@ -951,8 +944,8 @@ impl<'t> Fit<'t> {
         for (t, places) in self.placed() {
             let known = shown.resolved[places.clone()].iter().all(|r| *r);
             if known && t.name.starts_with("spike.") && told.contains(&t.name) && t.free.len() == 2 {
-                let profile =
-                    self.spike_profile(t, [shown.rises[places.start], shown.rises[places.start + 1]]);
+                let rises = [shown.rises[places.start], shown.rises[places.start + 1]];
+                let profile = self.spike_profile(t, rises);
                 let named =
                     |ends| ["um", "length_mm"].map(|p| format!("{}.{p}", t.name)).into_iter().zip(ends);
                 intervals.extend(profile.into_iter().flat_map(named));
@@ -1020,21 +1013,16 @@ fn begun(angle: &[f64], rows: &Range<usize>) -> usize {
 
 /// Name of a term for users.
 fn cause(name: &str) -> String {
-    let known = [
-        ("scale_mismatch_ppm", "scale mismatch"),
-        ("squareness_urad", "squareness"),
-        ("servo_mismatch_ms", "servo mismatch"),
-    ];
-    if let Some((_, words)) = known.iter().find(|(n, _)| *n == name) {
-        return (*words).to_owned();
-    }
-    let Some((what, axis)) = name.split_once('.') else { return name.to_owned() };
+    let (what, axis) = name.split_once('.').unwrap_or((name, ""));
     let words = match what {
+        "scale_mismatch_ppm" => "scale mismatch",
+        "squareness_urad" => "squareness",
+        "servo_mismatch_ms" => "servo mismatch",
         "spike" => "reversal spike",
         "cyclic" => "cyclic error",
         other => other,
     };
-    format!("{words} {axis}")
+    format!("{words} {axis}").trim_end().to_owned()
 }
 
 pub(super) fn columns_of(all: &DMatrix<f64>) -> Vec<DVector<f64>> {

@@ -148,8 +148,8 @@ fn with_a_digit_more(value: f64) -> impl Iterator<Item = f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_builders::{column, record};
     use rtec_model::record::Kind;
-    use std::path::Path;
 
     /// A reading at a reversal may lie outside both neighbours, by less than a step.
     /// A lost digit lies farther off.
@@ -165,12 +165,9 @@ mod tests {
                 x[row] /= 10.0;
             }
             let e = (0..x.len()).map(|i| (i as f64).sin()).collect();
-            let columns = vec![
-                Column::new("x", Role::parse("position.x").unwrap(), x),
-                Column::new("e", Role::parse("error.x").unwrap(), e),
-            ];
+            let columns = vec![column("x", "position.x", x), column("e", "error.x", e)];
             let mut out = Vec::new();
-            look(&Record::new(Path::new("r.run.toml"), Kind::Dynamics, columns).unwrap(), &mut out);
+            look(&record("r.run.toml", Kind::Dynamics, columns), &mut out);
             out.len()
         };
         assert_eq!((said(None), said(Some(100))), (0, 1));
@@ -196,16 +193,11 @@ mod tests {
                 }
             }
             let e = (0..y.len()).map(|i| (i as f64).sin()).collect();
-            let mut columns = vec![
-                Column::new("t", Role::Time, t),
-                Column::new("y", Role::parse("position.y").unwrap(), y),
-                Column::new("e", Role::parse("error.y").unwrap(), e),
-            ];
-            if with_speed {
-                columns.push(Column::new("v", Role::parse("velocity.y").unwrap(), v));
-            }
+            let mut columns =
+                vec![column("t", "time", t), column("y", "position.y", y), column("e", "error.y", e)];
+            columns.extend(with_speed.then(|| column("v", "velocity.y", v)));
             let mut out = Vec::new();
-            look(&Record::new(Path::new("r.run.toml"), Kind::FeedSweep, columns).unwrap(), &mut out);
+            look(&record("r.run.toml", Kind::FeedSweep, columns), &mut out);
             out.len()
         };
         assert_eq!((said(false), said(true)), (1, 0));

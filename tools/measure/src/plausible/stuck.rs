@@ -255,8 +255,8 @@ fn fine(v: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_builders::{column, record};
     use rtec_model::record::Kind;
-    use std::path::Path;
 
     /// A step at the end of a run has not reached other sensors yet.
     #[test]
@@ -279,18 +279,16 @@ mod tests {
             }
         };
         let made = |near: &dyn Fn(usize) -> f64| {
-            let column = |name: &str, of: &dyn Fn(usize) -> f64| {
-                Column::new(name, Role::Temperature, (0..300).map(of).collect())
+            let made = |name: &str, role: &str, of: &dyn Fn(usize) -> f64| {
+                column(name, role, (0..300).map(of).collect())
             };
-            let e = Column::new(
-                "e",
-                Role::parse("error.x").unwrap(),
-                (0..300).map(|i| 0.01 * f64::from(i)).collect(),
-            );
-            let t = Column::new("t", Role::Time, (0..300).map(|i| 60.0 * f64::from(i)).collect());
-            let slow = body(200.0, 300);
-            let columns = vec![t, column("T1", near), column("T2", &slow), e];
-            Record::new(Path::new("run.run.toml"), Kind::Drift, columns).unwrap()
+            let columns = vec![
+                made("t", "time", &|i| 60.0 * i as f64),
+                made("T1", "temperature", near),
+                made("T2", "temperature", &body(200.0, 300)),
+                made("e", "error.x", &|i| 0.01 * i as f64),
+            ];
+            record("run.run.toml", Kind::Drift, columns)
         };
         let said = |near: &dyn Fn(usize) -> f64| {
             let mut out = Vec::new();
@@ -316,14 +314,12 @@ mod tests {
                 (0..300).map(of).collect::<Vec<f64>>()
             };
             let (lively, calm) = (read(20.05, sigma), vec![20.3; 300]);
-            let record = |name: &str, t: Vec<f64>| {
+            let made = |name: &str, t: Vec<f64>| {
                 let e = (0..300).map(|i| f64::from(i).sin()).collect();
-                let e = Column::new("e", Role::parse("error.x").unwrap(), e);
-                let columns = vec![Column::new("T1", Role::Temperature, t), e];
-                Record::new(Path::new(name), Kind::Ballbar, columns).unwrap()
+                record(name, Kind::Ballbar, vec![column("T1", "temperature", t), column("e", "error.x", e)])
             };
             let mut out = Vec::new();
-            look(&[record("a", lively), record("b", calm)], &mut out);
+            look(&[made("a", lively), made("b", calm)], &mut out);
             out.len()
         };
         assert_eq!((said(0.02), said(0.2)), (0, 1));
@@ -332,22 +328,22 @@ mod tests {
     /// A regression that is wrong beside the run does not prove a stuck sensor.
     #[test]
     fn a_law_of_another_record_has_to_hold_beside_the_run() {
-        let record = |name: &str, near: Vec<f64>, far: Vec<f64>| {
-            let column = |name: &str, data| Column::new(name, Role::Temperature, data);
-            let e = Column::new("e", Role::parse("error.x").unwrap(), near.iter().map(|v| 0.1 * v).collect());
-            Record::new(Path::new(name), Kind::Drift, vec![column("T1", near), column("T2", far), e]).unwrap()
+        let made = |name: &str, near: Vec<f64>, far: Vec<f64>| {
+            let e = column("e", "error.x", near.iter().map(|v| 0.1 * v).collect());
+            let near = column("T1", "temperature", near);
+            record(name, Kind::Drift, vec![near, column("T2", "temperature", far), e])
         };
         let ramp = |i: i32| 20.0 + 0.05 * f64::from(i);
-        let other = record("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());
+        let other = made("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());
         // In this record the second sensor hardly follows the first.
         let slow = |i: i32| 22.0 + (f64::from(i) / 30.0).floor() * 0.0625;
-        let this = record("b", (0..100).map(ramp).collect(), (0..100).map(slow).collect());
+        let this = made("b", (0..100).map(ramp).collect(), (0..100).map(slow).collect());
         let c = this.columns[1].clone();
         let run = (30, 60);
         assert!(!by_the_others(&this, &c, run, &[&other]));
         // Here the regression holds beside the run, and in the run the sensor is frozen.
         let stuck = |i: i32| ramp(if (30..60).contains(&i) { 30 } else { i });
-        let this = record("c", (0..100).map(ramp).collect(), (0..100).map(stuck).collect());
+        let this = made("c", (0..100).map(ramp).collect(), (0..100).map(stuck).collect());
         assert!(by_the_others(&this, &this.columns[1].clone(), run, &[&other]));
     }
 }

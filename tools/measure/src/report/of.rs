@@ -324,17 +324,8 @@ pub(crate) fn drift(
             "the run lasts {short:.1} min: d60 and the last hour are of all of it; or is its time in another unit than stated?"
         ));
     }
-    let head = [
-        "response",
-        "unit",
-        "#time (min)",
-        "#d60",
-        "#dt",
-        "#last hour",
-        "#end − start",
-        "#per h",
-        "#most per h",
-    ];
+    let head = "response|unit|#time (min)|#d60|#dt|#last hour|#end − start|#per h|#most per h";
+    let head: Vec<&str> = head.split('|').collect();
     let unit = |d: &Drift| {
         match d.unit.as_str() {
             "um" => "µm",
@@ -508,19 +499,8 @@ pub(crate) fn history(h: &History) -> Result<Report, PlotError> {
     for figure in h.with_every_row() {
         report.warn(&figure);
     }
-    let head = [
-        "figure",
-        "unit",
-        "#records",
-        "first",
-        "#first",
-        "last",
-        "#last",
-        "#limit",
-        "#trend a year",
-        "95 %",
-        "reaches",
-    ];
+    let head = "figure|unit|#records|first|#first|last|#last|#limit|#trend a year|95 %|reaches";
+    let head: Vec<&str> = head.split('|').collect();
     let row = |f: &Figure| {
         let (first, last) = (f.points.first()?, f.points.last()?);
         let trend = f.trend.map_or_else(String::new, |t| um(t.per_year));
@@ -569,15 +549,8 @@ pub(crate) fn repeatability(
     conditions: &Conditions,
 ) -> Result<Report, PlotError> {
     let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
-    let head = [
-        "axis",
-        "#returns",
-        "#standard deviation s (µm)",
-        "#4 s (µm)",
-        "#range (µm)",
-        "#trend (µm a return)",
-        "#s about it (µm)",
-    ];
+    let head = "axis|#returns|#standard deviation s (µm)|#4 s (µm)|#range (µm)|#trend (µm a return)|#s about it (µm)";
+    let head: Vec<&str> = head.split('|').collect();
     let rows = axes.iter().map(|(axis, of)| {
         let figures = [of.s_um, 4.0 * of.s_um, of.range_um, of.trend_um_per_return].map(um);
         let start = [axis.clone(), of.returns.to_string()].into_iter();
