@@ -173,10 +173,9 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar> {
     let radii: Vec<f64> = traces.iter().filter_map(|t| t.record.circle().map(|c| c.radius_mm)).collect();
     let mixed = radii.iter().any(|r| !alike(*r, radii[0]));
     if mixed {
-        let list: Vec<String> = radii.iter().map(|r| format!("{r}")).collect();
+        let list = radii.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
         warnings.push(format!(
-            "circles of different radii ({} mm): each figure is the largest of any; evaluate them one by one for the figures of each",
-            list.join(", ")
+            "circles of different radii ({list} mm): each figure is the largest of any; evaluate them one by one for the figures of each"
         ));
     }
     let off = |t: &Trace| {
@@ -405,25 +404,21 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let mut usual = 0.0;
     for i in 0..n {
         let turn = sense(i);
-        match found.last_mut() {
-            // Another feed starts another contour, unless the turn so far was only a start.
-            Some((rows, t)) if turn == 0.0 || (*t - turn).abs() < 0.5 => {
-                let other_feed = rows.len() > 20
-                    && (0..10)
-                        .all(|k| speed.get(i + k).is_some_and(|s| (s / usual - 1.0).abs() > FEED_SHARE));
-                if other_feed && turned(rows) > START_RAD {
-                    found.push((i..i + 1, turn));
-                    usual = speed[i];
-                } else if other_feed {
-                    // The speed of a start is not the feed. Rows at rest before it are left out.
-                    let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[i];
-                    rows.start = rows.clone().rev().find(rests).map_or(rows.start, |row| row + 1);
-                    (rows.end, usual) = (i + 1, speed[i]);
-                } else {
-                    rows.end = i + 1;
-                    usual += (speed[i] - usual) / rows.len() as f64;
-                }
+        let is_other = |s: &f64| (s / usual - 1.0).abs() > FEED_SHARE;
+        let all_other = (0..10).all(|k| speed.get(i + k).is_some_and(is_other));
+        let other_feed = |rows: &Range<usize>| rows.len() > 20 && all_other;
+        match found.last_mut().filter(|(_, t)| turn == 0.0 || (*t - turn).abs() < 0.5) {
+            Some((rows, _)) if !other_feed(rows) => {
+                rows.end = i + 1;
+                usual += (speed[i] - usual) / rows.len() as f64;
             }
+            // The speed of a start is not the feed. Rows at rest before it are left out.
+            Some((rows, _)) if turned(rows) <= START_RAD => {
+                let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[i];
+                rows.start = rows.clone().rev().find(rests).map_or(rows.start, |row| row + 1);
+                (rows.end, usual) = (i + 1, speed[i]);
+            }
+            // Another direction or another feed starts another contour.
             _ => {
                 found.push((i..i + 1, turn));
                 usual = speed[i];
@@ -441,12 +436,10 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     }
     // Near a change of direction the sign is uncertain.
     for i in 1..found.len() {
-        if (found[i].1 - found[i - 1].1).abs() > 0.5
-            && found[i].0.len() > 4 * look
-            && found[i - 1].0.len() > 4 * look
-        {
-            found[i - 1].0.end -= look;
-            found[i].0.start += look;
+        let [(before, sense), (rows, turn)] = &mut found[i - 1..=i] else { break };
+        if (*turn - *sense).abs() > 0.5 && rows.len() > 4 * look && before.len() > 4 * look {
+            before.end -= look;
+            rows.start += look;
         }
     }
     found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > START_RAD);

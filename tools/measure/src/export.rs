@@ -59,11 +59,8 @@ impl Point {
 /// Requirements of a format.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Rules {
-    /// Most points.
     pub most: usize,
-    /// Resolution of positions, mm.
     pub position_mm: f64,
-    /// Resolution of values, µm.
     pub value_um: f64,
     /// Whether it has values for both directions; otherwise it takes their mean.
     pub both: bool,
@@ -98,10 +95,8 @@ pub(crate) enum Lookup {
 
 /// A format of tables.
 pub(crate) trait Format {
-    /// Its requirements.
     fn rules(&self) -> Rules;
 
-    /// The file's text.
     fn text(&self, table: &Table) -> Result<String>;
 
     /// Advice for the person who loads the table.
@@ -411,7 +406,6 @@ fn axes(machine: &Machine) -> Vec<Axis> {
 /// A table with values as written, and its residual against the model.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Table {
-    /// The axis.
     pub axis: Axis,
     /// Its points with rising positions, and values as written.
     pub points: Vec<Point>,
@@ -420,7 +414,6 @@ pub(crate) struct Table {
     /// Constant subtracted from all values so that the reference point is zero, µm.
     /// It shifts the zero of the axis.
     pub constant_um: f64,
-    /// Residual of the model.
     pub left: Left,
     /// Largest error between points, µm, which more points could reduce.
     /// With one value for both directions, it is measured against their mean.
@@ -429,7 +422,7 @@ pub(crate) struct Table {
 
 /// Residual of the model over the compensated travel, without the constant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Left {
+pub struct Left {
     /// Largest absolute value moving up, µm.
     pub max_up_um: f64,
     /// Largest absolute value moving down, µm.

@@ -8,7 +8,7 @@ use crate::plot::PlotError;
 use crate::report::{self, Report};
 use rtec_files::toml::Document;
 use rtec_files::{InputError, Result, date};
-use rtec_model::record::{Column, Record, Role, mean, span};
+use rtec_model::record::{Column, Record, mean, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -107,7 +107,7 @@ pub struct Trend {
 }
 
 /// A figure over time.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Figure {
     /// Axis (or plane) and figure, as `x.A`.
     pub name: String,
@@ -179,16 +179,9 @@ pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Lim
                 for (name, unit, sensor, value) in figures {
                     let with = every.iter().find(|f| f.0 == name).map(|f| f.3);
                     let with_every_row = with.filter(|with| !is_same_figure(*with, value));
-                    let figure = found.entry(name.clone()).or_insert_with(|| Figure {
-                        limit: limits.for_figure(&name),
-                        name,
-                        unit,
-                        sensor,
-                        points: Vec::new(),
-                        beyond: false,
-                        trend: None,
-                        reaches: None,
-                    });
+                    let limit = limits.for_figure(&name);
+                    let figure = found.entry(name.clone());
+                    let figure = figure.or_insert(Figure { name, unit, sensor, limit, ..Figure::default() });
                     let date = record.date.clone().unwrap_or_default();
                     figure.points.push(Point { date, record: path.clone(), value, with_every_row, day });
                 }
@@ -286,10 +279,9 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
     let mut merit: BTreeMap<(String, String), f64> = BTreeMap::new();
     for record in records.filter(|r| matches!(Standard::of(r), Ok(Standard::Iso230_3))) {
         for response in record.responses() {
-            for sensor in record.names(&Role::Temperature) {
-                let told = record.temperature(sensor).and_then(|t| slope(t, &response.data));
-                *merit.entry((response.role.to_string(), sensor.to_owned())).or_default() +=
-                    told.map_or(0.0, |s| s.2.abs());
+            for sensor in record.temperatures() {
+                let gamma = slope(&sensor.data, &response.data).map_or(0.0, |s| s.2.abs());
+                *merit.entry((response.role.to_string(), sensor.name.clone())).or_default() += gamma;
             }
         }
     }

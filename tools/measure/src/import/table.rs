@@ -81,8 +81,6 @@ impl ImportColumn {
     ) -> Result<Self, (String, String)> {
         let own = role.unit();
         let unit = unit.map(units::plain);
-        let unit_said = unit.map(str::to_owned);
-        let unit_given = unit.is_some();
         let (unit_there, further) = match (own, unit) {
             (None, any) => (any.unwrap_or("1"), [1.0, 0.0]),
             (Some(own), None) => (own, [1.0, 0.0]),
@@ -90,10 +88,8 @@ impl ImportColumn {
             (Some(own), Some(u)) => {
                 let others = units::others(own);
                 let known: Vec<&str> = std::iter::once(own).chain(others.iter().map(|o| o.0)).collect();
-                let (_, f, a) = others
-                    .iter()
-                    .find(|o| o.0 == u)
-                    .ok_or_else(|| (format!("`{u}`"), format!("a unit of {role}: {}", known.join(", "))))?;
+                let error = || (format!("`{u}`"), format!("a unit of {role}: {}", known.join(", ")));
+                let (_, f, a) = others.iter().find(|o| o.0 == u).ok_or_else(error)?;
                 (own, [*f, *a])
             }
         };
@@ -104,8 +100,8 @@ impl ImportColumn {
             unit: unit_there.to_owned(),
             role,
             scale,
-            unit_given,
-            unit_said,
+            unit_given: unit.is_some(),
+            unit_said: unit.map(str::to_owned),
         })
     }
 
@@ -229,17 +225,13 @@ pub fn table(
         })
         .collect::<Result<Vec<_>, _>>()?;
     let mut by_name = Vec::new();
-    let own: Vec<ImportColumn> = match &header {
-        None => wanted.to_vec(),
-        Some(header) => {
-            let of = |(w, place): (&ImportColumn, &usize)| {
-                let (column, stated) = w.by_header(header, *place)?;
-                by_name.extend(stated);
-                Ok(column)
-            };
-            wanted.iter().zip(&places).map(of).collect::<Result<_>>()?
-        }
+    let of = |(w, place): (&ImportColumn, &usize)| {
+        let Some(header) = &header else { return Ok(w.clone()) };
+        let (column, stated) = w.by_header(header, *place)?;
+        by_name.extend(stated);
+        Ok(column)
     };
+    let own: Vec<ImportColumn> = wanted.iter().zip(&places).map(of).collect::<Result<_>>()?;
     let (wanted, places, clock_place) = with_one_time(own, places);
     let wanted = wanted.as_slice();
     let (numbers, written) = numbers(from, &text, wanted, form, &places)?;
@@ -465,23 +457,17 @@ impl Clock {
             () if in_filetime => clock::filetime(number),
             () => clock::counted(number * w.scale[0]),
         };
+        let instead = |time: &str, Counted { unit, what, .. }: Counted| {
+            format!("a time in {time}: this is {what} in {unit}, as {}=time:{unit}", w.column)
+        };
         if first && let Some(found) = counted() {
             if !matches!(found.unit, "s" | "d") && !in_filetime {
-                let (column, unit, what) = (&w.column, found.unit, found.what);
-                return Err(format!(
-                    "a time in s, or its unit: this is {what} in {unit}, as {column}=time:{unit}"
-                ));
+                return Err(instead("s, or its unit", found));
             }
             self.counted = Some((number, found));
-        } else if first
-            && w.scale[0] > 1.0
-            && let Some(found) = clock::counted(number)
-        {
+        } else if let Some(found) = clock::counted(number).filter(|_| first && w.scale[0] > 1.0) {
             // The number is a clock in its own unit, but not in minutes or hours.
-            let (column, unit, what) = (&w.column, found.unit, found.what);
-            return Err(format!(
-                "a time in the unit of its clock: this is {what} in {unit}, as {column}=time:{unit}"
-            ));
+            return Err(instead("the unit of its clock", found));
         }
         if self.last.replace(number).is_some_and(|last| last < COUNTER && last - number > 0.9 * COUNTER) {
             return Err(format!(

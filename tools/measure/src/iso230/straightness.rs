@@ -119,7 +119,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
     let mut places = Vec::new();
     let mut spreads: Vec<f64> = Vec::new();
     for Place { position_mm, up, down } in super::places(position, direction, error) {
-        spreads.extend([&up, &down].into_iter().filter(|v| v.len() > 1).filter_map(|v| spread(v)));
+        spreads.extend([&up, &down].into_iter().filter(|v| v.len() > 1).filter_map(spread));
         let (up_um, down_um) = (mean_of(&up), mean_of(&down));
         let Some(mean_um) = up_um.zip(down_um).map(|(u, d)| f64::midpoint(u, d)).or(up_um).or(down_um) else {
             continue;

@@ -115,14 +115,18 @@ pub(super) fn causes(record: &Record) -> Vec<bool> {
                 let d = if matches!(c.role, Role::Position(_)) { steps(&c.data) } else { c.data.clone() };
                 let turns: Vec<usize> = (1..d.len()).filter(|i| d[*i] * d[i - 1] < 0.0).collect();
                 if let Some(by) = after_turns(turns.len(), n) {
-                    turns.into_iter().for_each(|i| around(i, by));
+                    for i in turns {
+                        around(i, by);
+                    }
                 }
             }
             Role::Coolant | Role::SpindleSpeed => {
                 let changes: Vec<usize> =
                     (1..n).filter(|i| c.data[*i].to_bits() != c.data[i - 1].to_bits()).collect();
                 if changes.len() * 6 <= n {
-                    changes.into_iter().for_each(|i| around(i, 2));
+                    for i in changes {
+                        around(i, 2);
+                    }
                 } else if c.role == Role::Coolant {
                     // A pump that is on or off for few rows affects those rows.
                     let short = changes.windows(2).filter(|w| w[1] - w[0] <= SHORT);
