@@ -247,23 +247,3 @@ impl Format for OwnForm {
         vec!["what it leaves holds for a controller that goes straight from value to value, by the commanded position and direction".to_owned()]
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The number of the last point must be one, too.
-    #[test]
-    fn points_are_counted_from_a_number_that_has_others_behind_it() {
-        let form = |first: i64| {
-            format!(
-                "line = \"{{n}};{{position}};{{mean}}\"\nvalue = \"error\"\nvalue_unit = \"um\"\nposition_decimals = 3\n\
-                 value_decimals = 1\nmax_points = 128\nfirst_index = {first}\n"
-            )
-        };
-        let parse = |first| OwnForm::parse(Path::new("f.toml"), &form(first), 0.0);
-        assert!(parse(1).is_ok() && parse(-5).is_ok());
-        let e = parse(i64::MAX).unwrap_err();
-        assert_eq!((e.line, e.found.as_str()), (7, "first_index = 9223372036854775807"));
-    }
-}

@@ -140,28 +140,7 @@ impl Polar {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Colour, Style};
     use super::*;
-
-    #[test]
-    fn a_circle_is_round_and_says_its_scale() {
-        let points: Vec<(f64, f64)> =
-            (0..360).map(|d| f64::from(d).to_radians()).map(|a| (a, 4.0 * (2.0 * a).cos())).collect();
-        let plot = Polar {
-            title: "Plane <x-y>".into(),
-            axes: ["x".into(), "y".into()],
-            radius_mm: Some(150.0),
-            series: vec![Series::new("ccw", Style::Line, points).coloured(Colour::Up)],
-        };
-        let svg = plot.svg();
-        // 80 px for 4 µm, 150 px for 150 mm.
-        for word in ["Plane &lt;x-y&gt;", "one division is 1 µm", "20000 times", "+X", "−Y", "#0072b2"] {
-            assert!(svg.contains(word), "{word}: {svg}");
-        }
-        // At 0° 4 µm outwards, at 90° 4 µm inwards.
-        assert!(svg.contains("M510.00 300.00"), "{svg}");
-        assert!(svg.contains("L280.00 230.00"), "{svg}");
-    }
 
     #[test]
     fn divisions_are_round_numbers() {

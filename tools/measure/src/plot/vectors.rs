@@ -111,23 +111,3 @@ impl Vectors {
         );
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn arrows_say_how_long_they_are() {
-        let plot = Vectors {
-            title: "Plate".into(),
-            axes: ["x".into(), "y".into()],
-            at: vec![([0.0, 0.0], [10.0, 0.0]), ([100.0, 50.0], [0.0, -5.0])],
-        };
-        let svg = plot.svg();
-        for word in ["Plate", "x (mm)", "y (mm)", "this arrow is 5 µm", "longest: 10.0 µm"] {
-            assert!(svg.contains(word), "{word}: {svg}");
-        }
-        // One scale for both axes: 460 px are 126 mm, so 36.51 px for 10 µm are 1000 times enlarged.
-        assert!(svg.contains("1000 times") && svg.contains("l36.51 -0.00"), "{svg}");
-    }
-}
