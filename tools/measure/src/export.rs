@@ -199,17 +199,8 @@ impl<'m> Errors<'m> {
         if let Some(chain) = machine.chain() {
             axes.extend(chain.joints.iter().filter_map(|j| j.axis.as_ref().map(|(a, _)| a.clone())));
         }
-        let mut layout = Layout { axes: Vec::new(), sensors: names, channels: Vec::new() };
-        for a in axes {
-            if !layout.axes.contains(&a) {
-                layout.axes.push(a);
-            }
-        }
-        for channel in machine.effects().filter_map(Effect::channel) {
-            if !layout.channels.iter().any(|c| c == channel) {
-                layout.channels.push(channel.to_owned());
-            }
-        }
+        let channels = machine.effects().filter_map(Effect::channel).map(str::to_owned);
+        let layout = Layout { axes: each_once(axes), sensors: names, channels: each_once(channels) };
         let mut places_mm = vec![0.0; layout.axes.len()];
         let others: Vec<String> = layout.axes[1..].iter().map(ToString::to_string).collect();
         let of = if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
@@ -299,12 +290,9 @@ impl<'m> Errors<'m> {
     /// A sensor without a stated temperature is at 20 °C.
     pub(crate) fn temperatures_degc(&self) -> Result<Vec<(&str, f64)>> {
         let live = self.live()?;
-        let read: Vec<&str> = live
-            .parts()
-            .filter(|p| self.is_in_table(p.effect))
-            .filter_map(|p| p.effect.delta.as_ref())
-            .flat_map(Difference::sensors)
-            .collect();
+        let parts = live.parts().filter(|p| self.is_in_table(p.effect));
+        let read: Vec<&str> =
+            parts.filter_map(|p| p.effect.delta.as_ref()).flat_map(Difference::sensors).collect();
         let all = self.layout.sensors.iter().zip(&self.degc);
         let chained = self.machine.chain().is_some();
         let own = all.filter(|(name, _)| chained || read.contains(&name.as_str()));
@@ -389,6 +377,17 @@ fn acts_on(effect: &Effect, axis: &Axis) -> bool {
     let description = effect.description();
     let components = if description.naming == Naming::Pair { 2 } else { 1 };
     description.quantity == Quantity::Error && effect.axes().iter().take(components).any(|a| a == axis)
+}
+
+/// All in order, those that come again left out.
+fn each_once<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut kept = Vec::new();
+    for one in all {
+        if !kept.contains(&one) {
+            kept.push(one);
+        }
+    }
+    kept
 }
 
 /// The axes with errors in a model.

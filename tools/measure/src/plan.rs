@@ -297,10 +297,8 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
     }
     let count = (length_mm / LONG_INTERVAL_MM).ceil() as usize + 1;
     let middle_mm = (travel_mm - LONG_AXIS_MM) / 2.0;
-    vec![
-        line(axis, "", &targets(margin_mm, length_mm, count), 1),
-        line(axis, "_2m", &targets(middle_mm, LONG_AXIS_MM, 11), 5),
-    ]
+    let whole = line(axis, "", &targets(margin_mm, length_mm, count), 1);
+    vec![whole, line(axis, "_2m", &targets(middle_mm, LONG_AXIS_MM, 11), 5)]
 }
 
 fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
@@ -410,24 +408,15 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
 pub fn markdown(machine: &str, steps: &[Step]) -> String {
     use std::fmt::Write as _;
     let hours = steps.iter().map(|s| s.minutes).sum::<f64>() / 60.0;
-    let mut out = format!(
-        "# Characterisation of {machine}\n\n{} runs, about {hours:.1} h of machine time.\n",
-        steps.len()
-    );
-    for s in steps {
+    let runs = steps.len();
+    let mut out =
+        format!("# Characterisation of {machine}\n\n{runs} runs, about {hours:.1} h of machine time.\n");
+    for Step { number, record, kind, state, mount, run, columns, evaluate, minutes } in steps {
+        let columns = columns.join(", ");
         let _ = write!(
             out,
-            "\n## {}. {}\n\n| | |\n|---|---|\n| state | {} |\n| mount | {} |\n| run | {} |\n| record | kind `{}`: {} |\n\
-             | evaluate | {} |\n| takes | {:.0} min |\n",
-            s.number,
-            s.record,
-            s.state,
-            s.mount,
-            s.run,
-            s.kind,
-            s.columns.join(", "),
-            s.evaluate,
-            s.minutes
+            "\n## {number}. {record}\n\n| | |\n|---|---|\n| state | {state} |\n| mount | {mount} |\n| run | {run} |\n\
+             | record | kind `{kind}`: {columns} |\n| evaluate | {evaluate} |\n| takes | {minutes:.0} min |\n"
         );
     }
     out

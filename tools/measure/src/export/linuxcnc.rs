@@ -12,19 +12,15 @@ pub const MOST: usize = 256;
 /// Size of its line buffer, bytes, with the terminator.
 const LINE: usize = 255;
 
-/// The machine's `[TRAJ] LINEAR_UNITS`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
-    /// Millimetres.
-    Mm,
-    /// Inches.
-    Inch,
+rtec_files::choice! {
+    /// The machine's `[TRAJ] LINEAR_UNITS`.
+    pub enum Unit {
+        Mm = "mm", "";
+        Inch = "inch", "";
+    }
 }
 
 impl Unit {
-    /// All units with their names; the third field is unused.
-    pub const ALL: [(&'static str, Self, &'static str); 2] = [("mm", Self::Mm, ""), ("inch", Self::Inch, "")];
-
     /// Length of the unit, mm.
     pub fn mm(self) -> f64 {
         match self {
@@ -70,7 +66,7 @@ impl Format for LinuxCnc {
     }
 
     fn advice(&self, _: &Table) -> Vec<String> {
-        let unit = if self.unit == Unit::Mm { "mm" } else { "inch" };
+        let unit = Unit::ALL[self.unit as usize].0;
         vec![format!(
             "in the [JOINT_n] section: COMP_FILE = this file, COMP_FILE_TYPE = {}; the machine's LINEAR_UNITS are {unit}; BACKLASH is \
              ignored then; add no comment: LinuxCNC stops at the first line that is not three numbers",

@@ -168,18 +168,16 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
 /// The direction of approach of every row.
 fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64]> {
     let role = Role::Direction(axis.clone());
-    let direction = record
-        .way(axis)
-        .ok_or_else(|| lacks(record, "no direction of approach", "a column of role direction.AXIS"))?;
-    let zeros = direction.iter().filter(|d| **d == 0.0).count();
-    let (ups, downs) =
-        (direction.iter().filter(|d| **d > 0.0).count(), direction.iter().filter(|d| **d < 0.0).count());
+    let expected = "a column of role direction.AXIS";
+    let direction = record.way(axis).ok_or_else(|| lacks(record, "no direction of approach", expected))?;
+    let count = |of: fn(f64) -> bool| direction.iter().filter(|d| of(**d)).count();
+    let (zeros, ups, downs) = (count(|d| d == 0.0), count(|d| d > 0.0), count(|d| d < 0.0));
     // A row of direction 0 belongs to neither side; a quarter of such rows is a mistake.
     if zeros > 0 && (ups == 0) != (downs == 0) && 4 * zeros > direction.len() {
         let (seen, lost) = if ups > 0 { (1, "downwards") } else { (-1, "upwards") };
+        let rows = ups + downs;
         let found = format!(
-            "a {role} of only 0 ({zeros} rows) and {seen:+} ({} rows): 0 looks as if it stood for {lost}",
-            ups + downs
+            "a {role} of only 0 ({zeros} rows) and {seen:+} ({rows} rows): 0 looks as if it stood for {lost}"
         );
         return Err(lacks(record, &found, "+1 for an approach upwards and -1 for one downwards"));
     }
@@ -241,8 +239,7 @@ impl Run<'_> {
             for ((e, p), t) in self.error.iter_mut().zip(self.position).zip(degc) {
                 *e -= sign * ppm_per_k * (t - REFERENCE_DEGC) * p / 1000.0;
             }
-            let mean = degc.iter().sum::<f64>() / degc.len() as f64;
-            words.push(format!("{what} {sensor} at {mean:.2} °C with {ppm_per_k} ppm/K"));
+            words.push(format!("{what} {sensor} at {:.2} °C with {ppm_per_k} ppm/K", mean(degc)));
         }
         if !words.is_empty() {
             self.notes.push(format!("reduced to 20 °C: {}", words.join(", ")));
@@ -250,10 +247,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn list(&self) -> Vec<Target> {
-        self.list_of(&self.error)
-    }
-
+    /// The targets with these errors.
     fn list_of(&self, error: &[f64]) -> Vec<Target> {
         let of = |Place { position_mm, up, down }: Place| {
             let (mean_up, mean_down) = (mean_of(&up), mean_of(&down));
@@ -267,7 +261,7 @@ impl Run<'_> {
     }
 
     fn evaluate(mut self, options: &Options) -> Result<Positioning> {
-        let list = self.list();
+        let list = self.list_of(&self.error);
         let role = &self.column.role;
         let bidirectional = list.iter().any(|t| t.reversal.is_some());
         if !bidirectional && !options.one_way {
@@ -292,10 +286,8 @@ impl Run<'_> {
         // All figures use the same approaches; single approaches count on a long axis only.
         let listed = list;
         let list: Vec<Target> = listed.iter().map(|t| t.counted(long)).collect();
-        let pick = |m: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
-            list.iter().filter_map(|t| m(t).zip(s(t))).collect()
-        };
-        let (ups, downs) = (pick(|t| t.mean_up, |t| t.s_up), pick(|t| t.mean_down, |t| t.s_down));
+        let ups: Vec<(f64, f64)> = list.iter().filter_map(|t| t.mean_up.zip(t.s_up)).collect();
+        let downs: Vec<(f64, f64)> = list.iter().filter_map(|t| t.mean_down.zip(t.s_down)).collect();
         let accuracy = |v: &[(f64, f64)]| range(v.iter().map(|(m, s)| (m - 2.0 * s, m + 2.0 * s)));
         let mean_range = |m: fn(&Target) -> Option<f64>| spread(list.iter().filter_map(m));
         let both: Vec<(f64, f64)> = ups.iter().chain(&downs).copied().collect();
@@ -382,9 +374,8 @@ impl Run<'_> {
             ));
         }
         if long {
-            self.notes.push(
-                "more than 2 m with one approach from each side: E, B and M only, no A and R (ISO 230-2, 5.3.3)".to_owned(),
-            );
+            let only = "E, B and M only, no A and R (ISO 230-2, 5.3.3)";
+            self.notes.push(format!("more than 2 m with one approach from each side: {only}"));
         } else {
             let wanted = fewest_targets(span);
             if n < wanted {
@@ -400,10 +391,9 @@ impl Run<'_> {
         if let (true, Some(all)) = (n > 2, spread(&steps))
             && all < 1e-3 * span / n as f64
         {
-            self.notes.push(format!(
-                "targets at equal distances of {:.4} mm: an error of that period does not show",
-                span / (n - 1) as f64
-            ));
+            let apart_mm = span / (n - 1) as f64;
+            let what = "an error of that period does not show";
+            self.notes.push(format!("targets at equal distances of {apart_mm:.4} mm: {what}"));
         }
         let alone = list.iter().filter(|t| t.approaches.contains(&1)).count();
         if !long && alone > 0 {

@@ -58,50 +58,29 @@ use std::path::Path;
 /// A sensor with at most this share of bad rows loses only those rows.
 const FEW: f64 = 0.1;
 
-/// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum What {
-    /// Another unit than the column states.
-    Unit,
-    /// The opposite sign.
-    Sign,
-    /// A direction of approach that contradicts the movement or is constant.
-    Direction,
-    /// A constant value where a real one would change.
-    Stuck,
-    /// The value of an input without a sensor.
-    Unplugged,
-    /// A value that is impossible on a machine.
-    Range,
-    /// A step that is impossible on a machine.
-    Jump,
-    /// Duplicated rows or columns.
-    Doubled,
-    /// Two columns or two sensors exchanged.
-    Swapped,
-    /// Single rows far from all others.
-    Outliers,
-    /// Measured on another machine than the model's (found only with a model).
-    OtherMachine,
+rtec_files::choice! {
+    /// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
+    #[derive(PartialOrd, Ord, Hash, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum What {
+        Unit = "unit", "Another unit than the column states.";
+        Sign = "sign", "The opposite sign.";
+        Direction = "direction", "A direction of approach that contradicts the movement or is constant.";
+        Stuck = "stuck", "A constant value where a real one would change.";
+        Unplugged = "unplugged", "The value of an input without a sensor.";
+        Range = "range", "A value that is impossible on a machine.";
+        Jump = "jump", "A step that is impossible on a machine.";
+        Doubled = "doubled", "Duplicated rows or columns.";
+        Swapped = "swapped", "Two columns or two sensors exchanged.";
+        Outliers = "outliers", "Single rows far from all others.";
+        OtherMachine = "other_machine", "Measured on another machine than the model's (found only with a model).";
+    }
 }
 
 impl What {
     /// The name in JSON documents.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Unit => "unit",
-            Self::Sign => "sign",
-            Self::Direction => "direction",
-            Self::Stuck => "stuck",
-            Self::Unplugged => "unplugged",
-            Self::Range => "range",
-            Self::Jump => "jump",
-            Self::Doubled => "doubled",
-            Self::Swapped => "swapped",
-            Self::Outliers => "outliers",
-            Self::OtherMachine => "other_machine",
-        }
+        Self::ALL[self as usize].0
     }
 }
 

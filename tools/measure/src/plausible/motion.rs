@@ -59,9 +59,9 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     // A spreadsheet counts days from 1900: 36 526 to 58 000 are dates of this century.
     if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 && (36_526.0..58_000.0).contains(&t.data[0])
     {
+        let start = t.data[0];
         let text = format!(
-            "begins at {:.3} in steps of {usual:.5}, which looks like the days of a spreadsheet",
-            t.data[0]
+            "begins at {start:.3} in steps of {usual:.5}, which looks like the days of a spreadsheet"
         );
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
@@ -88,11 +88,8 @@ fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let coarse = median(steps(&a.data).iter().map(|d| d.abs())) > 0.2;
     let halves = range(&a.data) / 180.0;
     let whole = halves > 0.9 && (halves - halves.round()).abs() < 0.01;
-    if range(&a.data) > 80.0
-        && lo >= -3601.0
-        && hi <= 3601.0
-        && (nice * 10 >= a.data.len() * 9 || coarse || whole)
-    {
+    let looks = nice * 10 >= a.data.len() * 9 || coarse || whole;
+    if range(&a.data) > 80.0 && lo >= -3601.0 && hi <= 3601.0 && looks {
         let text = format!("from {lo} to {hi} rad, which looks like degrees");
         out.push(Suspicion::new(record, &a.name, What::Unit, &[], text));
     } else {
@@ -106,9 +103,7 @@ const OTHER_ANGLE_RAD: f64 = 0.0175;
 
 fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return };
-    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.position(a)) else {
-        return;
-    };
+    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.position(a)) else { return };
     let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
     let places = x.iter().zip(y).map(|(x, y)| round.angle(*x, *y));
     let off = |sign: f64| {
@@ -118,10 +113,8 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     if off(1.0) > OTHER_ANGLE_RAD {
         let [a, b] = &circle.plane;
         let how = if off(-1.0) < OTHER_ANGLE_RAD { ": it runs the other way round" } else { "" };
-        let text = format!(
-            "is not the angle of the positions from {a} towards {b}: off by {:.3} rad in the middle{how}",
-            off(1.0)
-        );
+        let off = format!("off by {:.3} rad in the middle{how}", off(1.0));
+        let text = format!("is not the angle of the positions from {a} towards {b}: {off}");
         out.push(Suspicion::new(record, &angle.name, What::Swapped, &[], text));
     }
 }
@@ -260,17 +253,12 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != Kind::FeedSweep;
         let quick = matches!(record.kind, Kind::Ballbar) && size < 0.7;
         // In a positioning run one axis moves; others move by their own error or its correction.
+        let is_measured = |a: &&Axis| record.column(&Role::Error((*a).clone())).is_some();
+        let mut others =
+            record.axes(Role::Position).filter(|a| Some(*a) != p.role.axis()).filter(is_measured);
         let follows = record.kind == Kind::Positioning
-            && record.columns.iter().any(|c| match &c.role {
-                Role::Position(a) if c.name != p.name => {
-                    record.column(&Role::Error(a.clone())).is_some() && range(&c.data) > 100.0 * size
-                }
-                _ => false,
-            });
-        if follows {
-            return;
-        }
-        if !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
+            && others.any(|a| record.position(a).is_some_and(|q| range(q) > 100.0 * size));
+        if follows || !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
             return;
         }
         format!("moves over {size:.3} mm only, which looks like metres")

@@ -93,9 +93,9 @@ fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
     let whole = |c: &Column| c.data.iter().all(|v| (v - v.round()).abs() < 1e-9);
     let stands = t.data.windows(2).filter(|w| w[1] <= w[0]).count() * 2 > t.data.len();
     if whole(t) && stands && !whole(n) && n.data.windows(2).all(|w| w[1] >= w[0]) {
+        let n = &n.name;
         let text = format!(
-            "stands still at whole numbers as a repeat does, and {} goes on as a time: the two look exchanged",
-            n.name
+            "stands still at whole numbers as a repeat does, and {n} goes on as a time: the two look exchanged"
         );
         out.push(Suspicion::new(record, &t.name, What::Swapped, &[], text));
     }
@@ -315,9 +315,9 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     };
     let told: Vec<bool> = record.temperatures().filter_map(went_on).collect();
     if told.len() >= 2 && told.iter().all(|on| !on) {
+        let s = own[at];
         let text = format!(
-            "goes on by {:.0} s in one step, in which no temperature moves on: the clock looks put forward",
-            own[at]
+            "goes on by {s:.0} s in one step, in which no temperature moves on: the clock looks put forward"
         );
         out.push(Suspicion::new(record, &t.name, What::Jump, &[at + 1], text));
     }

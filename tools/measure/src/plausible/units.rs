@@ -130,10 +130,8 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     let errors: Vec<&Column> = record.responses().filter(|c| matches!(c.role, Role::Error(_))).collect();
     let taken: Vec<&&Column> = errors.iter().filter(|e| warm(e)).collect();
     if let [error] = taken[..] {
-        let text = format!(
-            "begins at {:.2} where {} begins at {:.2}: the two look exchanged",
-            error.data[0], sensor.name, sensor.data[0]
-        );
+        let (own, name, cold) = (error.data[0], &sensor.name, sensor.data[0]);
+        let text = format!("begins at {own:.2} where {name} begins at {cold:.2}: the two look exchanged");
         out.push(Suspicion::new(record, &error.name, What::Swapped, &[], text));
     }
 }
@@ -220,10 +218,8 @@ fn circle(record: &Record, out: &mut Vec<Suspicion>) {
         (2.0, ": radius_mm looks like the diameter"),
     ];
     let looks = others.into_iter().find(|(of, _)| is(*of)).map_or("", |(_, looks)| looks);
-    let text = format!(
-        "runs on a circle of {:.3} mm radius, and radius_mm is {}{looks}",
-        round.radius, circle.radius_mm
-    );
+    let (radius, stated) = (round.radius, circle.radius_mm);
+    let text = format!("runs on a circle of {radius:.3} mm radius, and radius_mm is {stated}{looks}");
     for column in [a, b] {
         out.push(Suspicion::new(record, &column.name, What::Unit, &[], text.clone()));
     }

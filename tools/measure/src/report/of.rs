@@ -108,10 +108,8 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     };
     report.table(Table::new(&title, &head, p.targets.iter().enumerate().map(row)));
     if let Some(u) = &p.uncertainty {
-        let title = format!(
-            "Uncertainty over {:.0} mm (by the GUM; meant as in ISO/TR 230-9, not compared with its text)",
-            u.length_mm
-        );
+        let by = "by the GUM; meant as in ISO/TR 230-9, not compared with its text";
+        let title = format!("Uncertainty over {:.0} mm ({by})", u.length_mm);
         let rows = u.contributors.iter().map(|c| [c.name.clone(), um(c.u_um)]);
         report.table(Table::new(&title, &["contributor", "#U, k = 2 (µm)"], rows));
     }
@@ -129,14 +127,10 @@ pub(crate) fn straightness(
     let mut report = Report::new(&title, std::slice::from_ref(record), conditions);
     for s in all {
         report.warnings.extend(s.warnings.iter().map(|w| format!("{}: {w}", s.symbol)));
-        let title = format!(
-            "{}: error in {} while {} moves over {:.1} mm, {} places",
-            s.symbol,
-            s.across,
-            s.axis,
-            s.travel_mm,
-            s.places.len()
-        );
+        let Straightness { symbol, across, axis, travel_mm, places, .. } = s;
+        let count = places.len();
+        let title =
+            format!("{symbol}: error in {across} while {axis} moves over {travel_mm:.1} mm, {count} places");
         let figures = [
             ("straightness, about the least-squares line", Some(s.straightness_um), "µm"),
             ("the same moving upwards alone", s.straightness_up_um, "µm"),
@@ -263,10 +257,8 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         rows.push([cause, number(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
     }
     report.table(Table::new(&format!("What makes it, plane {}", b.plane), &head, rows));
-    let title = format!(
-        "Contributions in plane {}, ranked: range of the radius that each makes, share of their sum",
-        b.plane
-    );
+    let of = "range of the radius that each makes, share of their sum";
+    let title = format!("Contributions in plane {}, ranked: {of}", b.plane);
     let rows = d.contributions.iter().enumerate().map(|(i, c)| {
         let (rank, share) = match c.percent {
             Some(share) => ((i + 1).to_string(), format!("{share:.0}")),
