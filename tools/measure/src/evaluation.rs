@@ -130,12 +130,9 @@ pub fn evaluate(
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
     let usable = plausible::in_figures(records, &doubts);
     let left_out = doubts.iter().any(Suspicion::is_of_rows);
-    let (mut document, mut report) = by(standard, &usable, asked, say).map_err(|mut e| {
-        if left_out {
-            e.expected.push_str("; the rows that look misread are in no figure");
-        }
-        e
-    })?;
+    let note = if left_out { "; the rows that look misread are in no figure" } else { "" };
+    let (mut document, mut report) =
+        by(standard, &usable, asked, say).map_err(|e| InputError { expected: e.expected + note, ..e })?;
     // No standard excludes rows, so the figures with all rows are given too.
     if left_out
         && let Ok((all, _)) = by(standard, &plausible::every_row(records, &doubts), asked, &mut |_| ())
@@ -365,14 +362,12 @@ fn by(
         Standard::Iso230_2 => {
             let mut all = Vec::new();
             for record in records {
-                all.extend(iso230::positioning_with(record, &options).map_err(|mut e| {
+                all.extend(iso230::positioning_with(record, &options).map_err(|e| {
                     // If only the conditions are wrong, the record is one of positioning.
                     let bare = Options { one_way: asked.one_way, ..Options::default() };
+                    let is_other = iso230::positioning_with(record, &bare).is_err();
                     let hint = "; where the machine only returned to one position, --standard repeatability";
-                    if iso230::positioning_with(record, &bare).is_err() {
-                        e.expected.push_str(hint);
-                    }
-                    e
+                    InputError { expected: e.expected + if is_other { hint } else { "" }, ..e }
                 })?);
             }
             for record in records.iter().filter(|r| iso230::has_straightness(r)) {

@@ -159,10 +159,9 @@ pub struct History {
 pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
-    let records: Vec<(&String, Result<Rows, &InputError>)> = records
-        .iter()
-        .map(|(path, record)| (path, record.as_ref().map(|r| Rows::of(r, &mut suspicions))))
-        .collect();
+    let mut rows = |record: &Record| Rows::of(record, &mut suspicions);
+    let records: Vec<(&String, Result<Rows, &InputError>)> =
+        records.iter().map(|(path, record)| (path, record.as_ref().map(&mut rows))).collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()).map(|rows| &rows.good));
     for (path, rows) in records {
         let said = rows.map_err(ToString::to_string).and_then(|Rows { good: r, every }| {

@@ -716,10 +716,9 @@ impl<'t> Fit<'t> {
     /// The weights are their Bayes factors. The interval includes the spread between both fits.
     fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut Shown) {
         let untold = |name: &str| name.starts_with("spike.") && !told.iter().any(|t| t == name);
-        let spikes: Vec<&&Axis> = axes
-            .iter()
-            .filter(|axis| self.terms.iter().any(|t| t.name == format!("spike.{axis}") && untold(&t.name)))
-            .collect();
+        let is_fitted =
+            |axis: &&Axis| self.terms.iter().any(|t| t.name == format!("spike.{axis}") && untold(&t.name));
+        let spikes: Vec<&Axis> = axes.into_iter().filter(is_fitted).collect();
         if !self.structure.both_ways || (spikes.is_empty() && self.drift == 0) {
             return;
         }

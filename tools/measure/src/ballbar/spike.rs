@@ -31,13 +31,8 @@ impl Fit<'_> {
     /// height at the turn is smaller by the decay over that travel. The interval holds both heights.
     pub(super) fn spike_profile(&self, spike: &Term, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
         let (effect, _) = spike.parts.first()?;
-        let others: Vec<DVector<f64>> = self
-            .terms
-            .iter()
-            .filter(|t| t.name != spike.name)
-            .flat_map(|t| self.slopes(t))
-            .map(|c| self.white(&c))
-            .collect();
+        let others = self.terms.iter().filter(|t| t.name != spike.name).flat_map(|t| self.slopes(t));
+        let others: Vec<DVector<f64>> = others.map(|c| self.white(&c)).collect();
         let q = orthonormal(DMatrix::from_columns(&others));
         let apart = |c: &DVector<f64>| self.apart(&q, c);
         let measured = apart(&(self.left() + self.value(spike)));

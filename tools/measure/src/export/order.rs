@@ -212,10 +212,8 @@ impl TableOrder {
     fn coarse(&self, table: &Table, both: bool) -> Vec<String> {
         let (limit_um, to_mm, mut found) = (self.wanted.limit_um, self.wanted.to_mm, Vec::new());
         if table.between_um > limit_um {
-            let finer = self
-                .wanted
-                .step_mm
-                .map_or("the format takes no more positions", |_| "a smaller --step, or none");
+            let no_more = "the format takes no more positions";
+            let finer = self.wanted.step_mm.map_or(no_more, |_| "a smaller --step, or none");
             found.push(format!(
                 "between its positions the table is up to {:.2} um off the model, more than the limit of {limit_um} um: {finer}",
                 table.between_um

@@ -153,6 +153,8 @@ impl OwnForm {
             let entry = root.required("zero_at_reference", "zero_at_reference")?;
             return Err(entry.mismatch("no zero where the values are positions reached"));
         }
+        let expected = "a whole number within ±2147483647";
+        let first_index = root.get("first_index").map_or(Ok(0), |e| e.integer::<i32>(expected));
         Ok(Self {
             header: once("header")?,
             line,
@@ -161,10 +163,7 @@ impl OwnForm {
             position: (unit("position_unit", Some(1.0))?, decimals("position_decimals")?),
             values: (unit("value_unit", None)?, decimals("value_decimals")?),
             most: count,
-            first_index: root
-                .get("first_index")
-                .map_or(Ok(0), |e| e.integer::<i32>("a whole number within ±2147483647"))?
-                .into(),
+            first_index: first_index?.into(),
             zero_at_mm: zero.then_some(reference_mm),
             both: !mean,
             decimal_comma: flag("decimal_comma")?,

@@ -61,16 +61,9 @@ const FEWEST_PLACES: usize = 5;
 /// Pairs of the axis that moves and an error across it.
 fn pairs(record: &Record) -> Vec<(Axis, Axis)> {
     let moves = |a: &Axis| record.position(a).and_then(spread).is_some_and(|r| r > 0.0);
-    let positions: Vec<Axis> = record
-        .columns
-        .iter()
-        .filter_map(|c| match &c.role {
-            Role::Position(a) if moves(a) => Some(a.clone()),
-            _ => None,
-        })
-        .collect();
+    let positions: Vec<&Axis> = record.axes(Role::Position).filter(|a| moves(a)).collect();
     // If several axes move, an error across one of them has no single cause.
-    let [axis] = positions.as_slice() else { return Vec::new() };
+    let [axis] = positions[..] else { return Vec::new() };
     let across = record.columns.iter().filter_map(|c| match &c.role {
         Role::Error(b) if b != axis => Some((axis.clone(), b.clone())),
         _ => None,

@@ -296,12 +296,8 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
     let (agree, asked) = agreement(&p.data, &d.data);
     let moves = moves(&p.data);
     let moved = moves.iter().flatten().count() as f64;
-    let at_zero: Vec<bool> = moves
-        .iter()
-        .zip(&d.data)
-        .filter(|(_, d)| **d == 0.0)
-        .filter_map(|(m, _)| Some((*m)? < 0.0))
-        .collect();
+    let at_zero = moves.iter().zip(&d.data).filter(|(_, d)| **d == 0.0);
+    let at_zero: Vec<bool> = at_zero.filter_map(|(m, _)| Some((*m)? < 0.0)).collect();
     let down = at_zero.iter().filter(|down| **down).count();
     let ups = moves.iter().flatten().filter(|m| **m > 0.0).count() as f64;
     let downs = moved - ups;

@@ -1,6 +1,7 @@
 //! Records, evaluations, imports and their mistakes from outside.
 //! One program: what takes long runs beside the rest.
 
+mod air;
 mod ballbar;
 mod ballbar_arcs;
 mod ballbar_one_way;
