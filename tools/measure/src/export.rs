@@ -622,6 +622,11 @@ impl Table {
         self.left.rms_um = (squares / (2 * dense.positions_mm.len()) as f64).sqrt();
     }
 
+    /// Step, lowest and highest position in mm, as SINUMERIK writes them.
+    fn grid(&self) -> [String; 3] {
+        [self.step_mm, self.start_mm(), self.end_mm()].map(|mm| number(mm, 4))
+    }
+
     /// The lowest position, mm.
     pub(crate) fn start_mm(&self) -> f64 {
         self.points.first().map_or(0.0, |p| p.position_mm)

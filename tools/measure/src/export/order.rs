@@ -2,7 +2,9 @@
 
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::OwnForm;
-use super::{Csv, Errors, Format, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage};
+use super::{
+    Csv, Errors, Format, Left, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage,
+};
 use rtec_files::Result;
 use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
@@ -158,21 +160,15 @@ impl TableOrder {
         let spike_um = errors.behind_turn_um(f64::midpoint(self.wanted.from_mm, self.wanted.to_mm))?;
         let beside =
             format!("; right behind a turn up to {spike_um:.2} um more, which no table of positions holds");
+        let beside = if spike_um > 0.0 { &beside } else { "" };
+        let Left { max_up_um: up, max_down_um: down, rms_um: rms } = left;
+        let (axis, step_mm, [start, end]) =
+            (&table.axis, table.step_mm, [table.start_mm(), table.end_mm()].map(short));
+        let across = self.along.as_ref().map_or(String::new(), |along| format!(" along {along}"));
         let mut notes = vec![
+            format!("axis {axis}{across}, {points} positions, {step_mm:.4} mm apart, {start} to {end} mm"),
             format!(
-                "axis {}{}, {points} positions, {:.4} mm apart, {} to {} mm",
-                table.axis,
-                self.along.as_ref().map_or(String::new(), |along| format!(" along {along}")),
-                table.step_mm,
-                short(table.start_mm()),
-                short(table.end_mm())
-            ),
-            format!(
-                "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS{}",
-                left.max_up_um,
-                left.max_down_um,
-                left.rms_um,
-                if spike_um > 0.0 { &beside } else { "" }
+                "it leaves of the model at most {up:.2} um moving up and {down:.2} um moving down, {rms:.2} um RMS{beside}"
             ),
         ];
         if !held.is_empty() {
@@ -220,23 +216,19 @@ impl TableOrder {
             ));
         }
         if table.end_mm() > to_mm + 1e-9 {
+            let (end, step) = (short(table.end_mm()), table.step_mm);
             found.push(format!(
-                "its last position, {} mm, is past --to {to_mm} mm: equal steps of {:.4} mm do not end there",
-                short(table.end_mm()),
-                table.step_mm
+                "its last position, {end} mm, is past --to {to_mm} mm: equal steps of {step:.4} mm do not end there"
             ));
         }
         if table.left.max_um() > table.between_um + limit_um {
+            let most = table.points.iter().map(|p| p.up_um.abs().max(p.down_um.abs())).fold(0.0, f64::max);
+            let left = format!("up to {:.2} um", table.left.max_um());
             found.push(if both {
-                format!(
-                    "applied, it leaves up to {:.2} um: the table moves the drive by up to {:.0} um, and the error there is another",
-                    table.left.max_um(),
-                    table.points.iter().map(|p| p.up_um.abs().max(p.down_um.abs())).fold(0.0, f64::max)
-                )
+                format!("applied, it leaves {left}: the table moves the drive by up to {most:.0} um, and the error there is another")
             } else {
-                format!("one value serves both directions: what they differ by stays, up to {:.2} um in each",
-                table.left.max_um()
-            )});
+                format!("one value serves both directions: what they differ by stays, {left} in each")
+            });
         }
         found
     }

@@ -48,13 +48,11 @@ impl Format for EncComp {
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AA_ENC_COMP[{e},{i},{axis}]={}", number(p.mean_um() / 1000.0, 6));
         }
+        let [step, min, max] = table.grid();
         let _ = write!(
             text,
-            "$AA_ENC_COMP_STEP[{e},{axis}]={}\n$AA_ENC_COMP_MIN[{e},{axis}]={}\n$AA_ENC_COMP_MAX[{e},{axis}]={}\n\
-             $AA_ENC_COMP_IS_MODULO[{e},{axis}]=0\nM17\n",
-            number(table.step_mm, 4),
-            number(table.start_mm(), 4),
-            number(table.end_mm(), 4)
+            "$AA_ENC_COMP_STEP[{e},{axis}]={step}\n$AA_ENC_COMP_MIN[{e},{axis}]={min}\n$AA_ENC_COMP_MAX[{e},{axis}]={max}\n\
+             $AA_ENC_COMP_IS_MODULO[{e},{axis}]=0\nM17\n"
         );
         Ok(text)
     }

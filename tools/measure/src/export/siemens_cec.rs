@@ -55,15 +55,11 @@ impl Format for Cec {
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AN_CEC[{t},{i}]={}", number(self.value_mm(p), 6));
         }
+        let (Self { along, axis, .. }, [step, min, max]) = (self, table.grid());
         let _ = write!(
             text,
-            "$AN_CEC_INPUT_AXIS[{t}]=({})\n$AN_CEC_OUTPUT_AXIS[{t}]=({})\n$AN_CEC_STEP[{t}]={}\n$AN_CEC_MIN[{t}]={}\n\
-             $AN_CEC_MAX[{t}]={}\n$AN_CEC_DIRECTION[{t}]=0\n$AN_CEC_MULT_BY_TABLE[{t}]=0\n$AN_CEC_IS_MODULO[{t}]=0\nM17\n",
-            self.along,
-            self.axis,
-            number(table.step_mm, 4),
-            number(table.start_mm(), 4),
-            number(table.end_mm(), 4)
+            "$AN_CEC_INPUT_AXIS[{t}]=({along})\n$AN_CEC_OUTPUT_AXIS[{t}]=({axis})\n$AN_CEC_STEP[{t}]={step}\n$AN_CEC_MIN[{t}]={min}\n\
+             $AN_CEC_MAX[{t}]={max}\n$AN_CEC_DIRECTION[{t}]=0\n$AN_CEC_MULT_BY_TABLE[{t}]=0\n$AN_CEC_IS_MODULO[{t}]=0\nM17\n"
         );
         Ok(text)
     }

@@ -172,13 +172,11 @@ impl Air {
         let corrected = corrected.collect();
         let mean = degc.iter().sum::<f64>() / degc.len() as f64;
         let AirState { degc, kpa, rh_percent } = self.assumed;
+        let (now_kpa, now_rh, dead_mm) = (self.kpa, self.rh_percent, self.dead_path_mm);
+        let ppm = (assumed / n(mean) - 1.0) * 1e6;
         let words = format!(
-            "air at {mean:.2} °C, {} kPa, {} % against {degc} °C, {kpa} kPa, {rh_percent} % as the laser took it: {:+.2} ppm; dead \
-             path {} mm (Edlén, NIST)",
-            self.kpa,
-            self.rh_percent,
-            (assumed / n(mean) - 1.0) * 1e6,
-            self.dead_path_mm
+            "air at {mean:.2} °C, {now_kpa} kPa, {now_rh} % against {degc} °C, {kpa} kPa, {rh_percent} % as the laser took it: {ppm:+.2} ppm; dead \
+             path {dead_mm} mm (Edlén, NIST)"
         );
         Ok((corrected, words))
     }

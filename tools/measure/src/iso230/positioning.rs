@@ -366,53 +366,52 @@ impl Run<'_> {
 
     /// Warns of requirements of the standard that this test does not meet.
     fn warn(&mut self, list: &[Target], span: f64, long: bool) {
-        let n = list.len();
+        let (n, scatter_mm) = (list.len(), self.scatter_mm());
+        let mut note = |is_so: bool, text: String| self.notes.extend(Some(text).filter(|_| is_so));
+        let count = |of: &dyn Fn([usize; 2]) -> bool| list.iter().filter(|t| of(t.approaches)).count();
         let interval = span / (n.max(2) - 1) as f64;
-        if span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM {
-            self.notes.push(format!(
+        note(
+            span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM,
+            format!(
                 "targets {interval:.0} mm apart: ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more than 2 m"
-            ));
-        }
-        if long {
-            let only = "E, B and M only, no A and R (ISO 230-2, 5.3.3)";
-            self.notes.push(format!("more than 2 m with one approach from each side: {only}"));
-        } else {
-            let wanted = fewest_targets(span);
-            if n < wanted {
-                self.notes.push(format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}"));
-            }
-            let few = list.iter().filter(|t| t.approaches.iter().any(|n| *n > 0 && *n < FEWEST)).count();
-            if few > 0 {
-                let note = format!("{few} targets with fewer than the five approaches ISO 230-2 asks for");
-                self.notes.push(note);
-            }
-        }
+            ),
+        );
+        let only = "E, B and M only, no A and R (ISO 230-2, 5.3.3)";
+        note(long, format!("more than 2 m with one approach from each side: {only}"));
+        let wanted = fewest_targets(span);
+        note(
+            !long && n < wanted,
+            format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}"),
+        );
+        let few = count(&|sides| sides.iter().any(|n| *n > 0 && *n < FEWEST));
+        note(
+            !long && few > 0,
+            format!("{few} targets with fewer than the five approaches ISO 230-2 asks for"),
+        );
         let steps: Vec<f64> = list.windows(2).map(|w| w[1].position_mm - w[0].position_mm).collect();
-        if let (true, Some(all)) = (n > 2, spread(&steps))
-            && all < 1e-3 * span / n as f64
-        {
-            let apart_mm = span / (n - 1) as f64;
-            let what = "an error of that period does not show";
-            self.notes.push(format!("targets at equal distances of {apart_mm:.4} mm: {what}"));
-        }
-        let alone = list.iter().filter(|t| t.approaches.contains(&1)).count();
-        if !long && alone > 0 {
-            self.notes.push(format!(
+        let is_even = n > 2 && spread(&steps).is_some_and(|all| all < 1e-3 * span / n as f64);
+        let what = "an error of that period does not show";
+        note(is_even, format!("targets at equal distances of {interval:.4} mm: {what}"));
+        let alone = count(&|sides| sides.contains(&1));
+        note(
+            !long && alone > 0,
+            format!(
                 "{alone} targets approached once only from a side: those approaches are in no figure, as they have no s"
-            ));
-        }
-        let scatter_mm = self.scatter_mm();
-        if scatter_mm > 2.0 * ALIKE * span {
-            self.notes.push(format!(
+            ),
+        );
+        note(
+            scatter_mm > 2.0 * ALIKE * span,
+            format!(
                 "the positions of one target differ by up to {scatter_mm:.3} mm: read instead of commanded? The figures are of their means"
-            ));
-        }
-        let odd = list.iter().filter(|t| (t.approaches[0] == 0) != (t.approaches[1] == 0)).count();
-        if odd > 0 && odd < n {
-            self.notes.push(format!(
+            ),
+        );
+        let odd = count(&|[up, down]| (up == 0) != (down == 0));
+        note(
+            odd > 0 && odd < n,
+            format!(
                 "{odd} targets approached from one side only (the ends of the travel?): not in B, R and M"
-            ));
-        }
+            ),
+        );
     }
 }
 
