@@ -26,10 +26,18 @@ pub struct InputError {
     pub expected: String,
 }
 
+/// A result of reading what a person wrote.
+pub type Result<T, E = InputError> = std::result::Result<T, E>;
+
 impl InputError {
     /// A finding about the file as a whole.
     pub fn whole(file: &Path, found: impl Into<String>, expected: impl Into<String>) -> Self {
         Self::at(file, 0, 0, found, expected)
+    }
+
+    /// A finding at the beginning of a line, from 1.
+    pub fn line(file: &Path, line: usize, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::at(file, line, 1, found, expected)
     }
 
     /// A finding at a line and column, each from 1, or 0 if not known.

@@ -28,7 +28,7 @@ pub mod watch; // a long computation that another thread waits for
 pub mod words; // the word that was probably meant
 pub mod write; // files that appear whole or not at all
 
-pub use input::{InputError, Said};
+pub use input::{InputError, Result, Said};
 pub use numbers::{Numbers, TableMarks};
 pub use sheet::{Columns, Sheet};
 pub use words::nearest;

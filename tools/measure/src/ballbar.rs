@@ -14,10 +14,11 @@
 use crate::derive::noise;
 use crate::iso230::{Budget, Round, error_axes, lacks};
 use crate::steps::step_of;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::circle::{Circle, rates, turn_rad};
 use rtec_model::effect::Dictionary;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
+use rtec_model::effect::sign;
+use rtec_model::record::{Axis, Column, Kind, Record, Role, median, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -126,7 +127,7 @@ pub(crate) struct Trace {
 ///
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
-pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>, InputError> {
+pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>> {
     let mut planes: Vec<(String, Vec<Trace>)> = Vec::new();
     for record in records {
         let trace = Trace::of(record)?;
@@ -153,7 +154,7 @@ fn same_plane(a: &str, b: &str) -> bool {
     a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
 }
 
-fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
+fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar> {
     let contours: Vec<Contour> = traces.iter().flat_map(Trace::evaluate).collect();
     let largest = |of: &dyn Fn(&Contour) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
     let way = |w: &'static str| move |c: &Contour| (c.direction == w).then_some(c.g);
@@ -172,10 +173,9 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar, InputError> {
     let radii: Vec<f64> = traces.iter().filter_map(|t| t.record.circle().map(|c| c.radius_mm)).collect();
     let mixed = radii.iter().any(|r| !alike(*r, radii[0]));
     if mixed {
-        let list: Vec<String> = radii.iter().map(|r| format!("{r}")).collect();
+        let list = radii.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
         warnings.push(format!(
-            "circles of different radii ({} mm): each figure is the largest of any; evaluate them one by one for the figures of each",
-            list.join(", ")
+            "circles of different radii ({list} mm): each figure is the largest of any; evaluate them one by one for the figures of each"
         ));
     }
     let off = |t: &Trace| {
@@ -292,7 +292,7 @@ fn hysteresis(rows: &[Row]) -> Option<f64> {
 }
 
 impl Trace {
-    fn of(record: &Record) -> Result<Self, InputError> {
+    fn of(record: &Record) -> Result<Self> {
         let (record, plane) = as_circle(record)?;
         let get = |role: &Role| record.data(role).map(<[f64]>::to_vec).unwrap_or_default();
         let angle = get(&Role::Angle);
@@ -303,13 +303,9 @@ impl Trace {
         let alike_rows =
             radial.len() as f64 / radial.chunk_by(|a, b| a.to_bits() == b.to_bits()).count().max(1) as f64;
         let trace = Self { record, name, plane, angle, radial, step_um, alike_rows, contours };
-        let turned = |rows: &Range<usize>| trace.turned(rows);
-        if !trace.contours.iter().any(|(rows, _)| turned(rows) >= PI * 0.99) {
-            return Err(lacks(
-                &trace.record,
-                "less than half a circle",
-                "a contour over at least half a turn",
-            ));
+        if !trace.contours.iter().any(|(rows, _)| trace.turned(rows) >= PI * 0.99) {
+            let expected = "a contour over at least half a turn";
+            return Err(lacks(&trace.record, "less than half a circle", expected));
         }
         Ok(trace)
     }
@@ -329,12 +325,11 @@ impl Trace {
     /// At least that of the gauge's rounding.
     fn scatter_um(&self, left: &[f64]) -> f64 {
         let mut turned = 0.0;
-        let path: Vec<f64> = (0..self.angle.len())
-            .map(|i| {
-                turned += turn_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
-                turned
-            })
-            .collect();
+        let further = |i: usize| {
+            turned += turn_rad(self.angle[i.saturating_sub(1)], self.angle[i]).abs();
+            turned
+        };
+        let path: Vec<f64> = (0..self.angle.len()).map(further).collect();
         let runs: Vec<Range<usize>> = self.contours.iter().map(|(rows, _)| rows.clone()).collect();
         noise(&path, left, &runs).max(self.step_um / 12.0_f64.sqrt())
     }
@@ -352,12 +347,7 @@ impl Trace {
             let end = rows.len() / 20;
             let inner = rows.start + end..rows.end - end;
             let span_s = t[inner.end - 1] - t[inner.start];
-            let path_mm = circle.radius_mm
-                * inner
-                    .clone()
-                    .skip(1)
-                    .map(|i| turn_rad(self.angle[i - 1], self.angle[i]).abs())
-                    .sum::<f64>();
+            let path_mm = circle.radius_mm * path_rad(&self.angle, inner);
             (span_s > 0.0).then(|| path_mm / span_s * 60.0)
         };
         let of = |(rows, turn): &(Range<usize>, f64)| {
@@ -390,6 +380,11 @@ const FEED_SHARE: f64 = 0.2;
 /// A shorter turn is a start or a stop, not a contour, rad.
 const START_RAD: f64 = TAU / 20.0;
 
+/// Angle that rows cover, in either direction, rad.
+fn path_rad(angle: &[f64], rows: Range<usize>) -> f64 {
+    rows.skip(1).map(|i| turn_rad(angle[i - 1], angle[i]).abs()).sum()
+}
+
 /// Runs of rows in one direction of rotation at one feed.
 /// Start and stop belong to the contour that they begin and end.
 fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
@@ -398,45 +393,32 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     let look = (n / 400).max(1);
     let sense = |i: usize| {
         let (a, b) = (i.saturating_sub(look), (i + look).min(n - 1));
-        let d = turn_rad(angle[a], angle[b]);
-        if d > 0.0 {
-            1.0
-        } else if d < 0.0 {
-            -1.0
-        } else {
-            0.0
-        }
+        sign(turn_rad(angle[a], angle[b]))
     };
     let speed: Vec<f64> = match record.data(&Role::Time) {
         Some(t) => rates(angle, t).iter().map(|r| r.abs()).collect(),
         None => vec![1.0; n],
     };
-    let turned = |rows: &Range<usize>| -> f64 {
-        rows.clone().skip(1).map(|i| turn_rad(angle[i - 1], angle[i]).abs()).sum()
-    };
+    let turned = |rows: &Range<usize>| path_rad(angle, rows.clone());
     let mut found: Vec<(Range<usize>, f64)> = Vec::new();
     let mut usual = 0.0;
     for i in 0..n {
         let turn = sense(i);
-        match found.last_mut() {
-            // Another feed starts another contour, unless the turn so far was only a start.
-            Some((rows, t)) if turn == 0.0 || (*t - turn).abs() < 0.5 => {
-                let other_feed = rows.len() > 20
-                    && (0..10)
-                        .all(|k| speed.get(i + k).is_some_and(|s| (s / usual - 1.0).abs() > FEED_SHARE));
-                if other_feed && turned(rows) > START_RAD {
-                    found.push((i..i + 1, turn));
-                    usual = speed[i];
-                } else if other_feed {
-                    // The speed of a start is not the feed. Rows at rest before it are left out.
-                    let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[i];
-                    rows.start = rows.clone().rev().find(rests).map_or(rows.start, |row| row + 1);
-                    (rows.end, usual) = (i + 1, speed[i]);
-                } else {
-                    rows.end = i + 1;
-                    usual += (speed[i] - usual) / rows.len() as f64;
-                }
+        let is_other = |s: &f64| (s / usual - 1.0).abs() > FEED_SHARE;
+        let all_other = (0..10).all(|k| speed.get(i + k).is_some_and(is_other));
+        let other_feed = |rows: &Range<usize>| rows.len() > 20 && all_other;
+        match found.last_mut().filter(|(_, t)| turn == 0.0 || (*t - turn).abs() < 0.5) {
+            Some((rows, _)) if !other_feed(rows) => {
+                rows.end = i + 1;
+                usual += (speed[i] - usual) / rows.len() as f64;
             }
+            // The speed of a start is not the feed. Rows at rest before it are left out.
+            Some((rows, _)) if turned(rows) <= START_RAD => {
+                let rests = |row: &usize| speed[*row] < FEED_SHARE * speed[i];
+                rows.start = rows.clone().rev().find(rests).map_or(rows.start, |row| row + 1);
+                (rows.end, usual) = (i + 1, speed[i]);
+            }
+            // Another direction or another feed starts another contour.
             _ => {
                 found.push((i..i + 1, turn));
                 usual = speed[i];
@@ -454,12 +436,10 @@ fn contours(record: &Record, angle: &[f64]) -> Vec<(Range<usize>, f64)> {
     }
     // Near a change of direction the sign is uncertain.
     for i in 1..found.len() {
-        if (found[i].1 - found[i - 1].1).abs() > 0.5
-            && found[i].0.len() > 4 * look
-            && found[i - 1].0.len() > 4 * look
-        {
-            found[i - 1].0.end -= look;
-            found[i].0.start += look;
+        let [(before, sense), (rows, turn)] = &mut found[i - 1..=i] else { break };
+        if (*turn - *sense).abs() > 0.5 && rows.len() > 4 * look && before.len() > 4 * look {
+            before.end -= look;
+            rows.start += look;
         }
     }
     found.retain(|(rows, turn)| *turn != 0.0 && rows.len() > 4 && turned(rows) > START_RAD);
@@ -473,11 +453,7 @@ pub fn in_motion(record: &Record) -> Record {
     let angle = record.circle().and_then(|_| record.data(&Role::Angle));
     let Some((angle, t)) = angle.zip(record.data(&Role::Time)) else { return record.clone() };
     let n = angle.len();
-    let usual = |mut of: Vec<f64>| {
-        of.sort_by(f64::total_cmp);
-        of.get(of.len() / 2).copied().unwrap_or(0.0)
-    };
-    let usual_s = usual(t.windows(2).map(|w| w[1] - w[0]).collect());
+    let usual_s = median(t.windows(2).map(|w| w[1] - w[0]));
     // Speed into a row; after a gap, out of it.
     let speed = |row: usize| {
         let gap = row == 0 || t[row] - t[row - 1] > 2.5 * usual_s.max(f64::MIN_POSITIVE);
@@ -485,10 +461,7 @@ pub fn in_motion(record: &Record) -> Record {
         turn_rad(angle[from], angle[to]).abs() / (t[to] - t[from])
     };
     let rate = rates(angle, t);
-    let of = |(rows, _): (Range<usize>, f64)| {
-        let feed = usual(rate[rows.clone()].iter().map(|r| r.abs()).collect());
-        (rows, feed)
-    };
+    let of = |(rows, _): (Range<usize>, f64)| (rows.clone(), median(rate[rows].iter().map(|r| r.abs())));
     let feeds: Vec<(Range<usize>, f64)> = contours(record, angle).into_iter().map(of).collect();
     let slowest = feeds.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
     let feed = |row: usize| feeds.iter().find(|f| f.0.contains(&row)).map_or(slowest, |f| f.1);
@@ -499,28 +472,25 @@ pub fn in_motion(record: &Record) -> Record {
 }
 
 /// The record as a circle with a radial error, and the name of its plane.
-fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
+fn as_circle(record: &Record) -> Result<(Record, String)> {
     let name = |c: &Circle| format!("{}-{}", c.plane[0], c.plane[1]);
     if let Some(circle) = record.circle() {
         return Ok((record.clone(), name(circle)));
     }
     let radial = Axis::new("r").map(Role::Error).filter(|r| record.column(r).is_some());
-    let positions: Vec<(&Axis, &[f64])> = record
-        .axes(Role::Position)
-        .filter_map(|a| Some((a, record.data(&Role::Position(a.clone()))?)))
-        .collect();
+    let positions: Vec<(&Axis, &[f64])> =
+        record.axes(Role::Position).filter_map(|a| Some((a, record.position(a)?))).collect();
     let has_angle = record.column(&Role::Angle).is_some();
     if radial.is_some() && !has_angle {
         return Err(lacks(record, "error.r without an angle", "a column of role angle"));
     }
     let mut columns: Vec<Column> = record.columns.clone();
-    let (plane, angle, round): ([Axis; 2], Vec<f64>, Round) = if radial.is_some() {
+    let (plane, round): ([Axis; 2], Round) = if radial.is_some() {
         let [(a, pa), (b, pb), ..] = positions.as_slice() else {
             // Without plane or positions only deviations are known.
             return Ok((record.clone(), "first-second".to_owned()));
         };
-        let angle = record.data(&Role::Angle).unwrap_or_default().to_vec();
-        ([(*a).clone(), (*b).clone()], angle, met(record, pa, pb)?)
+        ([(*a).clone(), (*b).clone()], met(record, pa, pb)?)
     } else {
         let errors = error_axes(record);
         let both: Vec<_> = positions
@@ -536,11 +506,10 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
         let angle: Vec<f64> = px.iter().zip(*py).map(|(x, y)| round.angle(*x, *y)).collect();
         let r = angle.iter().zip(ex.iter().zip(*ey)).map(|(a, (x, y))| x * a.cos() + y * a.sin()).collect();
         columns.retain(|c| !c.role.is_response() && c.role != Role::Angle);
-        columns.push(Column::new("angle of the contour", Role::Angle, angle.clone()));
+        columns.push(Column::new("angle of the contour", Role::Angle, angle));
         columns.extend(Axis::new("r").map(|a| Column::new("radial error", Role::Error(a), r)));
-        ([(*ax).clone(), (*ay).clone()], angle, round)
+        ([(*ax).clone(), (*ay).clone()], round)
     };
-    debug_assert_eq!(angle.len(), record.rows());
     let mut circle = Record::of_checked(&record.path, Kind::Ballbar, columns);
     circle.file.clone_from(&record.file);
     let stated = Circle { radius_mm: round.radius, plane, centre_mm: None };
@@ -550,10 +519,9 @@ fn as_circle(record: &Record) -> Result<(Record, String), InputError> {
 }
 
 /// The circle that the positions run on.
-fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round, InputError> {
-    Round::through(x, y).filter(Round::is_met).ok_or_else(|| {
-        lacks(record, "positions that are on no circle", "positions of both axes on one circle")
-    })
+fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round> {
+    let error = || lacks(record, "positions that are on no circle", "positions of both axes on one circle");
+    Round::through(x, y).filter(Round::is_met).ok_or_else(error)
 }
 
 /// The dictionary's effect of this built-in name, at zero.

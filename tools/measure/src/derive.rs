@@ -6,7 +6,7 @@
 //! half their width: what the noise does not explain of the change is distortion. The window with the least
 //! sum of noise and distortion is used.
 
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_least_squares::Factor;
 use rtec_model::machine::{Machine, Prediction};
 use rtec_model::record::{Axis, Column, Kind, Record, Role, median};
@@ -36,24 +36,20 @@ pub fn derive(record: &mut Record) -> Vec<String> {
     let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
     let mut notes = Vec::new();
     for axis in axes {
+        let roles = [(Role::Velocity(axis.clone()), 1), (Role::Acceleration(axis.clone()), 2)];
         let wanted: Vec<(Role, usize)> =
-            [(Role::Velocity(axis.clone()), 1), (Role::Acceleration(axis.clone()), 2)]
-                .into_iter()
-                .filter(|(role, _)| record.column(role).is_none())
-                .collect();
-        let (Some(t), Some(p)) = (record.data(&Role::Time), record.data(&Role::Position(axis.clone())))
-        else {
+            roles.into_iter().filter(|(role, _)| record.column(role).is_none()).collect();
+        let (Some(t), Some(p)) = (record.data(&Role::Time), record.position(&axis)) else {
             continue;
         };
         if wanted.is_empty() || p.iter().all(|v| v - p[0] == 0.0) {
             continue;
         }
-        let names: Vec<String> = wanted.iter().map(|(role, _)| role.to_string()).collect();
-        let not = |why: String| format!("{} not derived: {why}", names.join(" and "));
         let runs = match runs(t, record.kind) {
             Ok(runs) => runs,
             Err(why) => {
-                notes.push(not(why));
+                let names: Vec<String> = wanted.iter().map(|(role, _)| role.to_string()).collect();
+                notes.push(format!("{} not derived: {why}", names.join(" and ")));
                 continue;
             }
         };
@@ -66,19 +62,15 @@ pub fn derive(record: &mut Record) -> Vec<String> {
             let rms = (data.iter().map(|v| v * v).sum::<f64>() / data.len() as f64).sqrt();
             let unit = role.unit().unwrap_or_default();
             if rms < 2.0 * error {
-                let what =
-                    format!("{role} not derived: noise of {error:.2e} {unit} hides it ({rms:.2e} RMS)");
-                notes.push(what);
+                notes.push(format!(
+                    "{role} not derived: noise of {error:.2e} {unit} hides it ({rms:.2e} RMS)"
+                ));
                 continue;
             }
-            let step_s = median(steps(t, &runs));
+            let (reach_s, noise_um) = (rows as f64 * median(steps(t, &runs)), 1000.0 * noise_mm);
             notes.push(format!(
-                "{role} derived from position: local cubic, zero phase, ±{} rows (±{:.4} s), standard error {:.2e} {unit} from \
-                 position noise of {:.3} um",
-                rows,
-                rows as f64 * step_s,
-                error,
-                1000.0 * noise_mm
+                "{role} derived from position: local cubic, zero phase, ±{rows} rows (±{reach_s:.4} s), standard error {error:.2e} {unit} from \
+                 position noise of {noise_um:.3} um"
             ));
             let mut name = role.to_string().replace('.', "_");
             while record.columns.iter().any(|c| c.name == name) {
@@ -96,7 +88,7 @@ pub fn derive(record: &mut Record) -> Vec<String> {
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
-pub fn predict(machine: &Machine, record: &Record) -> Result<(Prediction, Vec<String>), InputError> {
+pub fn predict(machine: &Machine, record: &Record) -> Result<(Prediction, Vec<String>)> {
     let as_logged = machine.predict(record)?;
     if !lacks_motion(&as_logged, record) {
         return Ok((as_logged, Vec::new()));
@@ -141,8 +133,7 @@ fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
     let mut start = 0;
     for i in 1..=t.len() {
         if i == t.len() || t[i] - t[i - 1] > GAP * step {
-            let distinct = 1 + t[start..i].windows(2).filter(|w| w[1] > w[0]).count();
-            if distinct < FEWEST {
+            if distinct(&t[start..i]) < FEWEST {
                 return Err(format!("rows {} to {i} stand alone between gaps in time", start + 1));
             }
             runs.push(start..i);
@@ -150,6 +141,11 @@ fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
         }
     }
     Ok(runs)
+}
+
+/// Number of distinct times; a cubic needs [`FEWEST`].
+fn distinct(t: &[f64]) -> usize {
+    1 + t.windows(2).filter(|w| w[1] > w[0]).count()
 }
 
 fn steps<'a>(t: &'a [f64], runs: &'a [Range<usize>]) -> impl Iterator<Item = f64> + 'a {
@@ -236,15 +232,12 @@ impl Motion<'_> {
 
     /// The derivative at every row.
     fn all(&self, order: usize, rows: usize) -> Vec<f64> {
-        let mut out = Vec::with_capacity(self.t.len());
-        for run in self.runs {
-            for i in run.clone() {
-                let (from, weights) = self.weights(order, rows, i, run);
-                // Differences of positions: a place far from zero costs no digits.
-                out.push(weights.iter().zip(&self.p[from..]).map(|(w, p)| w * (p - self.p[i])).sum());
-            }
-        }
-        out
+        let at = |(i, run): (usize, &Range<usize>)| {
+            let (from, weights) = self.weights(order, rows, i, run);
+            // Differences of positions: a place far from zero costs no digits.
+            weights.iter().zip(&self.p[from..]).map(|(w, p)| w * (p - self.p[i])).sum()
+        };
+        self.runs.iter().flat_map(|run| run.clone().map(move |i| (i, run))).map(at).collect()
     }
 
     /// Weights of the positions around row `i` in the derivative there.
@@ -252,10 +245,7 @@ impl Motion<'_> {
     /// the full reach.
     fn weights(&self, order: usize, rows: usize, i: usize, run: &Range<usize>) -> (usize, Vec<f64>) {
         let (mut from, mut to) = (i.saturating_sub(rows).max(run.start), (i + rows + 1).min(run.end));
-        // A cubic needs this number of distinct times.
-        let distinct =
-            |from: usize, to: usize| 1 + self.t[from..to].windows(2).filter(|w| w[1] > w[0]).count();
-        while distinct(from, to) < FEWEST {
+        while distinct(&self.t[from..to]) < FEWEST {
             from = from.saturating_sub(1).max(run.start);
             to = (to + 1).min(run.end);
         }

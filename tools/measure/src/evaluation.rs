@@ -1,14 +1,14 @@
 //! Evaluates runs by the standard that fits them.
 //! The results are a document for programs and a report for people.
 
-use crate::iso230::{self, Conditions, Drift, LongDrift, Options};
+use crate::iso230::{self, Conditions, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, Run};
 use crate::steps;
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::record::{Column, Kind, Record, Role, median, sha256_of};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl Standard {
     ///
     /// # Errors
     /// There is none.
-    pub fn of(record: &Record) -> Result<Self, InputError> {
+    pub fn of(record: &Record) -> Result<Self> {
         match record.kind {
             // Errors across the moving axis only are straightness, not positioning.
             Kind::Positioning if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
@@ -51,11 +51,10 @@ impl Standard {
             Kind::Drift => Ok(Self::Iso230_3),
             Kind::Ballbar => Ok(Self::Ballbar),
             Kind::Plate => Ok(Self::Plate),
-            kind => Err(InputError::whole(
-                &record.path,
-                format!("a run of kind {}", kind.name()),
-                "--standard, as no evaluation belongs to this kind",
-            )),
+            kind => {
+                let expected = "--standard, as no evaluation belongs to this kind";
+                Err(InputError::whole(&record.path, format!("a run of kind {}", kind.name()), expected))
+            }
         }
     }
 
@@ -84,8 +83,8 @@ impl Standard {
         } else if !keys.is_empty() {
             said.push(format!("[uncertainty] {}", keys.join(", ")));
         }
-        (!said.is_empty())
-            .then(|| format!("of the conditions this evaluation does not use {}", said.join(", ")))
+        let said = said.join(", ");
+        (!said.is_empty()).then(|| format!("of the conditions this evaluation does not use {said}"))
     }
 }
 
@@ -122,7 +121,7 @@ pub fn evaluate(
     records: &[Record],
     asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
-) -> Result<Evaluation, InputError> {
+) -> Result<Evaluation> {
     let Some(first) = records.first() else {
         return Err(InputError::whole(Path::new("characterise evaluate"), "no record", "a record"));
     };
@@ -131,12 +130,9 @@ pub fn evaluate(
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
     let usable = plausible::in_figures(records, &doubts);
     let left_out = doubts.iter().any(Suspicion::is_of_rows);
-    let (mut document, mut report) = by(standard, &usable, asked, say).map_err(|mut e| {
-        if left_out {
-            e.expected.push_str("; the rows that look misread are in no figure");
-        }
-        e
-    })?;
+    let note = if left_out { "; the rows that look misread are in no figure" } else { "" };
+    let (mut document, mut report) =
+        by(standard, &usable, asked, say).map_err(|e| InputError { expected: e.expected + note, ..e })?;
     // No standard excludes rows, so the figures with all rows are given too.
     if left_out
         && let Ok((all, _)) = by(standard, &plausible::every_row(records, &doubts), asked, &mut |_| ())
@@ -171,7 +167,7 @@ pub fn evaluate_files(
     paths: &[PathBuf],
     asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
-) -> Result<Evaluation, InputError> {
+) -> Result<Evaluation> {
     if let [path] = paths
         && let Some(mut long) = long_drift(path, asked, MOST_ROWS)?
     {
@@ -184,11 +180,7 @@ pub fn evaluate_files(
 pub const MOST_ROWS: usize = 1 << 18;
 
 /// The evaluation of a drift test of more rows; `None` for other records.
-fn long_drift(
-    path: &Path,
-    asked: &EvaluationRequest,
-    more_than: usize,
-) -> Result<Option<LongDrift>, InputError> {
+fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<LongDrift>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
         None => record::RecordPieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
@@ -202,11 +194,11 @@ fn in_pieces(
     asked: &EvaluationRequest,
     most_rows: usize,
     say: &mut dyn FnMut(Said),
-) -> Result<Evaluation, InputError> {
+) -> Result<Evaluation> {
     // Pieces of equal length, so that none is too short for the checks.
-    let pieces = long.rows().div_ceil(most_rows);
+    let pieces = long.rows.div_ceil(most_rows);
     let mut looked_at = plausible::PieceSuspicions::default();
-    let rows_at_once = long.rows().div_ceil(pieces);
+    let rows_at_once = long.rows.div_ceil(pieces);
     let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
     let doubts = looked_at.said(say);
     reducible(&asked.conditions, &doubts)?;
@@ -216,16 +208,14 @@ fn in_pieces(
         all = long.drift(rows_at_once, |_| ())?;
     }
     iso230::state_budget(&mut all, &asked.conditions);
-    let head = long.head();
+    let head = &long.head;
     let ranges = long.ranges_degc().map(|(name, range)| (name.to_owned(), range)).collect();
     let csv = path.parent().unwrap_or(Path::new("")).join(&head.file);
-    let run = Run { rows: long.rows(), sha256: sha256_of(&csv)?, ranges_degc: ranges, ..Run::of(head) };
-    let axes = |all: &[Drift]| Ok(one_or("axes", values(all).map_err(|e| unwritten(path, &e))?));
-    let mut document = axes(&all)?;
-    let mut report =
-        report::drift(&all, &run, long.charts(), &asked.conditions).map_err(|e| undrawn(path, &e))?;
+    let run = Run { rows: long.rows, sha256: sha256_of(&csv)?, ranges_degc: ranges, ..Run::of(head) };
+    let mut document = figures(path, "axes", &all)?;
+    let mut report = drawn(path, report::drift(&all, &run, long.charts(), &asked.conditions))?;
     if doubts.iter().any(Suspicion::is_of_rows) {
-        with_every_row(&mut document, &axes(&every)?, &mut report);
+        with_every_row(&mut document, &figures(path, "axes", &every)?, &mut report);
     }
     if let Some(unused) = Standard::Iso230_3.unused(&asked.conditions, &[]) {
         report.warn(&unused);
@@ -237,12 +227,17 @@ fn in_pieces(
     Ok(doubted(path, document, report, doubts, say))
 }
 
-fn unwritten(file: &Path, e: &serde_json::Error) -> InputError {
-    InputError::whole(file, e.to_string(), "figures that can be written")
+/// The figures for programs: one as it is, several as a list under a name.
+fn figures(file: &Path, name: &str, all: &[impl serde::Serialize]) -> Result<Value> {
+    let written = match all {
+        [one] => serde_json::to_value(one),
+        all => serde_json::to_value(all).map(|list| json!({ name: list })),
+    };
+    written.map_err(|e| InputError::whole(file, e.to_string(), "figures that can be written"))
 }
 
-fn undrawn(file: &Path, e: &PlotError) -> InputError {
-    InputError::whole(file, e.to_string(), "figures that can be drawn")
+fn drawn(file: &Path, report: Result<Report, PlotError>) -> Result<Report> {
+    report.map_err(|e| InputError::whole(file, e.to_string(), "figures that can be drawn"))
 }
 
 /// An evaluation with the suspicions against its records.
@@ -275,11 +270,12 @@ fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
         (!is_same_figure(with, without)).then_some((name, with, without))
     };
     let differing: Vec<(String, f64, f64)> = every.into_iter().filter_map(differs).collect();
-    let words: Vec<String> = differing
-        .iter()
-        .filter(|(_, with, without)| digits(*with) != digits(*without))
+    let written =
+        differing.iter().map(|(n, with, without)| (n, format!("{with:.3}"), format!("{without:.3}")));
+    let words: Vec<String> = written
+        .filter(|(_, with, without)| with != without)
         .take(MOST_BESIDE)
-        .map(|(name, with, without)| format!("{name} {} instead of {}", digits(*with), digits(*without)))
+        .map(|(name, with, without)| format!("{name} {with} instead of {without}"))
         .collect();
     if words.is_empty() {
         return;
@@ -303,10 +299,6 @@ pub(crate) fn is_same_figure(one: f64, other: f64) -> bool {
 /// Most figures in the warning about rows left out; the document has all.
 const MOST_BESIDE: usize = 8;
 
-fn digits(figure: f64) -> String {
-    format!("{figure:.3}")
-}
-
 /// The numbers of a document by their path, such as `x.A`.
 /// Lists are left out unless named by axis or response.
 fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
@@ -326,7 +318,7 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
 }
 
 /// Refuses a bad sensor, which would spoil every figure reduced to 20 °C.
-fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputError> {
+fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<()> {
     let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
     let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
     let air = conditions.air.iter().filter_map(|air| match &air.temperature {
@@ -334,26 +326,20 @@ fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<(), InputE
         iso230::AirTemperature::Degc(_) => None,
     });
     for (sensor, table, why) in bodies.chain(air) {
-        let Some(doubt) = doubts.iter().find(|d| d.is_of_sensor() && d.column == sensor) else {
-            continue;
-        };
-        let found =
-            format!("{}: {}: {}, and lengths are to be {why} with it", doubt.column, doubt.what, doubt.text);
-        let expected = format!(
-            "another sensor in {table} of the conditions, a record without those rows, or no {table}"
-        );
-        return Err(InputError::whole(Path::new(&doubt.record), found, expected));
+        if let Some(doubt) = doubts.iter().find(|d| d.is_of_sensor() && d.column == sensor) {
+            let Suspicion { record, what, text, .. } = doubt;
+            let found = format!("{sensor}: {what}: {text}, and lengths are to be {why} with it");
+            let expected = format!(
+                "another sensor in {table} of the conditions, a record without those rows, or no {table}"
+            );
+            return Err(InputError::whole(Path::new(record), found, expected));
+        }
     }
     Ok(())
 }
 
-/// A single value as it is, several as a list under a name.
-fn one_or(name: &str, mut list: Vec<Value>) -> Value {
-    if list.len() == 1 { list.remove(0) } else { json!({ name: list }) }
-}
-
 /// The only record of an evaluation that takes one at a time.
-fn single(records: &[Record]) -> Result<&Record, InputError> {
+fn single(records: &[Record]) -> Result<&Record> {
     match records {
         [_, second, ..] => {
             let found = format!("{} records", records.len());
@@ -368,25 +354,20 @@ fn by(
     records: &[Record],
     asked: &EvaluationRequest,
     say: &mut dyn FnMut(Said),
-) -> Result<(Value, Report), InputError> {
+) -> Result<(Value, Report)> {
     let file = &records[0].path;
-    let unwritten = |e: serde_json::Error| unwritten(file, &e);
-    let undrawn = |e: PlotError| undrawn(file, &e);
     let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };
     let conditions = &asked.conditions;
     Ok(match standard {
         Standard::Iso230_2 => {
             let mut all = Vec::new();
             for record in records {
-                all.extend(iso230::positioning_with(record, &options).map_err(|mut e| {
+                all.extend(iso230::positioning_with(record, &options).map_err(|e| {
                     // If only the conditions are wrong, the record is one of positioning.
                     let bare = Options { one_way: asked.one_way, ..Options::default() };
-                    if iso230::positioning_with(record, &bare).is_err() {
-                        let hint =
-                            "; where the machine only returned to one position, --standard repeatability";
-                        e.expected.push_str(hint);
-                    }
-                    e
+                    let is_other = iso230::positioning_with(record, &bare).is_err();
+                    let hint = "; where the machine only returned to one position, --standard repeatability";
+                    InputError { expected: e.expected + if is_other { hint } else { "" }, ..e }
                 })?);
             }
             for record in records.iter().filter(|r| iso230::has_straightness(r)) {
@@ -395,66 +376,59 @@ fn by(
                     record.path.display()
                 )));
             }
-            let report = report::positioning(&all, records, conditions).map_err(undrawn)?;
-            (one_or("axes", values(&all).map_err(unwritten)?), report)
+            (figures(file, "axes", &all)?, drawn(file, report::positioning(&all, records, conditions))?)
         }
         Standard::Straightness => {
             let record = single(records)?;
             let all = iso230::straightness(record)?;
-            let report = report::straightness(&all, record, conditions).map_err(undrawn)?;
-            (one_or("motions", values(&all).map_err(unwritten)?), report)
+            (figures(file, "motions", &all)?, drawn(file, report::straightness(&all, record, conditions))?)
         }
         Standard::Iso230_3 => {
             let record = single(records)?;
             let mut all = iso230::drift(record)?;
             iso230::state_budget(&mut all, conditions);
             let charts = iso230::drift_charts(record);
-            let mut report = report::drift(&all, &Run::of(record), charts, conditions).map_err(undrawn)?;
+            let mut report = drawn(file, report::drift(&all, &Run::of(record), charts, conditions))?;
             if let Some(gap) = gaps(record) {
                 report.warn(&gap);
             }
-            (one_or("axes", values(&all).map_err(unwritten)?), report)
+            (figures(file, "axes", &all)?, report)
         }
         Standard::Iso230_6 => {
             let found = iso230::diagonals(records, &options)?;
-            let report = report::diagonals(&found, records, conditions).map_err(undrawn)?;
-            (serde_json::to_value(found).map_err(unwritten)?, report)
+            let report = drawn(file, report::diagonals(&found, records, conditions))?;
+            (figures(file, "", &[found])?, report)
         }
         Standard::Ballbar => {
             let mut planes = ballbar::evaluate(records)?;
             for b in &mut planes {
                 b.uncertainty = conditions.circle_budget(b.radius_mm, b.diagnosis.scatter_um);
                 if b.uncertainty.as_ref().is_some_and(|u| u.length_um.is_none()) {
-                    b.warnings.push(
-                        "no uncertainty of F and D: it needs one radius; state radius_mm in the sidecar, and evaluate each radius by itself"
-                            .to_owned(),
-                    );
+                    let why = "it needs one radius; state radius_mm in the sidecar, and evaluate each radius by itself";
+                    b.warnings.push(format!("no uncertainty of F and D: {why}"));
                 }
             }
-            let report = report::ballbar(&planes, records, conditions).map_err(undrawn)?;
-            (one_or("planes", values(&planes).map_err(unwritten)?), report)
+            (figures(file, "planes", &planes)?, drawn(file, report::ballbar(&planes, records, conditions))?)
         }
         Standard::Plate => {
             let record = single(records)?;
             let norm = if asked.fourth_powers { plate::Norm::Fourth } else { plate::Norm::Squares };
             let found = plate::evaluate(record, norm)?;
-            let report = report::plate(&found, record, conditions).map_err(undrawn)?;
-            (serde_json::to_value(found).map_err(unwritten)?, report)
+            let report = drawn(file, report::plate(&found, record, conditions))?;
+            (figures(file, "", &[found])?, report)
         }
         Standard::Repeatability => returns(single(records)?, conditions)?,
     })
 }
 
-fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), InputError> {
+fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report)> {
     let axes = iso230::returns(record);
     if axes.is_empty() {
         let expected = "a column of role error.AXIS with two returns at least";
         return Err(InputError::whole(&record.path, "nothing that returned twice", expected));
     }
-    let found = serde_json::to_value(&axes)
-        .map_err(|e| InputError::whole(&record.path, e.to_string(), "figures that can be written"))?;
-    let mut report = report::repeatability(&axes, record, conditions)
-        .map_err(|e| InputError::whole(&record.path, e.to_string(), "figures that can be drawn"))?;
+    let found = figures(&record.path, "", &[&axes])?;
+    let mut report = drawn(&record.path, report::repeatability(&axes, record, conditions))?;
     for (axis, of) in axes.iter().filter(|(_, of)| of.is_trend()) {
         let (s, about) = match of.s_of_neighbours_um.filter(|_| of.is_bent()) {
             Some(s) => (s, "from one return to the next"),
@@ -496,20 +470,15 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report), 
             "{role}: readings in steps of {step} µm, and the returns scatter by less: scatter below a step does not show; a finer gauge shows it"
         ));
     }
-    for column in record
-        .responses()
-        .filter(|c| c.data.len() > 1 && c.data.windows(2).all(|w| w[0].to_bits() == w[1].to_bits()))
-    {
+    let is_constant = |c: &&Column| c.data.windows(2).all(|w| w[0].to_bits() == w[1].to_bits());
+    for column in record.responses().filter(|c| c.data.len() > 1).filter(is_constant) {
         // All are within one step of the gauge; their deviation is largest with half at each end.
         let n = column.data.len() as f64;
-        let most =
-            record.count_um.or_else(|| written_step(column.data[0])).map_or_else(String::new, |step| {
-                format!(
-                    " a step of {} µm, as they are written, hides s up to {:.2} µm;",
-                    short(step),
-                    0.5 * step * (n / (n - 1.0)).sqrt()
-                )
-            });
+        let hides = |step: f64| {
+            let (step, s_um) = (short(step), 0.5 * step * (n / (n - 1.0)).sqrt());
+            format!(" a step of {step} µm, as they are written, hides s up to {s_um:.2} µm;")
+        };
+        let most = record.count_um.or_else(|| written_step(column.data[0])).map_or_else(String::new, hides);
         report.warn(&format!(
             "{}: all {} returns read {}: s = 0 is the gauge's step, no repeatability;{most} a finer gauge shows it",
             column.role, column.data.len(), short(column.data[0])
@@ -525,10 +494,6 @@ fn written_step(reading: f64) -> Option<f64> {
     (reading != 0.0).then(|| 0.1_f64.powi(decimals as i32))
 }
 
-fn values(all: &[impl serde::Serialize]) -> serde_json::Result<Vec<Value>> {
-    all.iter().map(serde_json::to_value).collect()
-}
-
 /// A pause in a log is a gap above this multiple of the usual time step.
 const GAP: f64 = 5.0;
 /// Shorter gaps do not affect a figure of a thermal test, s.
@@ -539,15 +504,15 @@ fn gaps(record: &Record) -> Option<String> {
     let time = record.data(&Role::Time)?;
     let steps: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
     let at = (0..steps.len()).max_by(|a, b| steps[*a].total_cmp(&steps[*b]))?;
-    let longest = steps[at];
-    let usual = median(steps.iter().copied());
+    let (longest, usual) = (steps[at], median(steps.iter().copied()));
     let many = steps.iter().filter(|s| **s > GAP * usual).count();
-    (usual > 0.0 && longest > GAP * usual && longest >= SHORTEST_GAP_S && 10 * many <= steps.len()).then(|| {
+    let is_pause =
+        usual > 0.0 && longest > GAP * usual && longest >= SHORTEST_GAP_S && 10 * many <= steps.len();
+    let [from, to] = [time[at], time[at + 1]].map(|s| s / 60.0);
+    is_pause.then(|| {
         format!(
-            "no rows from {:.0} to {:.0} min, where they are {usual:.0} s apart: what went on there is in no figure, nor in d60 and \
-             the last hour",
-            time[at] / 60.0,
-            time[at + 1] / 60.0
+            "no rows from {from:.0} to {to:.0} min, where they are {usual:.0} s apart: what went on there is in no figure, nor in d60 and \
+             the last hour"
         )
     })
 }

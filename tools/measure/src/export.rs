@@ -13,19 +13,20 @@
 //! A controller interpolates the table linearly and holds the end values beyond it. The residual is computed
 //! with the values as written, at places that match no period.
 
-pub mod beckhoff;
+mod beckhoff;
 pub mod linuxcnc;
 pub mod order;
 pub mod own;
-pub mod siemens;
-pub mod siemens_cec;
+mod siemens;
+mod siemens_cec;
 
-use rtec_files::{InputError, nearest};
+use rtec_files::{InputError, Result, nearest};
 use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, LINEAR};
 use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// Longest axis of a machine tool, mm.
@@ -39,7 +40,7 @@ const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
 
 /// One point of a table: the axis's error in both directions of approach.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub(crate) struct Point {
     /// Commanded position, mm.
     pub position_mm: f64,
     /// Position reached less commanded position, moving up, µm.
@@ -50,19 +51,16 @@ pub struct Point {
 
 impl Point {
     /// Mean of both directions, µm.
-    pub fn mean_um(&self) -> f64 {
+    pub(crate) fn mean_um(&self) -> f64 {
         f64::midpoint(self.up_um, self.down_um)
     }
 }
 
 /// Requirements of a format.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Rules {
-    /// Most points.
+pub(crate) struct Rules {
     pub most: usize,
-    /// Resolution of positions, mm.
     pub position_mm: f64,
-    /// Resolution of values, µm.
     pub value_um: f64,
     /// Whether it has values for both directions; otherwise it takes their mean.
     pub both: bool,
@@ -80,21 +78,14 @@ impl Rules {
 
     /// Rules of SINUMERIK: one value for both directions, zero at a reference point.
     fn siemens(most: usize, reference_mm: f64) -> Self {
-        let (position_mm, value_um) = (1e-4, 1e-3);
-        Self {
-            most,
-            position_mm,
-            value_um,
-            both: false,
-            zero_at_mm: Some(reference_mm),
-            lookup: Lookup::Encoder,
-        }
+        let zero_at_mm = Some(reference_mm);
+        Self { both: false, zero_at_mm, lookup: Lookup::Encoder, ..Self::both_directions(most, 1e-4, 1e-3) }
     }
 }
 
 /// The position at which a controller looks up a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lookup {
+pub(crate) enum Lookup {
     /// The commanded position.
     /// The value moves the drive to another position, where the error differs.
     Commanded,
@@ -103,40 +94,33 @@ pub enum Lookup {
 }
 
 /// A format of tables.
-pub trait Format {
-    /// Its requirements.
+pub(crate) trait Format {
     fn rules(&self) -> Rules;
 
-    /// The file's text.
-    ///
-    /// # Errors
-    /// The format cannot hold the table.
-    fn text(&self, table: &Table) -> Result<String, InputError>;
+    fn text(&self, table: &Table) -> Result<String>;
 
     /// Advice for the person who loads the table.
-    fn advice(&self, table: &Table) -> Vec<String>;
+    fn advice(&self, _: &Table) -> Vec<String> {
+        Vec::new()
+    }
 }
 
 /// Plain columns: `position_mm,error_up_um,error_down_um`.
 #[derive(Debug)]
-pub struct Csv;
+pub(crate) struct Csv;
 
 impl Format for Csv {
     fn rules(&self) -> Rules {
         Rules::both_directions(MANY, 1e-6, 1e-6)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         let mut text = "position_mm,error_up_um,error_down_um\n".to_owned();
         for p in &table.points {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "{},{},{}", p.position_mm, p.up_um, p.down_um);
         }
         Ok(text)
-    }
-
-    fn advice(&self, _: &Table) -> Vec<String> {
-        Vec::new()
     }
 }
 
@@ -162,7 +146,7 @@ fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
 /// The model's errors of one axis at rest, by direction of approach.
 /// Parts that depend on speed, time and load are left out.
 #[derive(Debug)]
-pub struct Errors<'m> {
+pub(crate) struct Errors<'m> {
     machine: &'m Machine,
     axis: Axis,
     layout: Layout,
@@ -178,16 +162,12 @@ pub struct Errors<'m> {
 impl<'m> Errors<'m> {
     /// The axis's errors at these temperatures and positions of the other axes.
     /// Sensors without a value are at 20 °C, axes at 0 mm.
-    ///
-    /// # Errors
-    /// An axis without an error in the model; a sensor or axis that the model does not read or that is given
-    /// twice; an invalid temperature or position.
-    pub fn of(
+    pub(crate) fn of(
         machine: &'m Machine,
         axis: &str,
         temperatures: &[(String, f64)],
         others_mm: &[(String, f64)],
-    ) -> Result<Self, InputError> {
+    ) -> Result<Self> {
         if Axis::new(axis).is_some_and(|a| a.is_rotary()) {
             return Err(usage(format!("--axis {axis}: a rotary axis"), LINEAR));
         }
@@ -203,71 +183,41 @@ impl<'m> Errors<'m> {
         };
         let names = machine.sensors();
         let mut degc = vec![20.0; names.len()];
-        for (n, (name, value)) in temperatures.iter().enumerate() {
-            let given = || format!("--temperatures {name}={value}");
-            let place = names.iter().position(|x| x == name).ok_or_else(|| {
-                let expected = if names.is_empty() {
-                    "no temperatures: the model reads no sensor".to_owned()
-                } else {
-                    format!("SENSOR=degC with a sensor of the model: {}", names.join(", "))
-                };
-                usage(given(), expected)
-            })?;
-            if temperatures[..n].iter().any(|(other, _)| other == name) {
-                return Err(usage(format!("{} a second time", given()), "each sensor once"));
-            }
-            if !(-100.0..=200.0).contains(value) {
-                return Err(usage(given(), "a temperature from -100 to 200 degC"));
-            }
-            degc[place] = *value;
+        let expected = if names.is_empty() {
+            "no temperatures: the model reads no sensor".to_owned()
+        } else {
+            format!("SENSOR=degC with a sensor of the model: {}", names.join(", "))
+        };
+        let range = (-100.0..=200.0, "a temperature from -100 to 200 degC");
+        for (place, value) in
+            placed("--temperatures", temperatures, &names, [&expected, "each sensor once"], range)?
+        {
+            degc[place] = value;
         }
         let mut axes = vec![axis.clone()];
         axes.extend(machine.effects().flat_map(Effect::axes).cloned());
         if let Some(chain) = machine.chain() {
             axes.extend(chain.joints.iter().filter_map(|j| j.axis.as_ref().map(|(a, _)| a.clone())));
         }
-        let mut layout = Layout { axes: Vec::new(), sensors: names, channels: Vec::new() };
-        for a in axes {
-            if !layout.axes.contains(&a) {
-                layout.axes.push(a);
-            }
-        }
-        for channel in machine.effects().filter_map(Effect::channel) {
-            if !layout.channels.iter().any(|c| c == channel) {
-                layout.channels.push(channel.to_owned());
-            }
-        }
+        let channels = machine.effects().filter_map(Effect::channel).map(str::to_owned);
+        let layout = Layout { axes: each_once(axes), sensors: names, channels: each_once(channels) };
         let mut places_mm = vec![0.0; layout.axes.len()];
-        for (n, (name, value)) in others_mm.iter().enumerate() {
-            let given = || format!("--at {name}={value}");
-            let others: Vec<&str> = layout.axes[1..].iter().map(Axis::as_str).collect();
-            let place = others.iter().position(|a| a == name).ok_or_else(|| {
-                let of =
-                    if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
-                usage(given(), format!("AXIS=mm with another axis of the model: {of}"))
-            })?;
-            if others_mm[..n].iter().any(|(other, _)| other == name) {
-                return Err(usage(format!("{} a second time", given()), "each axis once"));
-            }
-            if !(-1e6..=1e6).contains(value) {
-                return Err(usage(given(), "a place from -1e6 to 1e6 mm"));
-            }
-            places_mm[place + 1] = *value;
+        let others: Vec<String> = layout.axes[1..].iter().map(ToString::to_string).collect();
+        let of = if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
+        let expected = format!("AXIS=mm with another axis of the model: {of}");
+        let range = (-1e6..=1e6, "a place from -1e6 to 1e6 mm");
+        for (place, value) in placed("--at", others_mm, &others, [&expected, "each axis once"], range)? {
+            places_mm[place + 1] = value;
         }
         let stated = |a: &&Axis| others_mm.iter().any(|(name, _)| name == a.as_str());
-        let unstated = match machine.chain() {
-            Some(_) => layout.axes[1..].iter().filter(|a| !stated(a)).map(ToString::to_string).collect(),
-            None => Vec::new(),
-        };
+        let of_chain = layout.axes[1..].iter().filter(|_| machine.chain().is_some());
+        let unstated = of_chain.filter(|a| !stated(a)).map(ToString::to_string).collect();
         Ok(Self { machine, axis, layout, degc, places_mm, unstated, moving: 0 })
     }
 
     /// The errors along another axis, with the own axis at `own_mm`: a cross table.
     /// They come from squareness, straightness and sag.
-    ///
-    /// # Errors
-    /// The model has no error of this axis that depends on the other.
-    pub fn across(mut self, along: &str, own_mm: f64) -> Result<Self, InputError> {
+    pub(crate) fn across(mut self, along: &str, own_mm: f64) -> Result<Self> {
         let acts = |e: &&Effect| acts_on(e, &self.axis);
         let mut others: Vec<&str> =
             self.machine.effects().filter(acts).flat_map(Effect::axes).map(Axis::as_str).collect();
@@ -298,10 +248,7 @@ impl<'m> Errors<'m> {
     }
 
     /// Errors at these rising positions, µm, approached from below (`up`) or above.
-    ///
-    /// # Errors
-    /// The model needs something that a table cannot provide.
-    pub fn along(&self, positions_mm: &[f64], up: bool) -> Result<Vec<f64>, InputError> {
+    pub(crate) fn along(&self, positions_mm: &[f64], up: bool) -> Result<Vec<f64>> {
         let mut live = self.live()?;
         let (mut column, n) = (vec![0.0; positions_mm.len()], positions_mm.len());
         for k in 0..n {
@@ -312,11 +259,8 @@ impl<'m> Errors<'m> {
     }
 
     /// Spike after a reversal at a position, µm, which no table of positions can hold.
-    ///
-    /// # Errors
-    /// As [`Errors::along`].
-    pub fn behind_turn_um(&self, position_mm: f64) -> Result<f64, InputError> {
-        let behind = |up: bool| -> Result<f64, InputError> {
+    pub(crate) fn behind_turn_um(&self, position_mm: f64) -> Result<f64> {
+        let behind = |up: bool| -> Result<f64> {
             let way = if up { 1.0 } else { -1.0 };
             let (mut turns, mut goes_on) = (self.live()?, self.live()?);
             self.at(&mut turns, position_mm, -way);
@@ -326,7 +270,7 @@ impl<'m> Errors<'m> {
         Ok(behind(true)?.max(behind(false)?))
     }
 
-    fn live(&self) -> Result<Live, InputError> {
+    fn live(&self) -> Result<Live> {
         Live::at_work(self.machine, self.layout.clone())
             .map_err(|e| usage(e.to_string(), "sensors and axes only"))
     }
@@ -344,17 +288,11 @@ impl<'m> Errors<'m> {
 
     /// Sensors that the axis's errors use, with the table's temperatures, °C.
     /// A sensor without a stated temperature is at 20 °C.
-    ///
-    /// # Errors
-    /// As [`Errors::along`].
-    pub fn temperatures_degc(&self) -> Result<Vec<(&str, f64)>, InputError> {
+    pub(crate) fn temperatures_degc(&self) -> Result<Vec<(&str, f64)>> {
         let live = self.live()?;
-        let read: Vec<&str> = live
-            .parts()
-            .filter(|p| self.is_in_table(p.effect))
-            .filter_map(|p| p.effect.delta.as_ref())
-            .flat_map(Difference::sensors)
-            .collect();
+        let parts = live.parts().filter(|p| self.is_in_table(p.effect));
+        let read: Vec<&str> =
+            parts.filter_map(|p| p.effect.delta.as_ref()).flat_map(Difference::sensors).collect();
         let all = self.layout.sensors.iter().zip(&self.degc);
         let chained = self.machine.chain().is_some();
         let own = all.filter(|(name, _)| chained || read.contains(&name.as_str()));
@@ -364,10 +302,7 @@ impl<'m> Errors<'m> {
     /// Warnings about the table.
     /// Effects of the axis that a table of positions cannot hold, and temperatures outside the range of a
     /// fit.
-    ///
-    /// # Errors
-    /// As [`Errors::along`].
-    pub fn doubts(&self) -> Result<Vec<String>, InputError> {
+    pub(crate) fn doubts(&self) -> Result<Vec<String>> {
         let mut live = self.live()?;
         self.at(&mut live, 0.0, 1.0);
         let mut doubts = Vec::new();
@@ -415,10 +350,44 @@ impl<'m> Errors<'m> {
     }
 }
 
+/// Places of the named values of an option among the known names, with the values.
+/// `expected` is one of the names, and each only once.
+fn placed(
+    option: &str,
+    given: &[(String, f64)],
+    known: &[String],
+    [expected, once]: [&str; 2],
+    (range, of_range): (RangeInclusive<f64>, &str),
+) -> Result<Vec<(usize, f64)>> {
+    let of = |(n, (name, value)): (usize, &(String, f64))| {
+        let words = format!("{option} {name}={value}");
+        match known.iter().position(|k| k == name) {
+            None => Err(usage(words, expected)),
+            _ if given[..n].iter().any(|(o, _)| o == name) => {
+                Err(usage(format!("{words} a second time"), once))
+            }
+            _ if !range.contains(value) => Err(usage(words, of_range)),
+            Some(place) => Ok((place, *value)),
+        }
+    };
+    given.iter().enumerate().map(of).collect()
+}
+
 fn acts_on(effect: &Effect, axis: &Axis) -> bool {
     let description = effect.description();
     let components = if description.naming == Naming::Pair { 2 } else { 1 };
     description.quantity == Quantity::Error && effect.axes().iter().take(components).any(|a| a == axis)
+}
+
+/// All in order, those that come again left out.
+fn each_once<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut kept = Vec::new();
+    for one in all {
+        if !kept.contains(&one) {
+            kept.push(one);
+        }
+    }
+    kept
 }
 
 /// The axes with errors in a model.
@@ -435,8 +404,7 @@ fn axes(machine: &Machine) -> Vec<Axis> {
 
 /// A table with values as written, and its residual against the model.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Table {
-    /// The axis.
+pub(crate) struct Table {
     pub axis: Axis,
     /// Its points with rising positions, and values as written.
     pub points: Vec<Point>,
@@ -445,7 +413,6 @@ pub struct Table {
     /// Constant subtracted from all values so that the reference point is zero, µm.
     /// It shifts the zero of the axis.
     pub constant_um: f64,
-    /// Residual of the model.
     pub left: Left,
     /// Largest error between points, µm, which more points could reduce.
     /// With one value for both directions, it is measured against their mean.
@@ -465,7 +432,7 @@ pub struct Left {
 
 impl Left {
     /// Largest absolute value of both directions, µm.
-    pub fn max_um(&self) -> f64 {
+    pub(crate) fn max_um(&self) -> f64 {
         self.max_up_um.max(self.max_down_um)
     }
 }
@@ -512,17 +479,11 @@ fn round_to(value: f64, resolution: f64) -> f64 {
 impl Table {
     /// The table for a format, with the given step or the widest within the limit.
     /// If no step keeps the limit, the table with the smallest error is used.
-    ///
-    /// # Errors
-    /// An invalid range or step, more points than the format takes, a reference point outside the range, and
-    /// errors of [`Errors::along`].
-    pub fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self, InputError> {
+    pub(crate) fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self> {
         let (from, to) = (wanted.from_mm, wanted.to_mm);
         if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
-            let expected = format!(
-                "a range that rises, within {LONGEST_MM} mm of 0, in steps of {} mm",
-                rules.position_mm
-            );
+            let step = rules.position_mm;
+            let expected = format!("a range that rises, within {LONGEST_MM} mm of 0, in steps of {step} mm");
             return Err(usage(format!("--from {from} --to {to}"), expected));
         }
         if !(wanted.limit_um > 0.0 && wanted.limit_um.is_finite()) {
@@ -535,10 +496,8 @@ impl Table {
         let most = wanted.most.unwrap_or(rules.most);
         let takes = rules.most.clamp(2, MANY);
         if !(2..=takes).contains(&most) {
-            return Err(usage(
-                format!("--max-points {most}"),
-                format!("from 2 to {takes}, as the format takes"),
-            ));
+            let expected = format!("from 2 to {takes}, as the format takes");
+            return Err(usage(format!("--max-points {most}"), expected));
         }
         let dense = Dense::of(errors, from, to, most)?;
         if let Some(step) = wanted.step_mm {
@@ -554,9 +513,8 @@ impl Table {
             let points = ((to - from) / step - 1e-9).ceil() + 1.0;
             if points > most as f64 {
                 let step = (to - from) / (most - 1) as f64;
-                let expected = format!(
-                    "at most {most} points, that is a --step of at least {step:.4} mm; or none, to have it chosen"
-                );
+                let least = format!("a --step of at least {step:.4} mm");
+                let expected = format!("at most {most} points, that is {least}; or none, to have it chosen");
                 return Err(usage(format!("{points} points"), expected));
             }
             return Self::with_step(errors, &dense, from, to, step, rules)?.applied(errors, &dense, rules);
@@ -575,17 +533,15 @@ impl Table {
                     return Ok(applied.unwrap_or(table));
                 }
                 applied = Some(table);
-                continue;
-            }
-            if best.as_ref().is_none_or(|b| table.between_um < b.between_um) {
+            } else if best.as_ref().is_none_or(|b| table.between_um < b.between_um) {
                 best = Some(table);
             }
         }
-        if let Some(applied) = applied {
-            return Ok(applied);
+        match (applied, best) {
+            (Some(applied), _) => Ok(applied),
+            (None, Some(best)) => best.applied(errors, &dense, rules),
+            (None, None) => Err(usage(format!("--max-points {most}"), "enough points for the range")),
         }
-        best.ok_or_else(|| usage(format!("--max-points {most}"), "enough points for the range"))?
-            .applied(errors, &dense, rules)
     }
 
     fn with_step(
@@ -595,43 +551,29 @@ impl Table {
         to: f64,
         step_mm: f64,
         rules: &Rules,
-    ) -> Result<Self, InputError> {
+    ) -> Result<Self> {
         let intervals = (((to - from) / step_mm - 1e-9).ceil() as usize).max(1);
         let places: Vec<f64> =
             (0..=intervals).map(|i| round_to(from + step_mm * i as f64, rules.position_mm)).collect();
         if places.windows(2).any(|w| w[1] <= w[0]) {
-            return Err(usage(
-                format!("steps of {step_mm} mm"),
-                format!("steps above {} mm", rules.position_mm),
-            ));
+            let expected = format!("steps above {} mm", rules.position_mm);
+            return Err(usage(format!("steps of {step_mm} mm"), expected));
         }
         let (up, down) = (errors.along(&places, true)?, errors.along(&places, false)?);
-        let mut points: Vec<Point> = places
-            .iter()
-            .zip(up.iter().zip(&down))
-            .map(|(&position_mm, (&up_um, &down_um))| Point { position_mm, up_um, down_um })
-            .collect();
-        if !rules.both {
-            for p in &mut points {
-                (p.up_um, p.down_um) = (p.mean_um(), p.mean_um());
-            }
+        let rows = places.iter().zip(up.iter().zip(&down));
+        let mut points: Vec<Point> =
+            rows.map(|(&position_mm, (&up_um, &down_um))| Point { position_mm, up_um, down_um }).collect();
+        for p in points.iter_mut().filter(|_| !rules.both) {
+            (p.up_um, p.down_um) = (p.mean_um(), p.mean_um());
         }
-        let mut constant_um = 0.0;
-        if let Some(zero) = rules.zero_at_mm {
-            constant_um = interpolate(&points, &[zero], Point::mean_um).next().unwrap_or(0.0);
-        }
+        let at = |zero: f64| interpolate(&points, &[zero], Point::mean_um).next();
+        let constant_um = rules.zero_at_mm.and_then(at).unwrap_or(0.0);
         for p in &mut points {
             p.up_um = round_to(p.up_um - constant_um, rules.value_um);
             p.down_um = round_to(p.down_um - constant_um, rules.value_um);
         }
-        let mut table = Self {
-            axis: errors.axis.clone(),
-            points,
-            step_mm,
-            constant_um,
-            left: Left::default(),
-            between_um: 0.0,
-        };
+        let (axis, left) = (errors.axis.clone(), Left::default());
+        let mut table = Self { axis, points, step_mm, constant_um, left, between_um: 0.0 };
         table.judge(dense, rules.both);
         if !(table.left.max_um().is_finite() && table.between_um.is_finite()) {
             return Err(usage("errors that are no numbers there", "positions at which the model has values"));
@@ -642,15 +584,15 @@ impl Table {
     /// The table with its residual where a controller applies it.
     /// A controller that looks up the commanded position moves the drive to a place with another error. Near
     /// a large reversal that is a good part of a screw's wave.
-    fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self, InputError> {
+    fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self> {
         if rules.lookup == Lookup::Encoder {
             // `judge` already used value and error of one place.
             return Ok(self);
         }
-        let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>, InputError> {
+        let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>> {
             let values: Vec<f64> = interpolate(&self.points, &dense.positions_mm, value).collect();
-            let driven: Vec<f64> =
-                dense.positions_mm.iter().zip(&values).map(|(p, um)| p - um / 1000.0).collect();
+            let places = dense.positions_mm.iter().zip(&values);
+            let driven: Vec<f64> = places.map(|(p, um)| p - um / 1000.0).collect();
             let errors_um = errors.along(&driven, up)?;
             Ok(errors_um.iter().zip(&values).map(|(e, um)| e - self.constant_um - um).collect())
         };
@@ -680,8 +622,18 @@ impl Table {
         self.left.rms_um = (squares / (2 * dense.positions_mm.len()) as f64).sqrt();
     }
 
+    /// Step, lowest and highest position in mm, as SINUMERIK writes them.
+    fn grid(&self) -> [String; 3] {
+        [self.step_mm, self.start_mm(), self.end_mm()].map(|mm| number(mm, 4))
+    }
+
+    /// The lowest position, mm.
+    pub(crate) fn start_mm(&self) -> f64 {
+        self.points.first().map_or(0.0, |p| p.position_mm)
+    }
+
     /// The highest position, mm.
-    pub fn end_mm(&self) -> f64 {
+    pub(crate) fn end_mm(&self) -> f64 {
         self.points.last().map_or(0.0, |p| p.position_mm)
     }
 }
@@ -689,7 +641,7 @@ impl Table {
 impl Dense {
     /// Evenly spread places, each shifted within its interval by the golden ratio.
     /// So no period of an error matches them.
-    fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self, InputError> {
+    fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);
         let stretch = (to - from) / n as f64;
@@ -738,9 +690,6 @@ fn steps(span_mm: f64, most: usize, position_mm: f64) -> Vec<f64> {
 /// A number with this many decimals; zero has no sign.
 pub(crate) fn number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
-    if text.trim_start_matches(['-', '0', '.']).is_empty() {
-        text.trim_start_matches('-').to_owned()
-    } else {
-        text
-    }
+    let is_zero = text.trim_start_matches(['-', '0', '.']).is_empty();
+    if is_zero { text.trim_start_matches('-').to_owned() } else { text }
 }

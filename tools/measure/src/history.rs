@@ -1,17 +1,14 @@
 //! One machine's figures of merit over time, with limits and trends.
 
+use crate::ballbar;
+use crate::evaluation::{Standard, is_same_figure};
 use crate::iso230::{self, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report};
-use crate::{
-    ballbar,
-    evaluation::{Standard, is_same_figure},
-};
-use rtec_files::InputError;
-use rtec_files::date;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Record, Role, span};
+use rtec_files::{InputError, Result, date};
+use rtec_model::record::{Column, Record, mean, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -38,7 +35,7 @@ impl Limits {
     ///
     /// # Errors
     /// The first finding: an unknown key or figure, a limit that is not a number above zero.
-    pub fn read(path: &Path) -> Result<Self, InputError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let text = rtec_files::text::read(path)?;
         let document = Document::parse(path, &text)?;
         let root = document.root();
@@ -110,7 +107,7 @@ pub struct Trend {
 }
 
 /// A figure over time.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Figure {
     /// Axis (or plane) and figure, as `x.A`.
     pub name: String,
@@ -159,41 +156,31 @@ pub struct History {
 
 /// One machine's history from its records, each by its path.
 /// Records that cannot be read are listed in `left_out`.
-pub fn history(machine: &str, records: &[(String, Result<Record, InputError>)], limits: &Limits) -> History {
+pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Limits) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
-    let mut left_out = Vec::new();
-    let (mut suspicions, mut changes) = (Vec::new(), Vec::new());
-    let records: Vec<(&String, Result<Rows, &InputError>)> = records
-        .iter()
-        .map(|(path, record)| (path, record.as_ref().map(|r| Rows::of(r, &mut suspicions))))
-        .collect();
+    let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
+    let mut rows = |record: &Record| Rows::of(record, &mut suspicions);
+    let records: Vec<(&String, Result<Rows, &InputError>)> =
+        records.iter().map(|(path, record)| (path, record.as_ref().map(&mut rows))).collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()).map(|rows| &rows.good));
-    for (path, rows) in &records {
-        let path = *path;
-        let said = rows.as_ref().map_err(ToString::to_string).and_then(|rows| {
-            let r = &rows.good;
+    for (path, rows) in records {
+        let said = rows.map_err(ToString::to_string).and_then(|Rows { good: r, every }| {
             let day = r.date.as_deref().and_then(date::parse);
             let day = day.ok_or_else(|| "no date = \"YYYY-MM-DD\" in it".to_owned())?;
-            let every = rows.every.as_ref().and_then(|every| figures(every, &sensors).ok());
-            Ok((r, day, figures(r, &sensors).map_err(|e| e.to_string())?, every.unwrap_or_default()))
+            let every = every.and_then(|every| figures(&every, &sensors).ok()).unwrap_or_default();
+            let figures = figures(&r, &sensors).map_err(|e| e.to_string())?;
+            Ok((r, day, figures, every))
         });
         match said {
             Err(why) => left_out.push(LeftOut { record: path.clone(), why }),
             Ok((record, day, figures, every)) => {
-                changes.extend(held_changes(record).into_iter().map(|held| format!("{path}: {held}")));
+                changes.extend(held_changes(&record).into_iter().map(|held| format!("{path}: {held}")));
                 for (name, unit, sensor, value) in figures {
                     let with = every.iter().find(|f| f.0 == name).map(|f| f.3);
                     let with_every_row = with.filter(|with| !is_same_figure(*with, value));
-                    let figure = found.entry(name.clone()).or_insert_with(|| Figure {
-                        limit: limits.for_figure(&name),
-                        name,
-                        unit,
-                        sensor,
-                        points: Vec::new(),
-                        beyond: false,
-                        trend: None,
-                        reaches: None,
-                    });
+                    let limit = limits.for_figure(&name);
+                    let figure = found.entry(name.clone());
+                    let figure = figure.or_insert(Figure { name, unit, sensor, limit, ..Figure::default() });
                     let date = record.date.clone().unwrap_or_default();
                     figure.points.push(Point { date, record: path.clone(), value, with_every_row, day });
                 }
@@ -238,21 +225,18 @@ fn held_changes(record: &Record) -> Vec<String> {
     let options = Options { one_way: true, ..Options::default() };
     let held = |p: &iso230::Positioning| {
         let (by, unit) = (p.changes_by()?, if p.unit == "urad" { "µrad" } else { "µm" });
-        let figures: Vec<String> = p
-            .figures()
-            .into_iter()
-            .filter(|(symbol, _)| !symbol.starts_with("R_") || p.R.is_none())
-            .filter_map(|(symbol, with)| {
-                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", p.without_change(symbol)?, with?))
-            })
-            .collect();
+        let kept = p.figures().into_iter().filter(|(s, _)| !s.starts_with("R_") || p.R.is_none());
+        let words = |(s, with): (&str, Option<f64>)| {
+            Some(format!("{s} {:.2} instead of {:.2} {unit}", p.without_change(s)?, with?))
+        };
+        let figures: Vec<String> = kept.filter_map(words).collect();
         Some(format!("{} holds a {by} of its run; without it {}", p.response, figures.join(", ")))
     };
     iso230::positioning_with(record, &options).iter().flatten().filter_map(held).collect()
 }
 
 /// The figures of a record; none for evaluations without a history.
-fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<RecordFigure>, InputError> {
+fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<RecordFigure>> {
     Ok(match Standard::of(record) {
         Ok(Standard::Iso230_2) => {
             let all = iso230::positioning_with(record, &Options { one_way: true, ..Options::default() })?;
@@ -294,10 +278,9 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
     let mut merit: BTreeMap<(String, String), f64> = BTreeMap::new();
     for record in records.filter(|r| matches!(Standard::of(r), Ok(Standard::Iso230_3))) {
         for response in record.responses() {
-            for sensor in record.names(&Role::Temperature) {
-                let told = record.temperature(sensor).and_then(|t| slope(t, &response.data));
-                *merit.entry((response.role.to_string(), sensor.to_owned())).or_default() +=
-                    told.map_or(0.0, |s| s.2.abs());
+            for sensor in record.temperatures() {
+                let gamma = slope(&sensor.data, &response.data).map_or(0.0, |s| s.2.abs());
+                *merit.entry((response.role.to_string(), sensor.name.clone())).or_default() += gamma;
             }
         }
     }
@@ -315,7 +298,7 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
 /// `None` if x hardly varies.
 fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let (mx, my) = (mean(x), mean(y));
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
     let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
     let [low, high] = span(x);
@@ -336,7 +319,6 @@ fn judged(mut figure: Figure) -> Figure {
     let values: Vec<f64> = figure.points.iter().map(|p| p.value).collect();
     figure.trend = slope(&days, &values).and_then(|(per_day, error, _)| {
         let t = StudentsT::new(0.0, 1.0, days.len() as f64 - 2.0).ok()?.inverse_cdf(0.975);
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let interval = [YEAR * (per_day - t * error), YEAR * (per_day + t * error)];
         let drifts = interval[0] > 0.0 || interval[1] < 0.0;
         Some(Trend { per_year: YEAR * per_day, interval, drifts, now: mean(&values) - per_day * mean(&days) })
@@ -356,7 +338,7 @@ impl History {
     pub fn with_every_row(&self) -> impl Iterator<Item = String> {
         self.figures.iter().flat_map(|f| {
             f.points.iter().filter_map(|p| {
-                let (with, unit) = (p.with_every_row?, f.unit.replace("um", "µm").replace("urad", "µrad"));
+                let (with, unit) = (p.with_every_row?, f.written_unit());
                 let (name, of, value) = (&f.name, &p.record, p.value);
                 Some(format!(
                     "{of}: {name} is {value:.2} {unit}; with every row it would be {with:.2} {unit}"
@@ -380,6 +362,11 @@ impl History {
 }
 
 impl Figure {
+    /// Its unit with the letter µ.
+    pub(crate) fn written_unit(&self) -> String {
+        self.unit.replace("um", "µm").replace("urad", "µrad")
+    }
+
     /// Days since the first record, with the values.
     pub(crate) fn over_days(&self) -> Vec<(f64, f64)> {
         let first = self.points.first().map_or(0, |p| p.day);
@@ -396,88 +383,6 @@ impl Figure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_model::record::{Axis, Kind};
-
-    fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record, InputError>) {
-        let x = Axis::new("x").unwrap();
-        let (mut at, mut up, mut e) = (Vec::new(), Vec::new(), Vec::new());
-        for cycle in 0..5 {
-            for side in [1.0, -1.0] {
-                for i in 0..11 {
-                    let target = f64::from(if side > 0.0 { i } else { 10 - i }) * 30.0;
-                    at.push(target);
-                    up.push(side);
-                    e.push(scale_ppm * target / 1000.0 + side + 0.01 * f64::from(cycle % 2));
-                }
-            }
-        }
-        let columns = vec![
-            Column::new("x", Role::Position(x.clone()), at),
-            Column::new("d", Role::Direction(x.clone()), up),
-            Column::new("e", Role::Error(x), e),
-        ];
-        let mut record = Record::new(Path::new(name), Kind::Positioning, columns).unwrap();
-        record.date = date.map(str::to_owned);
-        (name.to_owned(), Ok(record))
-    }
-
-    #[test]
-    fn a_scale_that_grows_is_a_trend_with_a_day() {
-        let mut records: Vec<_> =
-            [("2026-01-01", 10.0), ("2026-04-01", 13.1), ("2026-07-01", 15.9), ("2026-09-30", 19.0)]
-                .into_iter()
-                .map(|(day, ppm)| run(day, Some(day), ppm))
-                .collect();
-        records.reverse();
-        records.push(run("undated", None, 1.0));
-        let gone = InputError::whole(Path::new("gone"), "nothing", "a record");
-        records.push(("gone".to_owned(), Err(gone)));
-        let found =
-            history("m", &records, &Limits::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
-        let of = |name: &str| found.figures.iter().find(|f| f.name == name).unwrap();
-        let m = of("x.M");
-        // 10 ppm over 300 mm are 3 µm; 9 ppm more after nine months.
-        assert!((m.points[0].value - 3.0).abs() < 0.02 && (m.points[3].value - 5.7).abs() < 0.02, "{m:?}");
-        let trend = m.trend.unwrap();
-        assert!(trend.drifts && (trend.per_year - 3.6).abs() < 0.2, "{trend:?}");
-        assert!(
-            m.reaches.as_deref().is_some_and(|d| d > "2026-12-01" && d < "2027-04-01"),
-            "{:?}",
-            m.reaches
-        );
-        assert!(!m.beyond && of("x.B_mean").beyond && !of("x.B_mean").trend.unwrap().drifts);
-        assert_eq!(found.left_out.len(), 2);
-        let page = found.report().unwrap().html();
-        assert!(page.contains("x.M") && page.contains("undated"), "{page}");
-    }
-
-    #[test]
-    fn power_on_readings_are_in_no_growth() {
-        let run = |bad: bool| {
-            let n = 60;
-            let mut t1: Vec<f64> = (0..n).map(|i| 20.0 + 4.0 * f64::from(i) / f64::from(n)).collect();
-            let e = t1.iter().map(|t| 6.0 * (t - 20.0)).collect();
-            if bad {
-                (t1[0], t1[31]) = (85.0, 85.0);
-            }
-            let t = (0..n).map(|i| 60.0 * f64::from(i)).collect();
-            let columns = vec![
-                Column::new("t", Role::Time, t),
-                Column::new("T1", Role::Temperature, t1),
-                Column::new("e", Role::parse("error.z").unwrap(), e),
-            ];
-            let mut record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
-            record.date = Some("2026-01-02".to_owned());
-            let found = history("m", &[("d".to_owned(), Ok(record))], &Limits::default());
-            found.figures.iter().find(|f| f.name == "z.growth_um_per_K").unwrap().points[0].value
-        };
-        assert!(
-            (run(false) - 6.0).abs() < 1e-9 && (run(true) - 6.0).abs() < 1e-9,
-            "{} {}",
-            run(false),
-            run(true)
-        );
-    }
 
     #[test]
     fn limits_are_read_strictly() {

@@ -35,12 +35,12 @@ pub use renishaw::{any_text, rtl};
 pub use shdr::shdr;
 pub use table::{Form, ImportColumn, table};
 
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
 /// A record of targets on an axis; a row is cycle, position, direction and error.
-fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record, InputError> {
+fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record> {
     let get = |k: usize| rows.iter().map(|r| r[k]).collect::<Vec<_>>();
     let columns = vec![
         Column::new("cycle", Role::Cycle, get(0)),
@@ -51,15 +51,22 @@ fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record, Input
     Record::new(to, Kind::Positioning, columns)
 }
 
+fn letter(name: &str) -> Axis {
+    Axis::new(name).unwrap_or_else(|| unreachable!("a letter is an axis name"))
+}
+
+fn finite(word: &str) -> Option<f64> {
+    word.parse().ok().filter(|v: &f64| v.is_finite())
+}
+
 /// A record of these columns.
 /// A log, for example for a rehearsal, needs no response.
-fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record, InputError> {
+fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record> {
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {
         // Checked like any record, with a temporary response.
-        let axis = Axis::new("r").unwrap_or_else(|| unreachable!("a letter is an axis name"));
         let zeros = vec![0.0; columns[0].data.len()];
-        columns.push(Column::new("\u{0}", Role::Error(axis), zeros));
+        columns.push(Column::new("\u{0}", Role::Error(letter("r")), zeros));
     }
     let mut record = Record::new(to, kind, columns)?;
     if bare {
@@ -70,11 +77,6 @@ fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Resu
 
 /// Adds to a record's note.
 pub fn add_note(record: &mut Record, text: &str) {
-    match &mut record.note {
-        Some(note) => {
-            note.push_str("; ");
-            note.push_str(text);
-        }
-        None => record.note = Some(text.to_owned()),
-    }
+    let before = record.note.take().map_or_else(String::new, |note| note + "; ");
+    record.note = Some(before + text);
 }

@@ -18,8 +18,8 @@ mod straightness;
 pub use air::{Air, AirState, AirTemperature};
 pub use conditions::{Budget, Conditions, Contributor, Expansion, Uncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
-pub(crate) use drift::state_budget;
-pub use drift::{Drift, Figures, LongDrift, Phase, SensorDrift, drift, drift_charts};
+pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
+pub(crate) use drift::{LongDrift, state_budget};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{
     Options, Positioning, Step, Target, Trend, has_positioning, positioning, positioning_with,
@@ -27,9 +27,10 @@ pub use positioning::{
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
 use rtec_files::InputError;
-use rtec_model::record::{Axis, Record, Role};
+use rtec_model::record::{Axis, Record, Role, mean};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
+use std::borrow::Borrow;
 use std::collections::BTreeMap;
 
 /// Largest scatter of positions at one target, as a share of the travel.
@@ -85,8 +86,7 @@ pub(crate) struct Round {
 impl Round {
     /// `None` for fewer than three places, or places on a line.
     pub(crate) fn through(x: &[f64], y: &[f64]) -> Option<Self> {
-        let n = x.len() as f64;
-        let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+        let (mx, my) = (mean(x), mean(y));
         let size = x.iter().zip(y).map(|(x, y)| (x - mx).hypot(y - my)).fold(0.0, f64::max);
         let place = |i: usize| [(x[i] - mx) / size, (y[i] - my) / size];
         let of = |k: usize| (0..x.len()).map(|i| place(i)[k]).collect::<Vec<f64>>();
@@ -119,7 +119,9 @@ impl Round {
 /// Rows of equal target, in order of position.
 pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
     let alike = alike(position, ALIKE);
-    let mut gaps: Vec<f64> = sorted(position).windows(2).map(|w| w[1] - w[0]).collect();
+    let mut sorted = position.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let mut gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).collect();
     gaps.sort_by(f64::total_cmp);
     let span: f64 = gaps.iter().sum();
     // The largest ratio of two consecutive distances, beyond the tolerance.
@@ -128,17 +130,9 @@ pub(crate) fn targets(position: &[f64]) -> Vec<Vec<usize>> {
         .filter(|w| w[0] > ALIKE * span && w[1] > APART * w[0])
         .max_by(|a, b| (a[1] / a[0]).total_cmp(&(b[1] / b[0])));
     // A limit between the two, so that rounding does not split a target.
-    let Some(wider) = break_at.map(|w| self::alike(position, (w[0] * w[1]).sqrt() / span)) else {
-        return alike;
-    };
+    let wider = break_at.map(|w| self::alike(position, (w[0] * w[1]).sqrt() / span));
     // There are several targets, and each repeats.
-    if wider.len() >= 3 && 2 * wider.len() <= position.len() { wider } else { alike }
-}
-
-fn sorted(position: &[f64]) -> Vec<f64> {
-    let mut all = position.to_vec();
-    all.sort_by(f64::total_cmp);
-    all
+    wider.filter(|wider| wider.len() >= 3 && 2 * wider.len() <= position.len()).unwrap_or(alike)
 }
 
 /// Groups rows whose sorted positions differ by at most a share of the span.
@@ -159,18 +153,24 @@ pub(crate) fn mean_and_s(values: &[f64]) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
     }
-    let mean = values.iter().sum::<f64>() / n;
+    let mean = mean(values);
     let s = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
     Some((mean, s))
 }
 
 pub(crate) fn range(values: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
-    let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (l, h) in values {
-        lo = lo.min(l);
-        hi = hi.max(h);
-    }
+    let wider = |(lo, hi): (f64, f64), (l, h): (f64, f64)| (lo.min(l), hi.max(h));
+    let (lo, hi) = values.into_iter().reduce(wider)?;
     (hi >= lo).then_some(hi - lo)
+}
+
+/// Largest less smallest value; `None` of no values.
+pub(crate) fn spread(values: impl IntoIterator<Item: Borrow<f64>>) -> Option<f64> {
+    range(values.into_iter().map(|v| (*v.borrow(), *v.borrow())))
+}
+
+pub(crate) fn mean_of(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| mean(values))
 }
 
 pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> Option<f64> {
@@ -179,8 +179,7 @@ pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> Option<f64> {
 
 /// The errors of a record with their axes.
 pub(crate) fn error_axes(record: &Record) -> Vec<(&Axis, &[f64])> {
-    let of = |c: &'_ rtec_model::record::Column| matches!(c.role, Role::Error(_));
-    let errors = record.columns.iter().filter(|c| of(c));
+    let errors = record.columns.iter().filter(|c| matches!(c.role, Role::Error(_)));
     errors.filter_map(|c| Some((c.role.axis()?, c.data.as_slice()))).collect()
 }
 
@@ -188,17 +187,17 @@ pub(crate) fn lacks(record: &Record, found: &str, expected: &str) -> InputError 
     InputError::whole(&record.path, found, expected)
 }
 
+/// Conditions name a sensor that the record lacks.
+fn no_temperature(record: &Record, sensor: &str, of: &str, expected: &str) -> InputError {
+    let has = record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
+    lacks(record, &format!("no temperature {sensor} for the {of} (the record has: {has})"), expected)
+}
+
 /// Correlation coefficient; 0 if one of the two does not vary.
 pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
-    let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
-    let (mut xx, mut yy, mut xy) = (0.0, 0.0, 0.0);
-    for (a, b) in x.iter().zip(y) {
-        let (a, b) = (a - mx, b - my);
-        xx += a * a;
-        yy += b * b;
-        xy += a * b;
-    }
+    let (mx, my) = (mean(x), mean(y));
+    let sum = |of: fn(f64, f64) -> f64| x.iter().zip(y).map(|(a, b)| of(a - mx, b - my)).sum::<f64>();
+    let (xx, yy, xy) = (sum(|a, _| a * a), sum(|_, b| b * b), sum(|a, b| a * b));
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 
@@ -254,24 +253,17 @@ impl Turns {
         let n = left.len();
         let tried = (2..=n / ROUNDS).count() as f64;
         let found = (2..=n / ROUNDS).filter_map(|every| {
-            let means: Vec<f64> = (0..every)
-                .map(|k| {
-                    left.iter().skip(k).step_by(every).sum::<f64>() / (k..n).step_by(every).count() as f64
-                })
-                .collect();
+            let sum = |k: usize| left.iter().skip(k).step_by(every).sum::<f64>();
+            let mean = |k: usize| sum(k) / (k..n).step_by(every).count() as f64;
+            let means: Vec<f64> = (0..every).map(mean).collect();
             let within: f64 = left.iter().enumerate().map(|(i, v)| (v - means[i % every]).powi(2)).sum();
             let between: f64 = (0..n).map(|i| means[i % every].powi(2)).sum();
             let freedom = n.checked_sub(every + used).filter(|f| *f > 0)? as f64;
             let law = FisherSnedecor::new(every as f64 - 1.0, freedom).ok()?;
             let ratio = between / (every as f64 - 1.0) / (within / freedom);
             let p_value = if within > 0.0 { tried * law.sf(ratio) } else { 0.0 };
-            let range_um = range(means.iter().map(|m| (*m, *m)))?;
-            (between > 0.0).then(|| Self {
-                every,
-                range_um,
-                p_value,
-                s_about_them_um: (within / freedom).sqrt(),
-            })
+            let (range_um, s_about_them_um) = (spread(&means)?, (within / freedom).sqrt());
+            (between > 0.0).then_some(Self { every, range_um, p_value, s_about_them_um })
         });
         // The shortest period among equally good ones: a period of two is also one of four.
         let best = found.min_by(|a, b| a.p_value.total_cmp(&b.p_value).then(a.every.cmp(&b.every)))?;
@@ -312,7 +304,7 @@ impl ReturnStep {
     fn of(e: &[f64], about_line: f64) -> Option<Self> {
         let n = e.len();
         let squares = |v: &[f64]| {
-            let mean = v.iter().sum::<f64>() / v.len() as f64;
+            let mean = mean(v);
             v.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
         };
         let about = |k: usize| squares(&e[..k]) + squares(&e[k..]);
@@ -328,7 +320,6 @@ impl ReturnStep {
         if count * (about_line / left.max(f64::MIN_POSITIVE)).ln() < count.ln() {
             return None;
         }
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let um = mean(&e[at..]) - mean(&e[..at]);
         let s = (left / freedom).sqrt();
         let error = s * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
@@ -337,17 +328,15 @@ impl ReturnStep {
         // A bend, as of heat, leaves residuals alike on both sides of a step.
         let residual: Vec<f64> =
             (0..n).map(|i| e[i] - if i < at { mean(&e[..at]) } else { mean(&e[at..]) }).collect();
-        let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
-        let is_rest = left <= 0.0 || !is_alike(pairs / left, n);
-        let found = Self {
+        let is_rest = left <= 0.0 || !is_alike(pairs(&residual) / left, n);
+        (p_value < CHANCE && um != 0.0 && is_rest).then_some(Self {
             row: at + 1,
             um,
             standard_error_um: error,
             p_value,
             s_about_step_um: s,
             drift_um_per_return: None,
-        };
-        (p_value < CHANCE && um != 0.0 && is_rest).then_some(found)
+        })
     }
 
     /// A step in returns that drift as well.
@@ -386,9 +375,8 @@ impl ReturnStep {
         let p_value = (tried * chance(um, error)).min(1.0);
         let (_, of_step) = from_line(&|i| f64::from(i >= at));
         let residual: Vec<f64> = of_returns.iter().zip(&of_step).map(|(v, h)| v - um * h).collect();
-        let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         // A bend leaves residuals alike on both sides.
-        let is_rest = left <= 0.0 || !is_alike(pairs / left, n);
+        let is_rest = left <= 0.0 || !is_alike(pairs(&residual) / left, n);
         // A step comes between two returns; heat takes more than two.
         let pair = |k: usize| f64::midpoint(e[k], e[k + 1]);
         let is_sudden = (pair(at) - pair(at - 2) - 2.0 * slope) / um > AT_ONCE;
@@ -408,6 +396,11 @@ impl ReturnStep {
     }
 }
 
+/// Sum of the squared differences of neighbours.
+fn pairs(v: &[f64]) -> f64 {
+    v.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum()
+}
+
 /// Whether neighbours are more alike than chance makes them (1 %).
 /// Von Neumann's ratio has mean 2 and variance 4 (n − 2) / (n² − 1).
 pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
@@ -423,8 +416,8 @@ impl Returns {
         let about = |i: usize| i as f64 - (n - 1.0) / 2.0;
         let xx: f64 = (0..e.len()).map(|i| about(i).powi(2)).sum();
         let slope = e.iter().enumerate().map(|(i, v)| about(i) * (v - mean)).sum::<f64>() / xx;
-        let left = e.iter().enumerate().map(|(i, v)| (v - mean - slope * about(i)).powi(2)).sum::<f64>();
         let residual: Vec<f64> = e.iter().enumerate().map(|(i, v)| v - mean - slope * about(i)).collect();
+        let left = residual.iter().map(|r| r.powi(2)).sum::<f64>();
         let s_about = (n > 2.0).then(|| (left / (n - 2.0)).sqrt());
         let error = s_about.map_or(f64::INFINITY, |s| s / xx.sqrt());
         let p = s_about.and_then(|s| {
@@ -435,7 +428,7 @@ impl Returns {
         Some(Self {
             returns: e.len(),
             s_um,
-            range_um: range(e.iter().map(|v| (*v, *v)))?,
+            range_um: spread(e)?,
             trend_um_per_return: slope,
             trend_standard_error_um: Some(error).filter(|error| error.is_finite()),
             trend_p_value: p,

@@ -2,7 +2,6 @@
 //!
 //! | module | contents |
 //! | [`export`] | one axis's errors as a table for a controller that compensates itself |
-//! | [`export`] | one axis' errors as a table for a controller that compensates by itself |
 //! | [`import`] | other tools' files as run records |
 //! | [`derive`](mod@derive) | velocity and acceleration from positions |
 //! | [`evaluation`] | evaluates runs by the standard that fits them: document and report

@@ -3,7 +3,7 @@
 //! dry and wet).
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::record::{Axis, LINEAR};
 use serde::Serialize;
 use std::path::Path;
@@ -53,7 +53,7 @@ const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 /// # Errors
 /// No axis, a repeated or invalid name, a travel, speed or bar that is not a number above zero, a circle
 /// larger than an axis.
-pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<(), InputError> {
+pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<()> {
     let usage =
         |found: String, expected: &str| InputError::whole(Path::new("characterise plan"), found, expected);
     if axes.is_empty() {
@@ -78,8 +78,8 @@ pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result
     }
     let shortest = shortest_mm(axes);
     if let Some(radius) = ballbar_mm.filter(|r| axes.len() > 1 && 2.0 * r > shortest) {
-        let found =
-            format!("--ballbar-mm {radius}: a circle {} mm across on an axis of {shortest} mm", 2.0 * radius);
+        let across = 2.0 * radius;
+        let found = format!("--ballbar-mm {radius}: a circle {across} mm across on an axis of {shortest} mm");
         return Err(usage(found, "a bar whose circle fits every axis"));
     }
     Ok(())
@@ -99,7 +99,7 @@ pub fn for_machine(
     max_rpm: f64,
     ballbar_mm: Option<f64>,
     say: &mut dyn FnMut(Said),
-) -> Result<Vec<Step>, InputError> {
+) -> Result<Vec<Step>> {
     check(axes, max_rpm, ballbar_mm)?;
     let shortest = shortest_mm(axes);
     let bar_mm = ballbar_mm.or_else(|| BARS_MM.into_iter().find(|r| 2.0 * r <= shortest));
@@ -243,19 +243,13 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
     let warm = run.warmer_k.map_or_else(String::new, |k| {
         format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
     });
-    let mount = if n == response {
-        format!(
-            "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
-        )
-    } else {
-        format!("straightness optics or a straightedge along {n}, read across it in {response}")
-    };
+    let across = || format!("straightness optics or a straightedge along {n}, read across it in {response}");
     Step {
         number: 0,
         record: record.to_owned(),
         kind: "positioning",
         state: "cold, spindle at rest",
-        mount,
+        mount: if n == response { laser_along(n) } else { across() },
         run: format!(
             "targets {} mm from the lower end, up and down, {} cycles, the end targets from beyond them, 3 s at rest before each \
              reading{warm}; the record states turns = \"overtravel\"",
@@ -266,6 +260,12 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
         evaluate: "reconcile, together with the records of the verdict".to_owned(),
         minutes: run.minutes(),
     }
+}
+
+fn laser_along(axis: &str) -> String {
+    format!(
+        "laser interferometer along {axis}, reflector in the spindle; a temperature sensor at scale or screw"
+    )
 }
 
 /// The columns of a run from target to target along an axis.
@@ -297,29 +297,23 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
     }
     let count = (length_mm / LONG_INTERVAL_MM).ceil() as usize + 1;
     let middle_mm = (travel_mm - LONG_AXIS_MM) / 2.0;
-    vec![
-        line(axis, "", &targets(margin_mm, length_mm, count), 1),
-        line(axis, "_2m", &targets(middle_mm, LONG_AXIS_MM, 11), 5),
-    ]
+    let whole = line(axis, "", &targets(margin_mm, length_mm, count), 1);
+    vec![whole, line(axis, "_2m", &targets(middle_mm, LONG_AXIS_MM, 11), 5)]
 }
 
 fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
     let n = &axis.name;
-
-    let evaluate = if cycles == 1 {
-        "iso230-2: E, B, M of a long axis; scale, reversal, position map"
+    let (how_often, evaluate) = if cycles == 1 {
+        ("once each way", "iso230-2: E, B, M of a long axis; scale, reversal, position map")
     } else {
-        "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period"
+        ("five cycles", "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period")
     };
-    let how_often = if cycles == 1 { "once each way".to_owned() } else { "five cycles".to_owned() };
     Step {
         number: 0,
         record: format!("linear_{n}{of}"),
         kind: "positioning",
         state: "cold, spindle at rest",
-        mount: format!(
-            "laser interferometer along {n}, reflector in the spindle; a temperature sensor at scale or screw"
-        ),
+        mount: laser_along(n),
         run: format!(
             "targets {} mm from the lower end, up and down, {how_often}, each approached from beyond the one before, 3 s at \
              rest before each reading",
@@ -364,20 +358,16 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
 
 /// Spindle cycles cold-dry, cold-wet, warm, production, and cooling down.
 fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
-    let full = 0.9 * max_rpm;
+    let [full, slowest, slow, middle] = [1.0, 0.2, 0.3, 0.6].map(|share| share * (0.9 * max_rpm));
     let cycle = |wet: &str| {
         format!(
-            "{full:.0} rpm for 3 h, {wet}, gauges read every minute; then 15 min at each of {:.0}, {:.0} and \
-             {full:.0} rpm with 5 min at rest between",
-            0.3 * full,
-            0.6 * full
+            "{full:.0} rpm for 3 h, {wet}, gauges read every minute; then 15 min at each of {slow:.0}, {middle:.0} and \
+             {full:.0} rpm with 5 min at rest between"
         )
     };
     let cooling = || "spindle and coolant off, gauges read for 3 h".to_owned();
-    let warm = format!(
-        "speeds in random order between {:.0} and {full:.0} rpm, 10 min each, coolant on",
-        0.2 * full
-    );
+    let warm =
+        format!("speeds in random order between {slowest:.0} and {full:.0} rpm, 10 min each, coolant on");
     let production = "a production program without work piece, coolant as programmed, two cycles".to_owned();
     let runs = [
         ("spindle_cold_dry", "cold (over night)", cycle("no coolant"), 245.0),
@@ -392,13 +382,8 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
         .into_iter()
         .filter(|(axis, _)| axes.iter().any(|a| a.name == *axis))
         .map(|(_, role)| role.to_owned());
-    let columns = [
-        words(&["time", "spindle_speed", "coolant"]),
-        errors.to_vec(),
-        tilts.collect(),
-        words(&[TEMPERATURES]),
-    ]
-    .concat();
+    let causes = words(&["time", "spindle_speed", "coolant"]);
+    let columns = [causes, errors.to_vec(), tilts.collect(), words(&[TEMPERATURES])].concat();
     let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| {
         Step {
         number: 0,
@@ -423,118 +408,16 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
 pub fn markdown(machine: &str, steps: &[Step]) -> String {
     use std::fmt::Write as _;
     let hours = steps.iter().map(|s| s.minutes).sum::<f64>() / 60.0;
-    let mut out = format!(
-        "# Characterisation of {machine}\n\n{} runs, about {hours:.1} h of machine time.\n",
-        steps.len()
-    );
-    for s in steps {
+    let runs = steps.len();
+    let mut out =
+        format!("# Characterisation of {machine}\n\n{runs} runs, about {hours:.1} h of machine time.\n");
+    for Step { number, record, kind, state, mount, run, columns, evaluate, minutes } in steps {
+        let columns = columns.join(", ");
         let _ = write!(
             out,
-            "\n## {}. {}\n\n| | |\n|---|---|\n| state | {} |\n| mount | {} |\n| run | {} |\n| record | kind `{}`: {} |\n\
-             | evaluate | {} |\n| takes | {:.0} min |\n",
-            s.number,
-            s.record,
-            s.state,
-            s.mount,
-            s.run,
-            s.kind,
-            s.columns.join(", "),
-            s.evaluate,
-            s.minutes
+            "\n## {number}. {record}\n\n| | |\n|---|---|\n| state | {state} |\n| mount | {mount} |\n| run | {run} |\n\
+             | record | kind `{kind}`: {columns} |\n| evaluate | {evaluate} |\n| takes | {minutes:.0} min |\n"
         );
     }
     out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_sequence_holds_what_the_patent_asks_for() {
-        let axes = ["x", "y", "z"].map(|n| PlanAxis { name: n.into(), travel_mm: 500.0 });
-        let steps = sequence(&axes, 6000.0, Some(150.0));
-        let count = |what: &str| steps.iter().filter(|s| s.record.starts_with(what)).count();
-        // Three planes at three feeds both ways, three lines, straightness of each axis in two directions,
-        // tool changes, six spindle runs.
-        let counts =
-            [count("ballbar_"), count("linear_"), count("straightness_"), count("tool_change"), steps.len()];
-        assert_eq!(counts, [18, 3, 6, 1, 34]);
-        for want in ["spindle_cold_dry", "spindle_cold_wet", "spindle_warm", "production_cycle", "cool_down"]
-        {
-            assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
-        }
-        assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
-        // Record names are those of the effects, and tilts of five gauges have roles.
-        let bow = steps.iter().find(|s| s.record == "straightness_y_x").unwrap();
-        assert!(
-            bow.columns.contains(&"position.x".to_owned()) && bow.columns.contains(&"error.y".to_owned())
-        );
-        assert!(
-            steps
-                .iter()
-                .any(|s| s.record == "straightness_z_x" && s.evaluate.contains("straightness.z.x is EZX"))
-        );
-        let warm = &steps.iter().find(|s| s.record == "spindle_warm").unwrap().columns;
-        for role in steps.iter().flat_map(|s| &s.columns).filter(|c| *c != TEMPERATURES) {
-            assert!(rtec_model::record::Role::parse(role).is_some(), "{role}");
-        }
-        assert!(warm.iter().any(|c| c == "angle_error.s.b") && warm.iter().any(|c| c == "angle_error.s.a"));
-        let text = markdown("m", &steps);
-        assert!(text.contains("## 34. cool_down") && text.contains("254 mm/min"));
-        // Targets are away from the ends, so that both approaches are possible.
-        let line = &steps.iter().find(|s| s.record == "linear_x").unwrap().run;
-        let ends: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();
-        assert!(ends[0] >= 2.0 && ends[10] <= 498.0 && ends.len() >= 11, "{line}");
-        // Targets are not all a whole number of 5 mm leads apart.
-        assert!(
-            ends[..11].windows(3).any(|w| ((w[2] - w[1]) - (w[1] - w[0])).abs() > 1.0),
-            "{}",
-            steps[18].run
-        );
-    }
-
-    /// A screw's wave of any period is sampled at many phases.
-    #[test]
-    fn no_period_of_a_screw_fits_the_targets() {
-        for travel_mm in [200.0, 400.0, 500.0, 600.0, 800.0, 1200.0] {
-            let axis = PlanAxis { name: "x".into(), travel_mm };
-            for count in [11, 13, 21, 41, 81] {
-                let run = TargetRun::uneven(&axis, count, 2, None);
-                let per_mm =
-                    (0..).map(|k| 1.0 / 60.0 + f64::from(k) * 0.1 / travel_mm).take_while(|f| *f <= 2.0);
-                let worst = per_mm.map(|f| {
-                    let (c, s) = run.targets_mm.iter().fold((0.0, 0.0), |(c, s), p| {
-                        let phase = std::f64::consts::TAU * f * p;
-                        (c + phase.cos(), s + phase.sin())
-                    });
-                    f64::hypot(c, s) / count as f64
-                });
-                let worst = worst.fold(0.0, f64::max);
-                assert!(worst < 0.9, "{count} targets on {travel_mm} mm: {worst}");
-                let apart = run.targets_mm.windows(2).map(|w| w[1] - w[0]);
-                let least = apart.fold(f64::MAX, f64::min) * (count - 1) as f64 / travel_mm;
-                assert!(least > 0.15, "{count} targets on {travel_mm} mm: {least}");
-            }
-        }
-    }
-
-    /// ISO 230-2:2014, 5.3: targets at most 250 mm apart, and cycles on 2 m.
-    #[test]
-    fn a_long_axis_has_a_long_run_and_the_cycles_on_two_metres() {
-        let steps = sequence(&[PlanAxis { name: "x".into(), travel_mm: 4000.0 }], 6000.0, Some(150.0));
-        let numbers = |record: &str| -> Vec<f64> {
-            let run = &steps.iter().find(|s| s.record == record).unwrap().run;
-            run.split(" mm from").next().unwrap().split(' ').filter_map(|w| w.parse().ok()).collect()
-        };
-        let long = numbers("linear_x");
-        assert!(
-            (long[long.len() - 1] - long[0]) / (long.len() - 1) as f64 <= 250.0 && long[0] >= 2.0,
-            "{long:?}"
-        );
-        assert!(long[long.len() - 1] <= 3998.0);
-        let short = numbers("linear_x_2m");
-        assert!(short.len() >= 10 && (short[short.len() - 1] - short[0] - 2000.0).abs() < 1e-6, "{short:?}");
-        assert!(steps.iter().find(|s| s.record == "linear_x").unwrap().run.contains("once each way"));
-    }
 }

@@ -5,8 +5,8 @@
 //! a disc, the first fit takes part of the quadrupole. [`Joint`] fits all linear terms at once and does not.
 
 use crate::plot::Vectors;
-use rtec_files::InputError;
-use rtec_model::record::{Axis, Record, Role};
+use rtec_files::{InputError, Result};
+use rtec_model::record::{Axis, Record, Role, mean};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -61,10 +61,10 @@ pub struct Plate {
     pub residual_um: Vec<[f64; 2]>,
 }
 
-/// Offset, a scale for each axis, squareness and rotation by one fit.
+/// Terms of a plate's joint fit, or their standard errors if the residual is random.
 /// Error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Joint {
+pub struct JointTerms<Angle> {
     /// Offset of the measured holes, mm; that of [`Plate`] belongs to the other fit.
     pub offset_mm: [f64; 2],
     /// Scale of x, ppm, as the effect `scale.x`.
@@ -80,11 +80,20 @@ pub struct Joint {
     /// Quadrupole as a pure stretch, ppm: longer along its angle, shorter across.
     pub quadrupole_ppm: f64,
     /// The direction in which it is longest, degrees from x.
-    pub quadrupole_deg: f64,
+    /// It has no standard error if the quadrupole is below its own.
+    pub quadrupole_deg: Angle,
+}
+
+/// Offset, a scale for each axis, squareness and rotation by one fit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Joint {
+    /// The terms.
+    #[serde(flatten)]
+    pub terms: JointTerms<f64>,
     /// RMS of the residual's length, µm.
     pub rms_um: f64,
-    /// Standard errors of these.
-    pub standard_error: JointErrors,
+    /// Standard errors of the terms.
+    pub standard_error: JointTerms<Option<f64>>,
 }
 
 /// Standard errors of a plate's first fit, if the residual is random.
@@ -116,7 +125,7 @@ impl PlateErrors {
         quadrupole: &nalgebra::DMatrix<f64>,
         scale: f64,
         size: f64,
-        joint: &JointErrors,
+        joint: &JointTerms<Option<f64>>,
     ) -> Self {
         let of_size = f64::midpoint(quadrupole[(0, 0)], quadrupole[(1, 1)]).sqrt();
         Self {
@@ -128,25 +137,6 @@ impl PlateErrors {
             quadrupole_ppm: 1e6 * of_size,
         }
     }
-}
-
-/// Standard errors of a plate's joint fit, if the residual is random.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct JointErrors {
-    /// Of the offset, mm.
-    pub offset_mm: [f64; 2],
-    /// Of the scale of x, ppm.
-    pub scale_x_ppm: f64,
-    /// Of the scale of y, ppm.
-    pub scale_y_ppm: f64,
-    /// Of the squareness, µrad.
-    pub squareness_urad: f64,
-    /// Of the rotation, µrad.
-    pub rotation_urad: f64,
-    /// Of the quadrupole, ppm.
-    pub quadrupole_ppm: f64,
-    /// Of its angle, degrees; `None` if the quadrupole is below its standard error.
-    pub quadrupole_deg: Option<f64>,
 }
 
 impl Joint {
@@ -164,15 +154,17 @@ impl Joint {
         let parts = [500.0 * error(&[(2, 1.0), (3, -1.0)]), squareness_error / 2.0];
         let quadrupole_error = (f64::midpoint(parts[0].powi(2), parts[1].powi(2))).sqrt();
         Self {
-            offset_mm: [fit[0] / 1000.0, fit[1] / 1000.0],
-            scale_x_ppm: sx,
-            scale_y_ppm: sy,
-            squareness_urad: c + d,
-            rotation_urad: d,
-            quadrupole_ppm: quadrupole,
-            quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
+            terms: JointTerms {
+                offset_mm: [fit[0] / 1000.0, fit[1] / 1000.0],
+                scale_x_ppm: sx,
+                scale_y_ppm: sy,
+                squareness_urad: c + d,
+                rotation_urad: d,
+                quadrupole_ppm: quadrupole,
+                quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
+            },
             rms_um,
-            standard_error: JointErrors {
+            standard_error: JointTerms {
                 offset_mm: [0, 1].map(|i| error(&[(i, 1.0)]) / 1000.0),
                 scale_x_ppm: 1000.0 * error(&[(2, 1.0)]),
                 scale_y_ppm: 1000.0 * error(&[(3, 1.0)]),
@@ -205,7 +197,7 @@ fn solve(
     columns: usize,
     of: &dyn Fn(usize, usize) -> [f64; 2],
     to: &nalgebra::DVector<f64>,
-) -> Result<Solved, InputError> {
+) -> Result<Solved> {
     let n = to.len() / 2;
     let a: Vec<Vec<f64>> =
         (0..columns).map(|j| (0..2 * n).map(|row| of(row / 2, j)[row % 2]).collect()).collect();
@@ -242,16 +234,11 @@ fn solve(
 ///
 /// # Errors
 /// The record lacks position or error of x or y, has fewer than three holes, or holes on one line only.
-pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
+pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
     let get = |role: fn(Axis) -> Role, name: &str| {
-        let axis = Axis::new(name).map(role);
-        axis.as_ref().and_then(|r| record.data(r)).ok_or_else(|| {
-            InputError::whole(
-                &record.path,
-                format!("no {name} of a plate"),
-                "columns position and error of x and y",
-            )
-        })
+        let expected = "columns position and error of x and y";
+        let error = || InputError::whole(&record.path, format!("no {name} of a plate"), expected);
+        Axis::new(name).and_then(|axis| record.data(&role(axis))).ok_or_else(error)
     };
     let (x, y) = (get(Role::Position, "x")?, get(Role::Position, "y")?);
     let (ex, ey) = (get(Role::Error, "x")?, get(Role::Error, "y")?);
@@ -270,8 +257,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     let reached =
         |p: &[f64], e: &[f64]| -> Vec<f64> { p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect() };
     let (mx, my) = (reached(x, ex), reached(y, ey));
-    let measured =
-        nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { mx[row / 2] } else { my[row / 2] });
+    let measured = nalgebra::DVector::from_fn(2 * n, |row, _| [&mx, &my][row % 2][row / 2]);
     let similarity = |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], y[i]], [-y[i], x[i]]][j];
     let (fit, left, covariance) = solve(4, &similarity, &measured)?;
     // residual = fitted position · m · cos 2(θ − φ), along the radius: linear in (m·cos 2φ, m·sin 2φ)
@@ -284,8 +270,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     let (quad, left_quad, of_quad) = solve(2, &radial, &left)?;
     let affine =
         |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], 0.0], [0.0, y[i]], [y[i], 0.0], [0.0, x[i]]][j];
-    let errors =
-        nalgebra::DVector::from_fn(2 * n, |row, _| if row % 2 == 0 { ex[row / 2] } else { ey[row / 2] });
+    let errors = nalgebra::DVector::from_fn(2 * n, |row, _| [ex, ey][row % 2][row / 2]);
     // Errors in µm over positions in mm: 1 µm/mm is 1000 ppm or 1000 µrad.
     let (fit_all, left_all, of_all) = solve(6, &affine, &errors)?;
     let rms_of = |left: &nalgebra::DVector<f64>, rows: &[usize]| {
@@ -294,16 +279,15 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
     };
     let all: Vec<usize> = (0..n).collect();
     let mut kinds: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-    if let Some(d) = record.channel(NOMINAL_DIAMETER) {
-        for (i, d) in d.iter().enumerate() {
-            kinds.entry(format!("{d}")).or_default().push(i);
-        }
+    for (i, d) in record.channel(NOMINAL_DIAMETER).unwrap_or_default().iter().enumerate() {
+        kinds.entry(format!("{d}")).or_default().push(i);
     }
     let joint = Joint::of(&fit_all, &of_all, rms_of(&left_all, &all) / 1000.0);
     let (a, b) = (fit[2], fit[3]);
     let scale = a.hypot(b);
     let rotation = b.atan2(a);
-    let as_k = (joint.scale_x_ppm + joint.scale_y_ppm) / 2e6 / ALUMINIUM_PER_K;
+    let (scale_x, scale_y, size) = (joint.terms.scale_x_ppm, joint.terms.scale_y_ppm, quad[0].hypot(quad[1]));
+    let as_k = (scale_x + scale_y) / 2e6 / ALUMINIUM_PER_K;
     Ok(Plate {
         holes: n,
         offset_mm: [fit[0], fit[1]],
@@ -313,22 +297,16 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate, InputError> {
         rotation_urad: rotation * 1e6,
         rms_um: rms_of(&left, &all),
         rms_um_by_diameter: kinds.iter().map(|(d, rows)| (d.clone(), rms_of(&left, rows))).collect(),
-        quadrupole: quad[0].hypot(quad[1]),
-        quadrupole_ppm: quad[0].hypot(quad[1]) * 1e6,
+        quadrupole: size,
+        quadrupole_ppm: size * 1e6,
         quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
         rms_quadrupole_um: rms_of(&left_quad, &all),
         scale_as_aluminium_k: as_k,
-        standard_error: PlateErrors::of(
-            &covariance,
-            &of_quad,
-            scale,
-            quad[0].hypot(quad[1]),
-            &joint.standard_error,
-        ),
+        standard_error: PlateErrors::of(&covariance, &of_quad, scale, size, &joint.standard_error),
         joint,
         remark: format!(
             "a scale of {:+.1} ppm (mean of x and y) cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",
-            f64::midpoint(joint.scale_x_ppm, joint.scale_y_ppm)
+            f64::midpoint(scale_x, scale_y)
         ),
         residual_um: (0..n).map(|i| [1000.0 * left[2 * i], 1000.0 * left[2 * i + 1]]).collect(),
     })
@@ -345,26 +323,10 @@ impl Plate {
         let t = StudentsT::new(0.0, 1.0, freedom).map_or(f64::INFINITY, |law| law.inverse_cdf(0.975));
         self.scale_as_aluminium_k.abs() > t * self.standard_error.scale_as_aluminium_k
     }
-}
 
-/// Holes on one line: least width of the holes, as a share of their length.
-const ON_A_LINE: f64 = 1e-3;
-
-fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {
-    let n = x.len() as f64;
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
-    let (mx, my) = (mean(x), mean(y));
-    let sum = |of: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| of(x - mx, y - my)).sum::<f64>();
-    let (xx, yy, xy) = (sum(&|x, _| x * x), sum(&|_, y| y * y), sum(&|x, y| x * y));
-    let (half, apart) = (f64::midpoint(xx, yy), ((xx - yy) / 2.0).hypot(xy));
-    half - apart > ON_A_LINE.powi(2) * (half + apart)
-}
-
-impl Plate {
     /// Residuals as arrows on the plate, enlarged.
     pub fn plot(&self, record: &Record) -> Vectors {
-        let data =
-            |name: &str| Axis::new(name).and_then(|a| record.data(&Role::Position(a))).unwrap_or_default();
+        let data = |name: &str| Axis::new(name).and_then(|a| record.position(&a)).unwrap_or_default();
         let places = data("x").iter().zip(data("y")).map(|(x, y)| [*x, *y]);
         Vectors {
             title: "Residuals after offset, scale and rotation".to_owned(),
@@ -372,4 +334,15 @@ impl Plate {
             at: places.zip(self.residual_um.iter().copied()).collect(),
         }
     }
+}
+
+/// Holes on one line: least width of the holes, as a share of their length.
+const ON_A_LINE: f64 = 1e-3;
+
+fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {
+    let (mx, my) = (mean(x), mean(y));
+    let sum = |of: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| of(x - mx, y - my)).sum::<f64>();
+    let (xx, yy, xy) = (sum(&|x, _| x * x), sum(&|_, y| y * y), sum(&|x, y| x * y));
+    let (half, apart) = (f64::midpoint(xx, yy), ((xx - yy) / 2.0).hypot(xy));
+    half - apart > ON_A_LINE.powi(2) * (half + apart)
 }

@@ -4,35 +4,34 @@
 mod of;
 
 pub(crate) use of::short;
-pub use of::{ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness};
+pub(crate) use of::{ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness};
 
 use crate::iso230::Conditions;
 use crate::plot::{Picture, PlotError};
 use rtec_files::words::escaped;
-use rtec_model::record::{Column, Record, Role, span};
+use rtec_model::record::{Column, Record, span};
 use std::fmt::Write as _;
 
 /// A table; columns whose name starts with `#` hold numbers and are right-aligned.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Table {
-    /// Its title.
-    pub title: String,
+struct Table {
+    title: String,
     /// Names of the columns, with units.
-    pub head: Vec<String>,
+    head: Vec<String>,
     /// Cells as displayed.
-    pub rows: Vec<Vec<String>>,
+    rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// An empty table.
-    pub fn new(title: &str, head: &[&str]) -> Self {
+    /// A table of these rows.
+    fn new<C: IntoIterator<Item: Into<String>>>(
+        title: &str,
+        head: &[&str],
+        rows: impl IntoIterator<Item = C>,
+    ) -> Self {
         let head = head.iter().map(|h| (*h).to_owned()).collect();
-        Self { title: title.to_owned(), head, rows: Vec::new() }
-    }
-
-    /// Adds a row.
-    pub fn row(&mut self, cells: impl IntoIterator<Item = impl Into<String>>) {
-        self.rows.push(cells.into_iter().map(Into::into).collect());
+        let cells = |row: C| row.into_iter().map(Into::into).collect();
+        Self { title: title.to_owned(), head, rows: rows.into_iter().map(cells).collect() }
     }
 
     fn numeric(&self, column: usize) -> bool {
@@ -105,7 +104,7 @@ impl Run {
     /// Facts about this record.
     pub fn of(record: &Record) -> Self {
         let range = |c: &Column| (c.name.clone(), span(&c.data));
-        let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
+        let temperatures = record.temperatures();
         Self {
             name: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
             rows: record.rows(),
@@ -182,16 +181,8 @@ impl Report {
         let mut days: Vec<String> = runs.iter().filter_map(|r| r.date.clone()).collect();
         days.sort_unstable();
         days.dedup();
-        Self {
-            title: title.to_owned(),
-            facts,
-            warnings: Vec::new(),
-            doubts: 0,
-            sections: Vec::new(),
-            by: "characterise evaluate",
-            days,
-            is_signed: !runs.is_empty(),
-        }
+        let (title, by) = (title.to_owned(), "characterise evaluate");
+        Self { title, facts, by, days, is_signed: !runs.is_empty(), ..Self::default() }
     }
 
     fn table(&mut self, table: Table) {
@@ -288,18 +279,12 @@ impl Report {
             }
         }
         if self.is_signed {
-            let all = |key: &str| {
-                self.facts.iter().filter(|f| f.0 == key).map(|f| f.1.as_str()).collect::<Vec<_>>()
+            let all = |keys: &[&str]| {
+                let own = self.facts.iter().filter(|f| keys.contains(&f.0.as_str()));
+                own.map(|f| f.1.as_str()).collect::<Vec<_>>().join(", ")
             };
-            let of_instrument = self.facts.iter().filter(|f| {
-                ["instrument kind", "instrument name", "instrument serial"].contains(&f.0.as_str())
-            });
-            let instrument: Vec<&str> = of_instrument.map(|f| f.1.as_str()).collect();
-            h.push_str(&signed_line(
-                &instrument.join(", "),
-                &all("operator").join(", "),
-                &self.days.join(", "),
-            ));
+            let instrument = all(&["instrument kind", "instrument name", "instrument serial"]);
+            h.push_str(&signed_line(&instrument, &all(&["operator"]), &self.days.join(", ")));
         }
         let _ = writeln!(h, "<p><small>{}, {}</small></p></body></html>", rtec_files::stamp::by(), self.by);
         h
@@ -354,11 +339,9 @@ mod tests {
     #[test]
     fn text_and_page_hold_the_same_cells() {
         let mut report = Report { title: "Axis <y>".into(), ..Report::default() };
-        let mut table = Table::new("Figures", &["figure", "#value (µm)"]);
-        table.row(["A", "12.30"]);
-        table.row(["mean B", "-1.05"]);
-        report.table(table);
-        report.table(Table::new("nothing in it", &["a"]));
+        let rows = [["A", "12.30"], ["mean B", "-1.05"]];
+        report.table(Table::new("Figures", &["figure", "#value (µm)"], rows));
+        report.table(Table::new::<[&str; 1]>("nothing in it", &["a"], []));
         assert_eq!(
             report.text(),
             "Axis <y>\n\nFigures\n  figure  value (µm)\n  A            12.30\n  mean B       -1.05\n"

@@ -104,12 +104,10 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
         let matters = |steps: &Steps| steps.is_coarse() && high - low < MANY_STEPS * steps.step;
         if let Some(steps) = Steps::of_response(record, column).filter(matters) {
             let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
+            let (role, step, half) = (&column.role, short(steps.step), short(steps.half_width()));
             said.push(format!(
-                "{}: readings in steps of {} {unit}, most neighbours alike: each figure may be off by up to {} {unit}, a range by twice \
-                 that; a finer gauge shows more",
-                column.role,
-                short(steps.step),
-                short(steps.half_width())
+                "{role}: readings in steps of {step} {unit}, most neighbours alike: each figure may be off by up to {half} {unit}, a range by twice \
+                 that; a finer gauge shows more"
             ));
         }
     }
@@ -119,13 +117,10 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
         let [low, high] = span(&column.data);
         if is_coarse_cause(column, step, high - low) {
             let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
+            let (name, step, range) = (&column.name, short(step), short(1e-9 * (1e9 * (high - low)).round()));
             said.push(format!(
-                "{}: readings in steps of {} {unit} over {} {unit}: its range is known within ±{} {unit}, and what follows it in \
-                 proportion",
-                column.name,
-                short(step),
-                short(1e-9 * (1e9 * (high - low)).round()),
-                short(step)
+                "{name}: readings in steps of {step} {unit} over {range} {unit}: its range is known within ±{step} {unit}, and what follows it in \
+                 proportion"
             ));
         }
     }
@@ -141,18 +136,13 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
 /// Rows of a response that differ by noise alone.
 pub(crate) fn repeats(record: &Record, column: &Column) -> Vec<Vec<usize>> {
     let axis = column.role.axis();
-    let place = axis.and_then(|a| record.data(&Role::Position(a.clone())));
-    let Some(place) = place else {
-        return (0..column.data.len())
-            .step_by(2)
-            .map(|i| (i..column.data.len().min(i + 2)).collect())
-            .collect();
+    let Some(place) = axis.and_then(|a| record.position(a)) else {
+        let n = column.data.len();
+        return (0..n).step_by(2).map(|i| (i..n.min(i + 2)).collect()).collect();
     };
-    let direction = axis.and_then(|a| record.data(&Role::Direction(a.clone())));
-    let Some(direction) = direction else { return targets(place) };
-    let sides = |rows: Vec<usize>| {
-        let (up, down): (Vec<usize>, Vec<usize>) = rows.into_iter().partition(|row| direction[*row] > 0.0);
-        [up, down]
+    let Some(direction) = axis.and_then(|a| record.direction(a)) else { return targets(place) };
+    let sides = |rows: Vec<usize>| -> [Vec<usize>; 2] {
+        rows.into_iter().partition(|row| direction[*row] > 0.0).into()
     };
     targets(place).into_iter().flat_map(sides).collect()
 }
@@ -169,44 +159,4 @@ pub fn step_of(readings: &[f64]) -> Option<f64> {
     let step = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
     let steps = |v: &f64| (v - values[0]) / step;
     values.iter().all(|v| (steps(v) - steps(v).round()).abs() < 0.02).then_some(step)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_clock_is_coarse_where_rows_share_its_times() {
-        let by =
-            |step: f64| -> Vec<f64> { (0..40).map(|i| (f64::from(i) * 7.0 / step).floor() * step).collect() };
-        assert_eq!(shared_step(&by(60.0)), Some(60.0));
-        for fine in [by(1.0), by(7.0), by(10.0), vec![0.0], Vec::new()] {
-            assert_eq!(shared_step(&fine), None, "{fine:?}");
-        }
-    }
-
-    fn pairs(n: usize) -> Vec<Vec<usize>> {
-        (0..n).step_by(2).map(|i| vec![i, i + 1]).collect()
-    }
-
-    #[test]
-    fn steps_without_noise_stay_in_the_mean() {
-        let readings = [10.0, 10.0, 0.0, 0.0, 10.0, 10.0, 20.0, 20.0, 0.0, 0.0, 10.0, 10.0];
-        let steps = Steps::of(&readings, &pairs(12)).unwrap();
-        assert_eq!((steps.step, steps.is_coarse(), steps.half_width()), (10.0, true, 5.0));
-        assert!((steps.standard_error() - 10.0 / 12f64.sqrt()).abs() < 1e-12);
-    }
-
-    #[test]
-    fn noise_of_a_step_takes_the_rounding_out() {
-        let readings = [0.0, 3.0, 1.0, -1.0, 2.0, 0.0, -2.0, 1.0, 1.0, -1.0, 0.0, 2.0, -1.0, 1.0];
-        let steps = Steps::of(&readings, &pairs(14)).unwrap();
-        assert!(!steps.is_coarse() && steps.half_width() < 1e-3, "{steps:?}");
-    }
-
-    #[test]
-    fn readings_without_a_step_have_none() {
-        let readings: Vec<f64> = (0..40).map(|i| f64::from(i * i) * 0.013_7).collect();
-        assert_eq!(Steps::of(&readings, &pairs(40)), None);
-    }
 }

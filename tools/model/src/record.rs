@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 pub use crate::role::{Axis, Column, Kind, LINEAR, Role};
-pub use crate::values::{median, span};
+pub use crate::values::{mean, median, span};
 
 /// One run: its columns in the CSV's order, rows in order of acquisition.
 #[derive(Debug, Clone, PartialEq)]
@@ -311,6 +311,26 @@ impl Record {
     /// The values of the column of a role that occurs only once, in the role's unit.
     pub fn data(&self, role: &Role) -> Option<&[f64]> {
         self.column(role).map(|c| c.data.as_slice())
+    }
+
+    /// The positions of an axis, mm.
+    pub fn position(&self, axis: &Axis) -> Option<&[f64]> {
+        self.data(&Role::Position(axis.clone()))
+    }
+
+    /// The logged direction of an axis, as signs.
+    pub fn direction(&self, axis: &Axis) -> Option<&[f64]> {
+        self.data(&Role::Direction(axis.clone()))
+    }
+
+    /// The direction of an axis, else its velocity, whose sign says the same.
+    pub fn way(&self, axis: &Axis) -> Option<&[f64]> {
+        self.direction(axis).or_else(|| self.data(&Role::Velocity(axis.clone())))
+    }
+
+    /// The temperatures, in the CSV's order.
+    pub fn temperatures(&self) -> impl Iterator<Item = &Column> {
+        self.columns.iter().filter(|c| c.role == Role::Temperature)
     }
 
     /// A temperature by its sensor's name.

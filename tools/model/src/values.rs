@@ -8,6 +8,11 @@ pub fn span(values: impl IntoIterator<Item: Borrow<f64>>) -> [f64; 2] {
     values.into_iter().map(|v| *v.borrow()).fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
+/// The mean; NaN of no values.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
 /// The median, the upper one of an even number; 0 of no values.
 pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     let mut v: Vec<f64> = values.into_iter().collect();

@@ -8,7 +8,7 @@ use super::structure::{self, Structure, StructureVariance};
 use super::{ByAxis, Trace, law};
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_least_squares::{Directions, orthonormal};
 use rtec_model::circle::{rates, tick};
 use rtec_model::effect::{Bound, Dictionary, Effect, laws};
@@ -173,6 +173,13 @@ pub(super) struct Term {
     pub(super) only: Option<usize>,
 }
 
+impl Term {
+    /// Whether it is reported: spikes and cyclic errors only if they are in `told`.
+    fn is_told(&self, told: &[String]) -> bool {
+        !(self.name.starts_with("spike.") || self.name.starts_with("cyclic.")) || told.contains(&self.name)
+    }
+}
+
 /// The fit of one plane.
 #[derive(Clone)]
 pub(super) struct Fit<'t> {
@@ -214,7 +221,7 @@ pub(super) struct Shown {
 }
 
 /// Fits one plane.
-pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis, InputError> {
+pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis> {
     let mut settled_mm = SETTLED_MM;
     loop {
         let mut said = Vec::new();
@@ -233,7 +240,7 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
 /// The readings of a coarse gauge less the rounding error that the laws predict.
 /// Equal values round alike, so rounding looks like a cause. Where noise or structure dithers the readings
 /// the correction vanishes. `None` for gauges without steps.
-fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>, InputError> {
+fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>> {
     let axes = traces[0].record.circle().map(|c| c.plane.clone());
     let Some(axes) = axes.filter(|_| traces.iter().any(|t| t.step_um > 0.0)) else { return Ok(None) };
     let mut finer = traces.to_vec();
@@ -248,12 +255,12 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
             .map(|((read, now), start)| {
                 let q = read.step_um;
                 let predicted = |row: usize| now.radial[row] - left[start + row];
-                let off: Vec<f64> =
-                    (0..read.radial.len()).map(|row| read.radial[row] - predicted(row)).collect();
-                let square = off.iter().map(|v| v * v).sum::<f64>() / off.len() as f64;
+                let off = |row: usize| read.radial[row] - predicted(row);
+                let rows = 0..read.radial.len();
+                let square = rows.clone().map(|row| off(row) * off(row)).sum::<f64>() / rows.len() as f64;
                 let variance = (square - q * q / 12.0).max(0.0);
                 let error = |row| rounding_error(q, predicted(row) - read.radial[0], variance);
-                (0..off.len()).map(|row| if q > 0.0 { error(row) } else { 0.0 }).collect()
+                rows.map(|row| if q > 0.0 { error(row) } else { 0.0 }).collect()
             })
             .collect();
         for ((read, now), taken) in traces.iter().zip(&mut finer).zip(&taken) {
@@ -264,18 +271,12 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
 }
 
 /// As `diagnose`, from rows at least this far from both axes' reversals, mm.
-fn diagnose_beyond(
-    traces: &[Trace],
-    settled_mm: f64,
-    warnings: &mut Vec<String>,
-) -> Result<Diagnosis, InputError> {
-    let Some(circle) =
-        traces[0].record.circle().filter(|_| traces.iter().all(|t| t.record.circle().is_some()))
-    else {
-        warnings.push(
-            "no radius_mm and plane in the sidecar: no squareness, scale, reversal or servo mismatch"
-                .to_owned(),
-        );
+fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>) -> Result<Diagnosis> {
+    let all_circles = traces.iter().all(|t| t.record.circle().is_some());
+    let Some(circle) = traces[0].record.circle().filter(|_| all_circles) else {
+        let no_circle =
+            "no radius_mm and plane in the sidecar: no squareness, scale, reversal or servo mismatch";
+        warnings.push(no_circle.to_owned());
         return Ok(plain(&traces[0]));
     };
     let planned = [circle.plane[0].clone(), circle.plane[1].clone()];
@@ -303,10 +304,9 @@ fn diagnose_beyond(
     let found = fit.answer(axes, &told, &shown);
     let lost = fit.not_told(&told, &shown);
     if !lost.is_empty() {
-        warnings.push(format!(
-            "these runs do not tell {} apart: full circles both ways in one record do",
-            lost.join(", ")
-        ));
+        let lost = lost.join(", ");
+        warnings
+            .push(format!("these runs do not tell {lost} apart: full circles both ways in one record do"));
     }
     if let Some(um) = found.unexplained_um {
         warnings.push(format!(
@@ -342,7 +342,7 @@ impl<'t> Fit<'t> {
         [a, b]: [&Axis; 2],
         settled_mm: f64,
         warnings: &mut Vec<String>,
-    ) -> Result<Self, InputError> {
+    ) -> Result<Self> {
         let mut fit = Self::new(traces, settled_mm);
         let d = Dictionary::default();
         let one = |name: &str, axis: &Axis| Some((law(&d, name, &[axis])?, 1.0));
@@ -359,11 +359,8 @@ impl<'t> Fit<'t> {
             warnings.push("no time: no feed, and so no servo mismatch".to_owned());
         }
         if fit.n < 4 * (fit.terms.len() + 6) {
-            return Err(lacks(
-                &traces[0].record,
-                &format!("{} rows", fit.n),
-                "a circle of more rows than that",
-            ));
+            let found = format!("{} rows", fit.n);
+            return Err(lacks(&traces[0].record, &found, "a circle of more rows than that"));
         }
         if !fit.drop_alike("servo_mismatch_ms", timed) {
             // One direction cannot separate an ellipse at 45°: both causes become one term.
@@ -371,19 +368,25 @@ impl<'t> Fit<'t> {
             for t in fit.terms.iter_mut().filter(|t| t.name == "squareness_urad") {
                 TOGETHER.clone_into(&mut t.name);
             }
-            warnings.push(
-                "one sense of turning at one feed: squareness and servo mismatch look alike; measure both ways"
-                    .to_owned(),
-            );
+            let alike = "squareness and servo mismatch look alike; measure both ways";
+            warnings.push(format!("one sense of turning at one feed: {alike}"));
         }
         Ok(fit)
     }
 
+    /// The terms, each with the places of its free values among all.
+    pub(super) fn placed(&self) -> impl Iterator<Item = (&Term, Range<usize>)> {
+        self.terms.iter().scan(0, |end, t| {
+            let start = *end;
+            *end += t.free.len();
+            Some((t, start..*end))
+        })
+    }
+
     /// Adds columns to those fitted beside the terms.
     pub(super) fn take_beside(&mut self, more: &DMatrix<f64>) {
-        let all: Vec<DVector<f64>> =
-            self.beside.column_iter().chain(more.column_iter()).map(nalgebra::Matrix::into_owned).collect();
-        self.beside = if all.is_empty() { DMatrix::zeros(self.n, 0) } else { DMatrix::from_columns(&all) };
+        let all = [columns_of(&self.beside), columns_of(more)].concat();
+        self.beside = structure::matrix_of(self.n, &all);
         self.prepare_beside();
     }
 
@@ -404,13 +407,9 @@ impl<'t> Fit<'t> {
             };
             let begun: Vec<Range<usize>> = t.contours.iter().enumerate().map(of).collect();
             let at_feed = at_feed(t);
-            let own: Vec<bool> = (0..t.angle.len())
-                .map(|i| {
-                    at_feed[i]
-                        && begun.iter().any(|rows| rows.contains(&i))
-                        && !turns(t, t.angle[i], settled_mm)
-                })
-                .collect();
+            let is_begun = |i: usize| begun.iter().any(|rows| rows.contains(&i));
+            let is_fitted = |i: usize| at_feed[i] && is_begun(i) && !turns(t, t.angle[i], settled_mm);
+            let own: Vec<bool> = (0..t.angle.len()).map(is_fitted).collect();
             let inside =
                 |i: usize| begun.iter().any(|rows| rows.contains(&i) && i > rows.start) && own[i - 1];
             follows.extend((0..t.radial.len()).map(inside));
@@ -552,11 +551,11 @@ impl<'t> Fit<'t> {
     }
 
     fn all_whitened(&self, columns: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut all = columns.clone();
-        for (i, c) in columns.column_iter().enumerate() {
-            all.set_column(i, &self.whitened(&c.into_owned()));
-        }
-        all
+        self.each_column(columns, |c| self.whitened(c))
+    }
+
+    fn each_column(&self, all: &DMatrix<f64>, of: impl Fn(&DVector<f64>) -> DVector<f64>) -> DMatrix<f64> {
+        structure::matrix_of(self.n, &columns_of(all).iter().map(of).collect::<Vec<_>>())
     }
 
     /// Must follow a change of the columns beside or of the autocorrelation.
@@ -686,13 +685,8 @@ impl<'t> Fit<'t> {
         let directions = Directions::by(&j);
         let told_beside = self.told(&left, variance);
         // Change of each value per µm in each of the laws' orders.
-        let moves = told_beside.map(|_| {
-            let mut taken = self.structure.taken.clone();
-            for (i, c) in self.structure.taken.column_iter().enumerate() {
-                taken.set_column(i, &self.white(&c.into_owned()));
-            }
-            directions.solve_all(&taken)
-        });
+        let moves = told_beside
+            .map(|_| directions.solve_all(&self.each_column(&self.structure.taken, |c| self.white(c))));
         let half = |at: usize| {
             let noise = (variance * directions.covariance[(at, at)]).max(0.0);
             let (mut all, mut spread) = (noise, noise * noise / freedom);
@@ -722,10 +716,9 @@ impl<'t> Fit<'t> {
     /// The weights are their Bayes factors. The interval includes the spread between both fits.
     fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut Shown) {
         let untold = |name: &str| name.starts_with("spike.") && !told.iter().any(|t| t == name);
-        let spikes: Vec<&&Axis> = axes
-            .iter()
-            .filter(|axis| self.terms.iter().any(|t| t.name == format!("spike.{axis}") && untold(&t.name)))
-            .collect();
+        let is_fitted =
+            |axis: &&Axis| self.terms.iter().any(|t| t.name == format!("spike.{axis}") && untold(&t.name));
+        let spikes: Vec<&Axis> = axes.into_iter().filter(is_fitted).collect();
         if !self.structure.both_ways || (spikes.is_empty() && self.drift == 0) {
             return;
         }
@@ -736,8 +729,7 @@ impl<'t> Fit<'t> {
         without.drift = 0;
         without.prepare_beside();
         without.free_all(told);
-        let drift: Vec<DVector<f64>> =
-            self.beside.columns(kept, self.drift).column_iter().map(nalgebra::Matrix::into_owned).collect();
+        let drift = columns_of(&self.beside.columns(kept, self.drift).into_owned());
         let mut odds: f64 = spikes.iter().filter_map(|axis| without.spike_odds(axis)).sum();
         for columns in drift.chunks(structure::DRIFTS) {
             odds += without.odds(columns, DRIFT_UM);
@@ -794,14 +786,11 @@ impl<'t> Fit<'t> {
 
     /// Causes and set-up terms that these runs cannot determine, in words.
     fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
-        let (mut at, mut names) = (0, Vec::new());
-        for t in &self.terms {
-            let lost = t.free.iter().enumerate().any(|(k, _)| !shown.resolved[at + k]);
-            at += t.free.len();
-            let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
-            if lost && self.separates(&t.name) && (!searched || told.contains(&t.name)) {
-                let name =
-                    if t.only.is_some() { "the set-up (centre, radius)".to_owned() } else { cause(&t.name) };
+        let mut names = Vec::new();
+        for (t, places) in self.placed() {
+            if !shown.resolved[places].iter().all(|r| *r) && self.separates(&t.name) && t.is_told(told) {
+                let set_up = t.only.map(|_| "the set-up (centre, radius)".to_owned());
+                let name = set_up.unwrap_or_else(|| cause(&t.name));
                 if !names.contains(&name) {
                     names.push(name);
                 }
@@ -813,31 +802,18 @@ impl<'t> Fit<'t> {
     /// Free values with their half widths, and the causes' contributions.
     /// Unresolved values are left out.
     fn values(&self, shown: &Shown, told: &[String]) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
-        let mut values: BTreeMap<String, (f64, f64)> = BTreeMap::new();
+        let mut values = Values::new();
         let (mut contributions, mut not_separable) = (Vec::new(), None);
-        let mut at = 0;
-        for t in &self.terms {
+        for (t, places) in
+            self.placed().filter(|(_, places)| shown.resolved[places.clone()].iter().all(|r| *r))
+        {
             let Some((effect, _)) = t.parts.first() else { continue };
-            let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
-            for i in &t.free {
-                let half = shown.halves[at];
-                at += 1;
-                if !known {
-                    continue;
-                }
-                let key = if t.free.len() > 1 {
-                    format!("{}.{}", t.name, effect.description().parameters[*i].name)
-                } else {
-                    t.name.clone()
-                };
-                values.insert(key, (effect.values()[*i], half));
+            for (i, half) in t.free.iter().zip(&shown.halves[places]) {
+                let parameter = || format!("{}.{}", t.name, effect.description().parameters[*i].name);
+                let key = if t.free.len() > 1 { parameter() } else { t.name.clone() };
+                values.insert(key, (effect.values()[*i], *half));
             }
-            let searched = t.name.starts_with("spike.") || t.name.starts_with("cyclic.");
-            let fitted_only = !known
-                || t.only.is_some()
-                || (searched && !told.contains(&t.name))
-                || !self.separates(&t.name);
-            if !fitted_only {
+            if t.only.is_none() && t.is_told(told) && self.separates(&t.name) {
                 let shape = self.shape(t);
                 let um = shape.max() - shape.min();
                 if t.name == TOGETHER {
@@ -876,23 +852,21 @@ impl<'t> Fit<'t> {
     fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
         let (values, mut contributions, not_separable) = self.values(shown, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
-        let of_axes = |what: &str| {
-            axes.iter()
-                .filter(|a| told.contains(&format!("{what}.{a}")))
-                .map(ToString::to_string)
-                .collect::<Vec<_>>()
+        // The two values of a reported term, by axis.
+        let of_axes = |what: &str, values: [&str; 2]| -> Vec<(String, [f64; 2])> {
+            let of = |a: &&Axis| {
+                let [one, other] = values.map(|value| get(&format!("{what}.{a}.{value}")));
+                Some((a.to_string(), [one?, other?])).filter(|_| told.contains(&format!("{what}.{a}")))
+            };
+            axes.iter().filter_map(of).collect()
         };
         let reversal =
             axes.iter().map(|a| (a, format!("reversal.{a}"))).filter(|(_, name)| self.separates(name));
         let reversal = reversal.filter_map(|(a, name)| Some((a.to_string(), get(&name)?))).collect();
-        let spike = of_axes("spike").into_iter().filter_map(|a| {
-            let at = |p: &str| get(&format!("spike.{a}.{p}"));
-            Some((a.clone(), Spike { um: at("um")?, length_mm: at("length_mm")? }))
-        });
-        let cyclic = of_axes("cyclic").into_iter().filter_map(|a| {
-            let at = |p: &str| get(&format!("cyclic.{a}.{p}"));
-            Some((a.clone(), Cyclic { period_mm: at("period_mm")?, um: at("um")? }))
-        });
+        let spike = of_axes("spike", ["um", "length_mm"]).into_iter();
+        let spike = spike.map(|(a, [um, length_mm])| (a, Spike { um, length_mm }));
+        let cyclic = of_axes("cyclic", ["period_mm", "um"]).into_iter();
+        let cyclic = cyclic.map(|(a, [period_mm, um])| (a, Cyclic { period_mm, um }));
         let unexplained_um = self.unexplained_um(shown);
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
@@ -911,16 +885,14 @@ impl<'t> Fit<'t> {
             self.circle[0][k] + moved.sum::<f64>()
         };
         // With one direction reversals shift the set-up: use the least-squares circle.
-        let set_up = |name: &str, k: usize| {
-            let circle = if self.structure.both_ways { circle_of(k) } else { self.circle[0][k] };
-            if self.structure.both_ways { get(name).map(|v| v + circle) } else { Some(circle) }
-        };
-        let circle = |name: &str| match name {
-            "radius.0" => circle_of(0),
-            "centre.0.0" => circle_of(1),
-            "centre.1.0" => circle_of(2),
-            _ => 0.0,
-        };
+        let set_up = ["radius.0", "centre.0.0", "centre.1.0"];
+        let [radius_um, centre_a, centre_b] = [0, 1, 2].map(|k| {
+            if self.structure.both_ways {
+                Some(get(set_up[k])? + circle_of(k))
+            } else {
+                Some(self.circle[0][k])
+            }
+        });
         let stands = |name: &str| {
             let hidden = |what: &str| {
                 name.starts_with(what)
@@ -928,32 +900,27 @@ impl<'t> Fit<'t> {
             };
             !(hidden("spike.") || hidden("cyclic.") || name.ends_with(".phase_rad") || !self.separates(name))
         };
-        let rename = |name: &str| -> Option<String> {
-            match name {
-                "radius.0" if self.structure.both_ways => Some("radius_um".to_owned()),
-                "centre.0.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[0])),
-                "centre.1.0" if self.structure.both_ways => Some(format!("centre_um.{}", axes[1])),
-                n if n.starts_with("radius.") || n.starts_with("centre.") || n == TOGETHER => None,
-                n => Some(match n.strip_prefix("cyclic.") {
-                    Some(rest) if rest.split('.').next().is_some_and(|a| form.contains_key(a)) => {
-                        format!("form.{rest}")
-                    }
-                    _ => n.to_owned(),
-                }),
+        let set_up_names =
+            ["radius_um".to_owned(), format!("centre_um.{}", axes[0]), format!("centre_um.{}", axes[1])];
+        // Name for users, and what the value is counted from.
+        let rename = |name: &str| match set_up.iter().position(|s| *s == name) {
+            Some(k) if self.structure.both_ways => Some((set_up_names[k].clone(), circle_of(k))),
+            _ if name.starts_with("radius.") || name.starts_with("centre.") || name == TOGETHER => None,
+            _ => {
+                let is_form = |rest: &&str| rest.split('.').next().is_some_and(|a| form.contains_key(a));
+                let form = name.strip_prefix("cyclic.").filter(is_form).map(|rest| format!("form.{rest}"));
+                Some((form.unwrap_or_else(|| name.to_owned()), 0.0))
             }
         };
-        let mut interval_95: BTreeMap<String, [f64; 2]> = values
-            .iter()
-            .filter(|(name, _)| stands(name))
-            .filter_map(|(name, (v, half))| {
-                let v = v + circle(name);
-                Some((rename(name)?, [v - half, v + half]))
-            })
-            .collect();
+        let interval = |(name, (v, half)): (&String, &(f64, f64))| {
+            let (words, circle) = rename(name).filter(|_| stands(name))?;
+            Some((words, [v + circle - half, v + circle + half]))
+        };
+        let mut interval_95: BTreeMap<String, [f64; 2]> = values.iter().filter_map(interval).collect();
         interval_95.extend(self.spike_intervals(told, shown));
         Diagnosis {
-            centre_um: [set_up("centre.0.0", 1), set_up("centre.1.0", 2)],
-            radius_um: set_up("radius.0", 0),
+            centre_um: [centre_a, centre_b],
+            radius_um,
             scale_mismatch_ppm: get("scale_mismatch_ppm"),
             squareness_urad: get("squareness_urad"),
             reversal,
@@ -972,16 +939,16 @@ impl<'t> Fit<'t> {
 
     /// Intervals of reported spikes, by the names of their values.
     fn spike_intervals(&self, told: &[String], shown: &Shown) -> Vec<(String, [f64; 2])> {
-        let (mut at, mut intervals) = (0, Vec::new());
-        for t in &self.terms {
-            let known = (at..at + t.free.len()).all(|k| shown.resolved[k]);
+        let mut intervals = Vec::new();
+        for (t, places) in self.placed() {
+            let known = shown.resolved[places.clone()].iter().all(|r| *r);
             if known && t.name.starts_with("spike.") && told.contains(&t.name) && t.free.len() == 2 {
-                let profile = self.spike_profile(t, [shown.rises[at], shown.rises[at + 1]]);
+                let rises = [shown.rises[places.start], shown.rises[places.start + 1]];
+                let profile = self.spike_profile(t, rises);
                 let named =
                     |ends| ["um", "length_mm"].map(|p| format!("{}.{p}", t.name)).into_iter().zip(ends);
                 intervals.extend(profile.into_iter().flat_map(named));
             }
-            at += t.free.len();
         }
         intervals
     }
@@ -1045,21 +1012,20 @@ fn begun(angle: &[f64], rows: &Range<usize>) -> usize {
 
 /// Name of a term for users.
 fn cause(name: &str) -> String {
-    let known = [
-        ("scale_mismatch_ppm", "scale mismatch"),
-        ("squareness_urad", "squareness"),
-        ("servo_mismatch_ms", "servo mismatch"),
-    ];
-    if let Some((_, words)) = known.iter().find(|(n, _)| *n == name) {
-        return (*words).to_owned();
-    }
-    let Some((what, axis)) = name.split_once('.') else { return name.to_owned() };
+    let (what, axis) = name.split_once('.').unwrap_or((name, ""));
     let words = match what {
+        "scale_mismatch_ppm" => "scale mismatch",
+        "squareness_urad" => "squareness",
+        "servo_mismatch_ms" => "servo mismatch",
         "spike" => "reversal spike",
         "cyclic" => "cyclic error",
         other => other,
     };
-    format!("{words} {axis}")
+    format!("{words} {axis}").trim_end().to_owned()
+}
+
+pub(super) fn columns_of(all: &DMatrix<f64>) -> Vec<DVector<f64>> {
+    all.column_iter().map(nalgebra::Matrix::into_owned).collect()
 }
 
 fn residual(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {

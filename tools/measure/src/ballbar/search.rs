@@ -1,11 +1,11 @@
 //! Search for drift, spikes (grid of lengths) and cyclic errors (grid of periods).
 
-use super::diagnosis::Fit;
+use super::diagnosis::{Fit, columns_of};
 use super::{law, structure};
 use nalgebra::{DMatrix, DVector};
 use rtec_least_squares::{Factor, orthonormal};
 use rtec_model::effect::{Dictionary, Effect, laws};
-use rtec_model::record::{Axis, Role, median, span};
+use rtec_model::record::{Axis, median, span};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Gain, in squared standard deviations, from which a spike is fitted.
@@ -104,9 +104,7 @@ impl Fit<'_> {
             return false;
         }
         let (q, left, variance) = self.prepared();
-        let columns: Vec<DVector<f64>> =
-            self.structure.columns.column_iter().map(nalgebra::Matrix::into_owned).collect();
-        let gain = self.gain(&q, &left, variance, &columns).0;
+        let gain = self.gain(&q, &left, variance, &columns_of(&self.structure.columns)).0;
         ChiSquared::new(m as f64).is_ok_and(|c| gain > c.inverse_cdf(0.9))
     }
 
@@ -133,18 +131,18 @@ impl Fit<'_> {
         variance: f64,
         columns: &[DVector<f64>],
     ) -> (f64, DVector<f64>) {
-        let own: Vec<DVector<f64>> = columns
-            .iter()
-            .map(|c| {
-                let c = self.white(c);
-                &c - q * q.tr_mul(&c)
-            })
-            .collect();
+        let own: Vec<DVector<f64>> = columns.iter().map(|c| self.apart(q, c)).collect();
         let own: Vec<&[f64]> = own.iter().map(DVector::as_slice).collect();
         match rtec_least_squares::solve(&own, left.as_slice()) {
             Ok(found) => ((left.norm_squared() - found.left()) / variance, DVector::from_vec(found.values)),
             Err(_) => (0.0, DVector::zeros(columns.len())),
         }
+    }
+
+    /// A whitened column less its part along the basis `q`.
+    pub(super) fn apart(&self, q: &DMatrix<f64>, column: &DVector<f64>) -> DVector<f64> {
+        let c = self.white(column);
+        &c - q * q.tr_mul(&c)
     }
 
     fn prepared(&self) -> (DMatrix<f64>, DVector<f64>, f64) {
@@ -177,9 +175,8 @@ impl Fit<'_> {
         let (q, left, variance) = self.prepared();
         let left = left / variance.sqrt();
         let mut factor = Factor::new(left.as_slice());
-        for c in columns.iter().map(|c| self.white(c)) {
-            let own = (&c - &q * q.tr_mul(&c)) * (typical_um / variance.sqrt());
-            factor.push(own.as_slice());
+        for c in columns {
+            factor.push((self.apart(&q, c) * (typical_um / variance.sqrt())).as_slice());
         }
         0.5 * (left.norm_squared() - factor.left()) - factor.half_log_det()
     }
@@ -198,7 +195,7 @@ impl Fit<'_> {
     /// The cyclic error that explains most of the residual, beyond chance.
     fn best_wave(&self, d: &Dictionary, axis: &Axis) -> Option<Effect> {
         let wave = law(d, laws::screw_periodic::NAME, &[axis])?;
-        let places = self.traces.iter().filter_map(|t| t.record.data(&Role::Position(axis.clone())));
+        let places = self.traces.iter().filter_map(|t| t.record.position(axis));
         let mut steps = places.clone().flat_map(|p| p.windows(2)).map(|w| (w[1] - w[0]).abs()).peekable();
         steps.peek()?;
         let [low, high] = span(places.clone().flatten());

@@ -31,27 +31,16 @@ impl Fit<'_> {
     /// height at the turn is smaller by the decay over that travel. The interval holds both heights.
     pub(super) fn spike_profile(&self, spike: &Term, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
         let (effect, _) = spike.parts.first()?;
-        let others: Vec<DVector<f64>> = self
-            .terms
-            .iter()
-            .filter(|t| t.name != spike.name)
-            .flat_map(|t| self.slopes(t))
-            .map(|c| self.white(&c))
-            .collect();
+        let others = self.terms.iter().filter(|t| t.name != spike.name).flat_map(|t| self.slopes(t));
+        let others: Vec<DVector<f64>> = others.map(|c| self.white(&c)).collect();
         let q = orthonormal(DMatrix::from_columns(&others));
-        let apart = |c: &DVector<f64>| {
-            let c = self.white(c);
-            &c - &q * q.tr_mul(&c)
-        };
+        let apart = |c: &DVector<f64>| self.apart(&q, c);
         let measured = apart(&(self.left() + self.value(spike)));
         let at = |length_mm: f64| {
             let shape = apart(self.basis(&effect.with(&[(1, length_mm)])?, None).first()?);
             let (curvature, with) = (shape.norm_squared(), shape.dot(&measured));
-            (curvature > 0.0).then(|| Fitted {
-                gain: with * with / curvature,
-                um: with / curvature,
-                curvature,
-            })
+            let gain = with * with / curvature;
+            (curvature > 0.0).then(|| Fitted { gain, um: with / curvature, curvature })
         };
         let best_mm = effect.scalar(1);
         let best = at(best_mm)?.gain;
@@ -92,10 +81,9 @@ impl Fit<'_> {
 fn mean_unseen_mm(traces: &[Trace], axis: &Axis) -> f64 {
     let of = |t: &Trace| -> Vec<f64> {
         let Some(circle) = t.record.circle() else { return Vec::new() };
-        let share =
-            |row: usize| if circle.plane[0] == *axis { t.angle[row].cos() } else { t.angle[row].sin() };
-        let slope =
-            |row: usize| if circle.plane[0] == *axis { t.angle[row].sin() } else { t.angle[row].cos() };
+        let (sin, cos) = (f64::sin as fn(f64) -> f64, f64::cos as fn(f64) -> f64);
+        let (share, slope) = if circle.plane[0] == *axis { (cos, sin) } else { (sin, cos) };
+        let (share, slope) = (|row: usize| share(t.angle[row]), |row: usize| slope(t.angle[row]));
         // Rows at which the slope changes sign within a contour; rows at the turn itself have none.
         let turns = t.contours.iter().flat_map(|(rows, _)| {
             let moving: Vec<usize> = rows.clone().filter(|row| slope(*row).abs() > 1e-9).collect();

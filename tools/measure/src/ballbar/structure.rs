@@ -64,10 +64,10 @@ impl Structure {
             };
             (from..=to).flat_map(both).collect()
         };
-        let columns = columns_of(n, &orders(TAKEN + 1, highest));
+        let columns = matrix_of(n, &orders(TAKEN + 1, highest));
         let mut taken = vec![DVector::from_element(n, 1.0)];
         taken.extend(orders(1, TAKEN));
-        let taken = columns_of(n, &taken);
+        let taken = matrix_of(n, &taken);
         // Each record has its own centre, so the records do not fill each other's gaps.
         let arc = traces.iter().any(|t| widest_gap(t.angle.clone()) > MISSING_RAD);
         let columns = if arc { apart(columns, &taken) } else { columns };
@@ -193,9 +193,10 @@ fn apart(columns: DMatrix<f64>, taken: &DMatrix<f64>) -> DMatrix<f64> {
     let n = columns.nrows();
     let own = principal(&columns, taken.clone(), OF_ITS_OWN);
     let shapes: Vec<DVector<f64>> = own.into_iter().map(|u| u * (n as f64 / 2.0).sqrt()).collect();
-    columns_of(n, &shapes)
+    matrix_of(n, &shapes)
 }
 
-fn columns_of(n: usize, all: &[DVector<f64>]) -> DMatrix<f64> {
+/// These columns of `n` rows as a matrix.
+pub(super) fn matrix_of(n: usize, all: &[DVector<f64>]) -> DMatrix<f64> {
     if all.is_empty() { DMatrix::zeros(n, 0) } else { DMatrix::from_columns(all) }
 }

@@ -4,17 +4,17 @@
 //! 308695435). Positions are in 0.1 µm, each stated (`interval 0`), as in that example. Values beyond the
 //! ends are those at the ends.
 
-use super::{Format, Rules, Table, usage};
-use rtec_files::InputError;
+use super::{Format, Point, Rules, Table, usage};
+use rtec_files::Result;
 use std::fmt::Write as _;
 
 /// Most points in builds before V3.1.3079.06.
 /// Also in later builds unless P-COMP-00059 states another number.
-pub const MOST: usize = 1500;
+pub(super) const MOST: usize = 1500;
 
 /// A compensation value list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Ssfk {
+pub(super) struct Ssfk {
     /// Logical number of the axis (P-COMP-00001), 1 to 65535.
     pub axis_number: u16,
     /// Most points: 1500, or the value of P-COMP-00059.
@@ -30,30 +30,22 @@ impl Format for Ssfk {
         Rules::both_directions(self.most, 1e-4, 0.1)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         if self.axis_number == 0 {
             return Err(usage("--axis-number 0", "the controller's logical axis number, from 1"));
         }
-        let values: Vec<[i64; 3]> = table
-            .points
-            .iter()
-            .map(|p| [tenths(1000.0 * p.position_mm), tenths(p.up_um), tenths(p.down_um)])
-            .collect();
+        let of = |p: &Point| [1000.0 * p.position_mm, p.up_um, p.down_um].map(tenths);
+        let values: Vec<[i64; 3]> = table.points.iter().map(of).collect();
         if let Some(v) = values.iter().flatten().find(|v| i32::try_from(**v).is_err()) {
             return Err(usage(format!("{v} x 0.1 um"), "values of 32 bits, as the controller takes"));
         }
         let mut text = format!("kopf.achs_nr {}\n", self.axis_number);
-        let start = values.first().map_or(0, |v| v[0]);
-        for (key, value) in [
-            ("interval", 0),
-            ("kw_startpos", start),
-            ("kw_nr_max", values.len() as i64),
-            ("unit", 1),
-            ("bilateral", 1),
-            ("modulo", 0),
-        ] {
-            let _ = writeln!(text, "kw.ssfk.{key} {value}");
-        }
+        let (start, count) = (tenths(1000.0 * table.start_mm()), values.len());
+        let _ = write!(
+            text,
+            "kw.ssfk.interval 0\nkw.ssfk.kw_startpos {start}\nkw.ssfk.kw_nr_max {count}\n\
+             kw.ssfk.unit 1\nkw.ssfk.bilateral 1\nkw.ssfk.modulo 0\n"
+        );
         for (column, key) in ["setpoint", "pos", "neg"].iter().enumerate() {
             for (i, v) in values.iter().enumerate() {
                 let _ = writeln!(text, "kw.ssfk.table[{i}].{key} {}", v[column]);

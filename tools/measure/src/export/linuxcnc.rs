@@ -5,26 +5,22 @@
 //! motor's command. The loader converts type 0 to type 1 as nominal less reached.
 
 use super::{Format, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 
 /// Most points of LinuxCNC (`EMCMOT_COMP_SIZE`).
 pub const MOST: usize = 256;
 /// Size of its line buffer, bytes, with the terminator.
 const LINE: usize = 255;
 
-/// The machine's `[TRAJ] LINEAR_UNITS`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
-    /// Millimetres.
-    Mm,
-    /// Inches.
-    Inch,
+rtec_files::choice! {
+    /// The machine's `[TRAJ] LINEAR_UNITS`.
+    pub enum Unit {
+        Mm = "mm", "";
+        Inch = "inch", "";
+    }
 }
 
 impl Unit {
-    /// All units with their names; the third field is unused.
-    pub const ALL: [(&'static str, Self, &'static str); 2] = [("mm", Self::Mm, ""), ("inch", Self::Inch, "")];
-
     /// Length of the unit, mm.
     pub fn mm(self) -> f64 {
         match self {
@@ -49,21 +45,17 @@ impl Format for LinuxCnc {
         Rules::both_directions(MOST, 1e-6, 1e-6)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
-        let (mm, decimals) = (self.unit.mm(), 9);
+    fn text(&self, table: &Table) -> Result<String> {
+        let in_unit = |mm: f64| number(mm / self.unit.mm(), 9);
         let mut text = String::new();
         let mut before: Option<String> = None;
         for p in &table.points {
             let value = |um: f64| if self.trims { -um / 1000.0 } else { p.position_mm + um / 1000.0 };
-            let nominal = number(p.position_mm / mm, decimals);
+            let nominal = in_unit(p.position_mm);
             if before.as_ref() == Some(&nominal) {
                 return Err(usage(format!("the position {nominal} twice"), "a larger --step"));
             }
-            let line = format!(
-                "{nominal} {} {}\n",
-                number(value(p.up_um) / mm, decimals),
-                number(value(p.down_um) / mm, decimals)
-            );
+            let line = format!("{nominal} {} {}\n", in_unit(value(p.up_um)), in_unit(value(p.down_um)));
             if line.len() >= LINE {
                 return Err(usage(format!("a line of {} bytes", line.len()), "lines below 255 bytes"));
             }
@@ -74,10 +66,7 @@ impl Format for LinuxCnc {
     }
 
     fn advice(&self, _: &Table) -> Vec<String> {
-        let unit = match self.unit {
-            Unit::Mm => "mm",
-            Unit::Inch => "inch",
-        };
+        let unit = Unit::ALL[self.unit as usize].0;
         vec![format!(
             "in the [JOINT_n] section: COMP_FILE = this file, COMP_FILE_TYPE = {}; the machine's LINEAR_UNITS are {unit}; BACKLASH is \
              ignored then; add no comment: LinuxCNC stops at the first line that is not three numbers",

@@ -2,8 +2,10 @@
 
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::own::OwnForm;
-use super::{Csv, Errors, Format, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage};
-use rtec_files::InputError;
+use super::{
+    Csv, Errors, Format, Left, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage,
+};
+use rtec_files::Result;
 use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
@@ -73,12 +75,12 @@ pub struct Exported {
 }
 
 /// The value of an option that a format needs.
-fn needed<T>(value: Option<T>, option: &str) -> Result<T, InputError> {
+fn needed<T>(value: Option<T>, option: &str) -> Result<T> {
     value.ok_or_else(|| usage(format!("no --{option}"), format!("--{option} with this format")))
 }
 
 impl TableOrder {
-    fn format(&self) -> Result<Box<dyn Format>, InputError> {
+    fn format(&self) -> Result<Box<dyn Format>> {
         let linuxcnc = matches!(self.format, ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1);
         if self.unit == Unit::Inch && !linuxcnc {
             return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
@@ -88,19 +90,17 @@ impl TableOrder {
             return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
         }
         let most = self.wanted.most;
-        if let Some(along) = &self.along {
-            let cannot = match self.format {
-                ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
-                    "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one"
-                }
-                ExportFormat::Ssfk => "kw.ssfk is looked up at the axis' own position",
-                ExportFormat::Siemens => "$AA_ENC_COMP is looked up at the axis' own position",
-                ExportFormat::SiemensCec | ExportFormat::Csv | ExportFormat::Own => "",
-            };
-            if !cannot.is_empty() {
-                let expected = format!("--format siemens-cec, csv or own, or no --along: {cannot}");
-                return Err(usage(format!("--along {along} with this format"), expected));
-            }
+        let cannot_along = match self.format {
+            ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => Some(
+                "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one",
+            ),
+            ExportFormat::Ssfk => Some("kw.ssfk is looked up at the axis' own position"),
+            ExportFormat::Siemens => Some("$AA_ENC_COMP is looked up at the axis' own position"),
+            ExportFormat::SiemensCec | ExportFormat::Csv | ExportFormat::Own => None,
+        };
+        if let Some((along, why)) = self.along.as_ref().zip(cannot_along) {
+            let expected = format!("--format siemens-cec, csv or own, or no --along: {why}");
+            return Err(usage(format!("--along {along} with this format"), expected));
         }
         Ok(match self.format {
             ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => {
@@ -141,7 +141,7 @@ impl TableOrder {
     ///
     /// # Errors
     /// The model has no such axis or lacks what the table needs; the format cannot hold it.
-    pub fn of(&self, machine: &Machine) -> Result<Exported, InputError> {
+    pub fn of(&self, machine: &Machine) -> Result<Exported> {
         let format = self.format()?;
         let errors = self.errors(machine)?;
         let mut rules = format.rules();
@@ -158,27 +158,17 @@ impl TableOrder {
         warnings.extend(self.coarse(&table, rules.both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
         let spike_um = errors.behind_turn_um(f64::midpoint(self.wanted.from_mm, self.wanted.to_mm))?;
+        let beside =
+            format!("; right behind a turn up to {spike_um:.2} um more, which no table of positions holds");
+        let beside = if spike_um > 0.0 { &beside } else { "" };
+        let Left { max_up_um: up, max_down_um: down, rms_um: rms } = left;
+        let (axis, step_mm, [start, end]) =
+            (&table.axis, table.step_mm, [table.start_mm(), table.end_mm()].map(short));
+        let across = self.along.as_ref().map_or(String::new(), |along| format!(" along {along}"));
         let mut notes = vec![
+            format!("axis {axis}{across}, {points} positions, {step_mm:.4} mm apart, {start} to {end} mm"),
             format!(
-                "axis {}{}, {points} positions, {:.4} mm apart, {} to {} mm",
-                table.axis,
-                self.along.as_ref().map_or(String::new(), |along| format!(" along {along}")),
-                table.step_mm,
-                short(table.points[0].position_mm),
-                short(table.end_mm())
-            ),
-            format!(
-                "it leaves of the model at most {:.2} um moving up and {:.2} um moving down, {:.2} um RMS{}",
-                left.max_up_um,
-                left.max_down_um,
-                left.rms_um,
-                if spike_um > 0.0 {
-                    format!(
-                        "; right behind a turn up to {spike_um:.2} um more, which no table of positions holds"
-                    )
-                } else {
-                    String::new()
-                }
+                "it leaves of the model at most {up:.2} um moving up and {down:.2} um moving down, {rms:.2} um RMS{beside}"
             ),
         ];
         if !held.is_empty() {
@@ -193,7 +183,7 @@ impl TableOrder {
         notes.extend(format.advice(&table));
         let document = json!({
             "axis": table.axis.as_str(), "along": along, "points": points, "step_mm": table.step_mm,
-            "from_mm": table.points[0].position_mm, "to_mm": table.end_mm(),
+            "from_mm": table.start_mm(), "to_mm": table.end_mm(),
             "max_up_um": left.max_up_um, "max_down_um": left.max_down_um, "rms_um": left.rms_um,
             "between_um": table.between_um, "behind_turn_um": spike_um, "constant_um": table.constant_um, "warnings": warnings,
             "temperatures_degC": held.iter().copied().collect::<BTreeMap<&str, f64>>(),
@@ -202,7 +192,7 @@ impl TableOrder {
     }
 
     /// The model's errors along the axis, or along `along`.
-    fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>, InputError> {
+    fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>> {
         let Some(along) = &self.along else {
             return Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
         };
@@ -218,34 +208,27 @@ impl TableOrder {
     fn coarse(&self, table: &Table, both: bool) -> Vec<String> {
         let (limit_um, to_mm, mut found) = (self.wanted.limit_um, self.wanted.to_mm, Vec::new());
         if table.between_um > limit_um {
+            let no_more = "the format takes no more positions";
+            let finer = self.wanted.step_mm.map_or(no_more, |_| "a smaller --step, or none");
             found.push(format!(
-                "between its positions the table is up to {:.2} um off the model, more than the limit of {limit_um} um{}",
-                table.between_um,
-                if self.wanted.step_mm.is_some() {
-                    ": a smaller --step, or none"
-                } else {
-                    ": the format takes no more positions"
-                }
+                "between its positions the table is up to {:.2} um off the model, more than the limit of {limit_um} um: {finer}",
+                table.between_um
             ));
         }
         if table.end_mm() > to_mm + 1e-9 {
+            let (end, step) = (short(table.end_mm()), table.step_mm);
             found.push(format!(
-                "its last position, {} mm, is past --to {to_mm} mm: equal steps of {:.4} mm do not end there",
-                short(table.end_mm()),
-                table.step_mm
+                "its last position, {end} mm, is past --to {to_mm} mm: equal steps of {step:.4} mm do not end there"
             ));
         }
         if table.left.max_um() > table.between_um + limit_um {
+            let most = table.points.iter().map(|p| p.up_um.abs().max(p.down_um.abs())).fold(0.0, f64::max);
+            let left = format!("up to {:.2} um", table.left.max_um());
             found.push(if both {
-                format!(
-                    "applied, it leaves up to {:.2} um: the table moves the drive by up to {:.0} um, and the error there is another",
-                    table.left.max_um(),
-                    table.points.iter().map(|p| p.up_um.abs().max(p.down_um.abs())).fold(0.0, f64::max)
-                )
+                format!("applied, it leaves {left}: the table moves the drive by up to {most:.0} um, and the error there is another")
             } else {
-                format!("one value serves both directions: what they differ by stays, up to {:.2} um in each",
-                table.left.max_um()
-            )});
+                format!("one value serves both directions: what they differ by stays, {left} in each")
+            });
         }
         found
     }

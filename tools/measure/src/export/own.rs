@@ -19,12 +19,14 @@
 //! `{step}`, `{first}` and `{last}` are positions too; `{{` and `}}` stand for braces.
 
 use super::{Format, Lookup, Point, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
 
 const UNITS: [(&str, f64); 3] = [("mm", 1.0), ("um", 1e-3), ("inch", 25.4)];
 const ONCE: [&str; 5] = ["axis", "points", "step", "first", "last"];
+const KEYS: &str = "header line footer value position_unit value_unit position_decimals value_decimals \
+                    max_points first_index zero_at_reference decimal_comma line_end";
 const EACH: [&str; 5] = ["n", "position", "forward", "reverse", "mean"];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,7 +61,7 @@ pub struct OwnForm {
     line_end: &'static str,
 }
 
-fn template(entry: Entry<'_>, known: &[&'static str]) -> Result<Vec<Piece>, InputError> {
+fn template(entry: Entry<'_>, known: &[&'static str]) -> Result<Vec<Piece>> {
     let names: Vec<String> = known.iter().map(|n| format!("{{{n}}}")).collect();
     let expected = format!("text with {}; {{{{ and }}}} for braces", names.join(", "));
     let text = entry.str(&expected)?;
@@ -96,24 +98,10 @@ impl OwnForm {
     ///
     /// # Errors
     /// The first finding, with its place.
-    pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self, InputError> {
+    pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self> {
         let document = Document::parse(file, text)?;
         let root = document.root();
-        root.only(&[
-            "header",
-            "line",
-            "footer",
-            "value",
-            "position_unit",
-            "value_unit",
-            "position_decimals",
-            "value_decimals",
-            "max_points",
-            "first_index",
-            "zero_at_reference",
-            "decimal_comma",
-            "line_end",
-        ])?;
+        root.only(&KEYS.split_whitespace().collect::<Vec<_>>())?;
         let once = |key: &str| root.get(key).map_or(Ok(Vec::new()), |entry| template(entry, &ONCE));
         let line_entry =
             root.required("line", "what a point's line is, as line = \"{position} {forward} {reverse}\"")?;
@@ -123,7 +111,7 @@ impl OwnForm {
             let expected = "both {forward} and {reverse}, or {mean} where one value serves both directions";
             return Err(line_entry.error(format!("'{}'", line_entry.text()), expected));
         }
-        let unit = |key: &str, default: Option<f64>| -> Result<f64, InputError> {
+        let unit = |key: &str, default: Option<f64>| -> Result<f64> {
             let expected = format!("{key} = \"mm\", \"um\" or \"inch\"");
             match (root.get(key), default) {
                 (None, Some(mm)) => Ok(mm),
@@ -134,7 +122,7 @@ impl OwnForm {
                 }
             }
         };
-        let decimals = |key: &str| -> Result<usize, InputError> {
+        let decimals = |key: &str| -> Result<usize> {
             let expected = format!("{key}, 0 to 12");
             let entry = root.required(key, &expected)?;
             let n: usize = entry.integer(&expected)?;
@@ -155,19 +143,18 @@ impl OwnForm {
         let Some(count) = Some(most.integer::<usize>(expected)?).filter(|n| (2..=100_000).contains(n)) else {
             return Err(most.mismatch(expected));
         };
-        let line_end = match root.get("line_end") {
-            None => "\n",
-            Some(entry) => match entry.as_str() {
-                Some("lf") => "\n",
-                Some("crlf") => "\r\n",
-                _ => return Err(entry.mismatch("line_end = \"lf\" or \"crlf\"")),
-            },
+        let line_end = match root.get("line_end").map(|entry| (entry, entry.as_str())) {
+            None | Some((_, Some("lf"))) => "\n",
+            Some((_, Some("crlf"))) => "\r\n",
+            Some((entry, _)) => return Err(entry.mismatch("line_end = \"lf\" or \"crlf\"")),
         };
         let zero = flag("zero_at_reference")?;
         if zero && value == Value::Reached {
             let entry = root.required("zero_at_reference", "zero_at_reference")?;
             return Err(entry.mismatch("no zero where the values are positions reached"));
         }
+        let expected = "a whole number within ±2147483647";
+        let first_index = root.get("first_index").map_or(Ok(0), |e| e.integer::<i32>(expected));
         Ok(Self {
             header: once("header")?,
             line,
@@ -176,10 +163,7 @@ impl OwnForm {
             position: (unit("position_unit", Some(1.0))?, decimals("position_decimals")?),
             values: (unit("value_unit", None)?, decimals("value_decimals")?),
             most: count,
-            first_index: root
-                .get("first_index")
-                .map_or(Ok(0), |e| e.integer::<i32>("a whole number within ±2147483647"))?
-                .into(),
+            first_index: first_index?.into(),
             zero_at_mm: zero.then_some(reference_mm),
             both: !mean,
             decimal_comma: flag("decimal_comma")?,
@@ -219,24 +203,21 @@ impl Format for OwnForm {
         }
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         let mut text = String::new();
-        let ends = (table.points.first().map_or(0.0, |p| p.position_mm), table.end_mm());
         let once = |name: &str| match name {
             "axis" => table.axis.to_string(),
             "points" => table.points.len().to_string(),
             "step" => self.position(table.step_mm),
-            "first" => self.position(ends.0),
-            _ => self.position(ends.1),
+            "first" => self.position(table.start_mm()),
+            _ => self.position(table.end_mm()),
         };
         let fill = |pieces: &[Piece], of: &dyn Fn(&str) -> String| -> String {
-            pieces
-                .iter()
-                .map(|p| match p {
-                    Piece::Text(text) => text.clone(),
-                    Piece::Place(name) => of(name),
-                })
-                .collect()
+            let written = |p: &Piece| match p {
+                Piece::Text(text) => text.clone(),
+                Piece::Place(name) => of(name),
+            };
+            pieces.iter().map(written).collect()
         };
         text.push_str(&fill(&self.header, &once));
         let mut before = String::new();
@@ -263,25 +244,5 @@ impl Format for OwnForm {
 
     fn advice(&self, _: &Table) -> Vec<String> {
         vec!["what it leaves holds for a controller that goes straight from value to value, by the commanded position and direction".to_owned()]
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The number of the last point must be one, too.
-    #[test]
-    fn points_are_counted_from_a_number_that_has_others_behind_it() {
-        let form = |first: i64| {
-            format!(
-                "line = \"{{n}};{{position}};{{mean}}\"\nvalue = \"error\"\nvalue_unit = \"um\"\nposition_decimals = 3\n\
-                 value_decimals = 1\nmax_points = 128\nfirst_index = {first}\n"
-            )
-        };
-        let parse = |first| OwnForm::parse(Path::new("f.toml"), &form(first), 0.0);
-        assert!(parse(1).is_ok() && parse(-5).is_ok());
-        let e = parse(i64::MAX).unwrap_err();
-        assert_eq!((e.line, e.found.as_str()), (7, "first_index = 9223372036854775807"));
     }
 }

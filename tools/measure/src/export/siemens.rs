@@ -6,15 +6,15 @@
 //! point.
 
 use super::{Format, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use std::fmt::Write as _;
 
 /// Points of an 808D; an 840D or 828D has the number in MD38000.
-pub const MOST: usize = 200;
+pub(super) const MOST: usize = 200;
 
 /// A table of encoder compensation.
 #[derive(Debug, Clone, PartialEq)]
-pub struct EncComp {
+pub(super) struct EncComp {
     /// Name of the machine axis in the controller, such as X1.
     pub axis: String,
     /// The reference point, mm.
@@ -26,7 +26,7 @@ pub struct EncComp {
 }
 
 /// Refuses an axis name that SINUMERIK does not take.
-pub(super) fn check_axis_name(option: &str, name: &str) -> Result<(), InputError> {
+pub(super) fn check_axis_name(option: &str, name: &str) -> Result<()> {
     let good = name.starts_with(|c: char| c.is_ascii_alphabetic())
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     let expected = "the machine axis as the controller names it, as X1";
@@ -38,7 +38,7 @@ impl Format for EncComp {
         Rules::siemens(self.most, self.reference_mm)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         check_axis_name("--axis-name", &self.axis)?;
         if self.encoder > 1 {
             return Err(usage(format!("--encoder {}", self.encoder), "encoder 0 or 1"));
@@ -48,14 +48,11 @@ impl Format for EncComp {
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AA_ENC_COMP[{e},{i},{axis}]={}", number(p.mean_um() / 1000.0, 6));
         }
-        let start = table.points.first().map_or(0.0, |p| p.position_mm);
+        let [step, min, max] = table.grid();
         let _ = write!(
             text,
-            "$AA_ENC_COMP_STEP[{e},{axis}]={}\n$AA_ENC_COMP_MIN[{e},{axis}]={}\n$AA_ENC_COMP_MAX[{e},{axis}]={}\n\
-             $AA_ENC_COMP_IS_MODULO[{e},{axis}]=0\nM17\n",
-            number(table.step_mm, 4),
-            number(start, 4),
-            number(table.end_mm(), 4)
+            "$AA_ENC_COMP_STEP[{e},{axis}]={step}\n$AA_ENC_COMP_MIN[{e},{axis}]={min}\n$AA_ENC_COMP_MAX[{e},{axis}]={max}\n\
+             $AA_ENC_COMP_IS_MODULO[{e},{axis}]=0\nM17\n"
         );
         Ok(text)
     }

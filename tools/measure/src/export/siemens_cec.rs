@@ -7,16 +7,16 @@
 
 use super::siemens::check_axis_name;
 use super::{Format, Point, Rules, Table, number, usage};
-use rtec_files::InputError;
+use rtec_files::Result;
 use std::fmt::Write as _;
 
 /// Points of a table of an 828D (the manual, p. 264).
 /// An 840D has the number in MD18342.
-pub const MOST: usize = 200;
+pub(super) const MOST: usize = 200;
 
 /// A table of sag compensation.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Cec {
+pub(super) struct Cec {
     /// Name of the compensation axis in the controller, such as Y1.
     pub axis: String,
     /// Name of the basic axis, whose position is looked up, such as X1.
@@ -44,7 +44,7 @@ impl Format for Cec {
         Rules::siemens(self.most, self.reference_mm)
     }
 
-    fn text(&self, table: &Table) -> Result<String, InputError> {
+    fn text(&self, table: &Table) -> Result<String> {
         check_axis_name("--axis-name", &self.axis)?;
         check_axis_name("--along-name", &self.along)?;
         if self.axis == self.along {
@@ -55,16 +55,11 @@ impl Format for Cec {
         for (i, p) in table.points.iter().enumerate() {
             let _ = writeln!(text, "$AN_CEC[{t},{i}]={}", number(self.value_mm(p), 6));
         }
-        let start = table.points.first().map_or(0.0, |p| p.position_mm);
+        let (Self { along, axis, .. }, [step, min, max]) = (self, table.grid());
         let _ = write!(
             text,
-            "$AN_CEC_INPUT_AXIS[{t}]=({})\n$AN_CEC_OUTPUT_AXIS[{t}]=({})\n$AN_CEC_STEP[{t}]={}\n$AN_CEC_MIN[{t}]={}\n\
-             $AN_CEC_MAX[{t}]={}\n$AN_CEC_DIRECTION[{t}]=0\n$AN_CEC_MULT_BY_TABLE[{t}]=0\n$AN_CEC_IS_MODULO[{t}]=0\nM17\n",
-            self.along,
-            self.axis,
-            number(table.step_mm, 4),
-            number(start, 4),
-            number(table.end_mm(), 4)
+            "$AN_CEC_INPUT_AXIS[{t}]=({along})\n$AN_CEC_OUTPUT_AXIS[{t}]=({axis})\n$AN_CEC_STEP[{t}]={step}\n$AN_CEC_MIN[{t}]={min}\n\
+             $AN_CEC_MAX[{t}]={max}\n$AN_CEC_DIRECTION[{t}]=0\n$AN_CEC_MULT_BY_TABLE[{t}]=0\n$AN_CEC_IS_MODULO[{t}]=0\nM17\n"
         );
         Ok(text)
     }

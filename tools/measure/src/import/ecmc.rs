@@ -1,7 +1,7 @@
 //! The data file of ecmc's ISO 230-2 test.
 
-use super::of_targets;
-use rtec_files::InputError;
+use super::{finite, of_targets};
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,11 +14,11 @@ use std::path::Path;
 ///
 /// # Errors
 /// An invalid assignment, an index outside its range, a missing reading or target.
-pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record> {
     let mut targets: BTreeMap<usize, f64> = BTreeMap::new();
     let mut readings: BTreeMap<(usize, bool, usize), f64> = BTreeMap::new();
     for (i, line) in text.lines().enumerate() {
-        let at = |found: &str, expected: &str| InputError::at(from, i + 1, 1, format!("`{found}`"), expected);
+        let at = |found: &str, expected: &str| InputError::line(from, i + 1, format!("`{found}`"), expected);
         let body = line.split('#').next().unwrap_or("").trim();
         let Some((key, value)) = body.split_once('=').map(|(k, v)| (k.trim(), v.trim())) else {
             if body.is_empty() {
@@ -26,8 +26,7 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
             }
             return Err(at(body, "KEY=VALUE"));
         };
-        let number =
-            || value.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| at(value, "a number"));
+        let number = || finite(value).ok_or_else(|| at(value, "a number"));
         match key.split_once('[').map(|(k, rest)| (k, rest.trim_end_matches(']'))) {
             None if key == "UNIT" && value != "mm" => return Err(at(body, "UNIT=mm")),
             Some(("TGT_DATA", index)) => {
@@ -35,9 +34,8 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
                 targets.insert(i, number()?);
             }
             Some((name @ ("REF_DATA_FWD" | "REF_DATA_BWD"), index)) => {
-                let pair = index
-                    .split_once(',')
-                    .and_then(|(i, j)| Some((i.trim().parse().ok()?, j.trim().parse().ok()?)));
+                let pair = |(i, j): (&str, &str)| Some((i.trim().parse().ok()?, j.trim().parse().ok()?));
+                let pair = index.split_once(',').and_then(pair);
                 let (i, j): (usize, usize) = pair.ok_or_else(|| at(index, "target, cycle"))?;
                 readings.insert((j, name == "REF_DATA_BWD", i), number()?);
             }
@@ -55,26 +53,13 @@ pub fn ecmc_dat(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Recor
         return Err(whole(format!("cycle {cycles} of {} readings", readings.len()), "cycles counted from 1"));
     }
     for cycle in 1..=cycles {
-        for back in [false, true] {
-            let mut order: Vec<(&usize, &f64)> = targets.iter().collect();
-            if back {
-                order.reverse();
-            }
-            for (i, target) in order {
-                let reading = readings.get(&(cycle, back, *i)).ok_or_else(|| {
-                    let name = if back { "BWD" } else { "FWD" };
-                    whole(
-                        format!("no REF_DATA_{name}[{i},{cycle}]"),
-                        "a reading per target, cycle and direction",
-                    )
-                })?;
-                rows.push([
-                    cycle as f64,
-                    *target,
-                    if back { -1.0 } else { 1.0 },
-                    (reading - target) * 1000.0,
-                ]);
-            }
+        let forward = targets.iter().map(|target| (false, target));
+        for (back, (i, target)) in forward.chain(targets.iter().rev().map(|target| (true, target))) {
+            let (name, way) = if back { ("BWD", -1.0) } else { ("FWD", 1.0) };
+            let expected = "a reading per target, cycle and direction";
+            let error = || whole(format!("no REF_DATA_{name}[{i},{cycle}]"), expected);
+            let reading = readings.get(&(cycle, back, *i)).ok_or_else(error)?;
+            rows.push([cycle as f64, *target, way, (reading - target) * 1000.0]);
         }
     }
     if rows.len() != readings.len() {

@@ -4,8 +4,8 @@
 //!
 //! `EXY` is the error in X while Y moves; its `Gridpoints` are position and value.
 
-use super::add_note;
-use rtec_files::InputError;
+use super::{add_note, finite};
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -15,26 +15,21 @@ struct Block {
     points: Vec<(f64, f64)>,
 }
 
-fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
+fn blocks(from: &Path, text: &str) -> Result<Vec<Block>> {
     let mut blocks: Vec<Block> = Vec::new();
     let mut open: Option<usize> = None;
     for (i, raw) in text.lines().enumerate() {
         let line = raw.split("//").next().unwrap_or("").trim();
         let line = if line.starts_with([';', '#']) { "" } else { line };
-        let at = |found: String, expected: &str| InputError::at(from, i + 1, 1, found, expected);
+        let at = |found: String, expected: &str| InputError::line(from, i + 1, found, expected);
         if line.is_empty() {
             continue;
         }
-        let number = |word: &str| {
-            let value = word.parse::<f64>().ok().filter(|v| v.is_finite());
-            value.ok_or_else(|| at(format!("`{word}`"), "a number"))
-        };
+        let number = |word: &str| finite(word).ok_or_else(|| at(format!("`{word}`"), "a number"));
         if let Some(name) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
             if let Some(start) = open {
-                return Err(at(
-                    format!("[{name}] before the }} of line {start}"),
-                    "the end of the gridpoints, }",
-                ));
+                let found = format!("[{name}] before the }} of line {start}");
+                return Err(at(found, "the end of the gridpoints, }"));
             }
             if blocks.iter().any(|b| b.name == name) {
                 return Err(at(format!("[{name}] a second time"), "each block once"));
@@ -54,10 +49,8 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
                     continue;
                 }
                 "Gridpoints" => {
-                    body = value
-                        .strip_prefix('{')
-                        .ok_or_else(|| at(format!("`{line}`"), "Gridpoints = {"))?
-                        .trim();
+                    let points = value.strip_prefix('{');
+                    body = points.ok_or_else(|| at(format!("`{line}`"), "Gridpoints = {"))?.trim();
                     open = Some(i + 1);
                 }
                 // A key of another program; a misspelt `Gridpoints` is found by its numbers.
@@ -77,7 +70,7 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
         }
     }
     match open {
-        Some(start) => Err(InputError::at(from, start, 1, "Gridpoints without an end", "a line with }")),
+        Some(start) => Err(InputError::line(from, start, "Gridpoints without an end", "a line with }")),
         None => Ok(blocks),
     }
 }
@@ -88,7 +81,7 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>, InputError> {
 ///
 /// # Errors
 /// An invalid line, no such block, blocks with different positions, positions that do not rise.
-pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record> {
     let blocks = blocks(from, text)?;
     let moving = axis.as_str().to_ascii_uppercase();
     let mut columns = Vec::new();
@@ -101,7 +94,7 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
         };
         let at: Vec<f64> = block.points.iter().map(|p| p.0).collect();
         let error = |found: &str, expected: &str| {
-            InputError::at(from, block.line, 1, format!("[{}] {found}", block.name), expected)
+            InputError::line(from, block.line, format!("[{}] {found}", block.name), expected)
         };
         if at.windows(2).any(|w| w[1] <= w[0]) {
             return Err(error("with positions that do not rise", "positions that rise"));
@@ -109,10 +102,8 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
         if positions.is_empty() {
             positions = at;
         } else if positions != at {
-            return Err(error(
-                "has other positions than the block before",
-                "the same positions in all three",
-            ));
+            let expected = "the same positions in all three";
+            return Err(error("has other positions than the block before", expected));
         }
         let Some(response) = Axis::new(&component.to_lowercase()) else { continue };
         let um = block.points.iter().map(|p| 1000.0 * p.1).collect();
@@ -126,10 +117,8 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record,
     }
     columns.insert(0, Column::new(axis.as_str(), Role::Position(axis.clone()), positions));
     let mut record = Record::new(to, Kind::Positioning, columns)?;
-    add_note(
-        &mut record,
-        "Etalon exchange file; signs as the file has them: hold one against a measurement of your own",
-    );
+    let note = "Etalon exchange file; signs as the file has them: hold one against a measurement of your own";
+    add_note(&mut record, note);
     if !left.is_empty() {
         add_note(&mut record, &format!("left out: {}", left.join(", ")));
     }

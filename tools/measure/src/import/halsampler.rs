@@ -4,8 +4,8 @@
 
 use super::add_note;
 use super::table::{Form, ImportColumn, table};
-use rtec_files::InputError;
 use rtec_files::words::is_comment;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -31,7 +31,7 @@ pub fn halsampler(
     form: &Form,
     kind: Kind,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     /// Fewest lines that count by one and are not chance.
     const COUNTED: usize = 3;
     let Sampling { period_s, numbered } = *sampling;
@@ -46,20 +46,15 @@ pub fn halsampler(
             if !numbered {
                 let expected =
                     "a log without gaps, or one with the samples' numbers (halsampler -t) and --numbered";
-                return Err(InputError::at(from, i + 1, 1, "`overrun`: samples are lost here", expected));
+                return Err(InputError::line(from, i + 1, "`overrun`: samples are lost here", expected));
             }
             lost.push((i + 1).to_string());
         } else if !(line.trim().is_empty() || is_comment(line)) {
-            let n = if numbered {
-                let word = line.split_whitespace().next().unwrap_or_default();
-                let n = word.parse::<u64>().ok();
-                n.ok_or_else(|| {
-                    InputError::at(from, i + 1, 1, format!("`{word}`"), "the sample's number in front")
-                })? as f64
-            } else {
-                times.len() as f64
-            };
-            times.push(n * period_s);
+            let word = line.split_whitespace().next().unwrap_or_default();
+            let n = if numbered { word.parse().ok() } else { Some(times.len() as u64) };
+            let expected = "the sample's number in front";
+            let n = n.ok_or_else(|| InputError::line(from, i + 1, format!("`{word}`"), expected))?;
+            times.push(n as f64 * period_s);
             plain.push_str(line);
         }
         plain.push('\n');
@@ -72,7 +67,7 @@ pub fn halsampler(
     if !numbered && counts && times.len() >= COUNTED && wanted.iter().any(|w| w.column == "1") {
         let expected = "a quantity: these are the samples' numbers (halsampler -t); say --numbered, which leaves them out of the columns; \
                         a quantity that counts like this is read by --format own";
-        return Err(InputError::at(from, 1, 1, "column 1 counts 0, 1, 2 … line by line", expected));
+        return Err(InputError::line(from, 1, "column 1 counts 0, 1, 2 … line by line", expected));
     }
     // The sample's number is a column of the file, but not of the user's count.
     let shift = |w: &ImportColumn| match w.column.parse::<usize>() {
@@ -83,11 +78,8 @@ pub fn halsampler(
     let form = Form { by: Some(' '), nameless: true, ..form.clone() };
     let mut record = table(from, &plain, &shifted, &form, kind, to)?;
     if record.column(&Role::Time).is_some() {
-        return Err(InputError::whole(
-            from,
-            "a column of role time",
-            "none: the samples' period gives the time",
-        ));
+        let expected = "none: the samples' period gives the time";
+        return Err(InputError::whole(from, "a column of role time", expected));
     }
     let start = times.first().copied().unwrap_or(0.0);
     if let Some(k) = times.windows(2).position(|w| w[1] <= w[0]) {

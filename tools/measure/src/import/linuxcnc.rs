@@ -1,7 +1,8 @@
 //! LinuxCNC's compensation file, read as LinuxCNC reads it.
 
+use super::finite;
 use crate::export::linuxcnc::{MOST, Unit};
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -19,12 +20,12 @@ pub fn linuxcnc_comp(
     trims: bool,
     unit: Unit,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     let mut rows: Vec<[f64; 3]> = Vec::new();
     let mut stopped: Option<(usize, &str)> = None;
     for (i, line) in text.lines().enumerate() {
         let mut words = line.split_whitespace();
-        let mut next = || words.next().and_then(|w| w.parse::<f64>().ok()).filter(|v| v.is_finite());
+        let mut next = || words.next().and_then(finite);
         let (Some(nominal), Some(forward), Some(backward)) = (next(), next(), next()) else {
             stopped = stopped.or(Some((i + 1, line)));
             continue;
@@ -37,28 +38,23 @@ pub fn linuxcnc_comp(
             let expected = format!(
                 "three numbers: LinuxCNC stops at this line without a word and {taken}; take the line out"
             );
-            return Err(InputError::at(from, at, 1, format!("`{}`", line.trim()), expected));
+            return Err(InputError::line(from, at, format!("`{}`", line.trim()), expected));
         }
         if let Some(before) = rows.last().map(|r: &[f64; 3]| r[0] / unit.mm()).filter(|b| nominal <= *b) {
             let found = format!("{nominal} after {before}");
-            return Err(InputError::at(from, i + 1, 1, found, "positions that rise, as LinuxCNC wants them"));
+            return Err(InputError::line(from, i + 1, found, "positions that rise, as LinuxCNC wants them"));
         }
         if rows.len() == MOST {
             let expected = format!("at most {MOST} points, as LinuxCNC takes");
-            return Err(InputError::at(from, i + 1, 1, "one more point", expected));
+            return Err(InputError::line(from, i + 1, "one more point", expected));
         }
         rows.push([nominal, forward, backward].map(|v| v * unit.mm()));
     }
     if rows.len() < 2 {
         let (line, found) =
             stopped.map_or((0, "nothing".to_owned()), |(at, l)| (at, format!("`{}`", l.trim())));
-        return Err(InputError::at(
-            from,
-            line,
-            usize::from(line > 0),
-            found,
-            "nominal, forward, backward; two points at least",
-        ));
+        let expected = "nominal, forward, backward; two points at least";
+        return Err(InputError::at(from, line, usize::from(line > 0), found, expected));
     }
     let error = |nominal: f64, v: f64| 1000.0 * if trims { -v } else { v - nominal };
     // A slope near 1: positions read as trims, or trims as positions.
@@ -72,11 +68,8 @@ pub fn linuxcnc_comp(
             ("positions reached", "trims (type 1)")
         };
         let found = format!("{is} that make errors of {slope:.2} mm per mm");
-        return Err(InputError::whole(
-            from,
-            found,
-            format!("{is}; the file looks like {other}: choose the other type"),
-        ));
+        let expected = format!("{is}; the file looks like {other}: choose the other type");
+        return Err(InputError::whole(from, found, expected));
     }
     let up = rows.iter().map(|r| (r[0], 1.0, error(r[0], r[1])));
     let down = rows.iter().rev().map(|r| (r[0], -1.0, error(r[0], r[2])));

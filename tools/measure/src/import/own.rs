@@ -15,7 +15,7 @@
 //! ```
 
 use super::table::{Form, ImportColumn, table};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::Document;
 use rtec_model::record::{Kind, Record, Role};
 use std::path::Path;
@@ -33,7 +33,7 @@ impl OwnTable {
     ///
     /// # Errors
     /// The first finding, with its place.
-    pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
+    pub fn parse(file: &Path, text: &str) -> Result<Self> {
         let document = Document::parse(file, text)?;
         let root = document.root();
         root.only(&["kind", "separator", "decimal", "skip_lines", "names", "comment", "log", "columns"])?;
@@ -41,31 +41,29 @@ impl OwnTable {
         let kind = root.required("kind", "the kind of run, as kind = \"drift\"")?;
         let kind = Kind::parse(kind.str("a kind of run")?)
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
-        let separator = root.required("separator", "separator = \",\", \";\", \"tab\" or \"blank\"")?;
+        let expected = "separator = \",\", \";\", \"tab\" or \"blank\"";
+        let separator = root.required("separator", expected)?;
         let by = match separator.as_str() {
             Some(",") => ',',
             Some(";") => ';',
             Some("tab" | "\t") => '\t',
             Some("blank" | " ") => ' ',
-            _ => return Err(separator.mismatch("separator = \",\", \";\", \"tab\" or \"blank\"")),
+            _ => return Err(separator.mismatch(expected)),
         };
-        let decimal_comma = match root.get("decimal") {
-            None => false,
-            Some(entry) => match entry.as_str() {
-                Some(".") => false,
-                Some(",") if by != ',' => true,
-                _ => return Err(entry.mismatch("decimal = \".\", or \",\" where no commas part the columns")),
-            },
+        let decimal_comma = match root.get("decimal").map(|entry| (entry, entry.as_str())) {
+            None | Some((_, Some("."))) => false,
+            Some((_, Some(","))) if by != ',' => true,
+            Some((entry, _)) => {
+                return Err(entry.mismatch("decimal = \".\", or \",\" where no commas part the columns"));
+            }
         };
         let flag = |key: &str, default| root.get(key).map_or(Ok(default), |e| e.bool("true or false"));
         let skip = root.get("skip_lines").map_or(Ok(0), |e| e.integer("a number of lines"))?;
-        let comment = match root.get("comment") {
-            None => None,
-            Some(entry) => match entry.str("what comments begin with")? {
-                "" => return Err(entry.mismatch("what comments begin with")),
-                text => Some(text.to_owned()),
-            },
-        };
+        let comment = root.get("comment").map(|entry| match entry.str("what comments begin with")? {
+            "" => Err(entry.mismatch("what comments begin with")),
+            text => Ok(text.to_owned()),
+        });
+        let comment = comment.transpose()?;
         let names = flag("names", true)?;
         let form = Form {
             by: Some(by),
@@ -95,12 +93,8 @@ impl OwnTable {
             };
             let role = t.required("role", "a role, as role = \"position.y\"")?;
             let parsed = Role::parse(role.str("a role")?);
-            let parsed = parsed.ok_or_else(|| {
-                role.error(
-                    format!("role `{}`", role.text()),
-                    "a role, as time, position.y, temperature, error.z",
-                )
-            })?;
+            let expected = "a role, as time, position.y, temperature, error.z";
+            let parsed = parsed.ok_or_else(|| role.error(format!("role `{}`", role.text()), expected))?;
             let unit = t.get("unit").map(|u| u.str("a unit")).transpose()?;
             let number = |key: &str, default: f64| t.get(key).map_or(Ok(default), |e| e.number("a number"));
             let factor = number("factor", 1.0)?;
@@ -125,7 +119,7 @@ impl OwnTable {
     ///
     /// # Errors
     /// As [`table`].
-    pub fn read(&self, from: &Path, text: &str, to: &Path) -> Result<Record, InputError> {
+    pub fn read(&self, from: &Path, text: &str, to: &Path) -> Result<Record> {
         table(from, text, &self.columns, &self.form, self.kind, to)
     }
 }

@@ -5,8 +5,8 @@
 //! available. Targets are in mm, deviations in µm, measured less target. Targets are identified by number,
 //! not by the order of rows.
 
-use super::{add_note, of_targets};
-use rtec_files::InputError;
+use super::{add_note, finite, of_targets};
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record};
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// UTF-16 with half a character.
-pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String, InputError> {
+pub fn any_text(file: &Path, bytes: &[u8]) -> Result<String> {
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return rtec_files::text::decode(file, bytes);
     }
@@ -47,13 +47,12 @@ fn sections(text: &str) -> Vec<Section<'_>> {
 ///
 /// # Errors
 /// A missing section, a wrong count, a run without one of its targets, a file of angles.
-pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, InputError> {
+pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record> {
     let sections = sections(text);
     let section = |name: &str| {
         let found = sections.iter().find(|s| s.name.eq_ignore_ascii_case(name));
-        found.ok_or_else(|| {
-            InputError::whole(from, format!("no section {name}::"), "a Renishaw .rtl file of linear targets")
-        })
+        let expected = "a Renishaw .rtl file of linear targets";
+        found.ok_or_else(|| InputError::whole(from, format!("no section {name}::"), expected))
     };
     let value = |section: &Section<'_>, key: &str| {
         let found = section.lines.iter().find_map(|(n, l)| {
@@ -61,14 +60,13 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
             let plain = |key: &str| key.trim().replace('-', " ").to_ascii_lowercase();
             (plain(k) == plain(key)).then(|| (*n, v.trim().to_owned()))
         });
-        found.ok_or_else(|| {
-            InputError::whole(from, format!("no `{key}:` in {}::", section.name), format!("`{key}: …`"))
-        })
+        let absent = || format!("no `{key}:` in {}::", section.name);
+        found.ok_or_else(|| InputError::whole(from, absent(), format!("`{key}: …`")))
     };
     let count = |section: &Section<'_>, key: &str| {
         let (line, text) = value(section, key)?;
         let n = text.parse::<usize>().ok().filter(|n| *n > 0);
-        n.ok_or_else(|| InputError::at(from, line, 1, format!("`{key}: {text}`"), "a whole number from 1"))
+        n.ok_or_else(|| InputError::line(from, line, format!("`{key}: {text}`"), "a whole number from 1"))
     };
     let target_data = section("TARGET DATA")?;
     let header = section("HEADER")?;
@@ -76,7 +74,7 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
         && let Some(is) = other_type(&kind)
     {
         let found = format!("File type `{kind}` ({is})");
-        return Err(InputError::at(from, line, 1, found, "File type `rtl`, linear targets in mm"));
+        return Err(InputError::line(from, line, found, "File type `rtl`, linear targets in mm"));
     }
     let kinds = ["angular", "straightness", "squareness", "flatness", "rotary"];
     let other = target_data.lines.iter().chain(&header.lines).find(|(_, l)| {
@@ -84,13 +82,8 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
         kinds.iter().any(|k| low.contains(k))
     });
     if let Some((n, line)) = other {
-        return Err(InputError::at(
-            from,
-            *n,
-            1,
-            format!("`{line}`"),
-            "linear targets: the units of other files are not known",
-        ));
+        let expected = "linear targets: the units of other files are not known";
+        return Err(InputError::line(from, *n, format!("`{line}`"), expected));
     }
     let targets = targets(from, target_data, count(target_data, "Target-count")?)?;
     let runs = count(section("RUNS")?, "Run-count")?;
@@ -104,13 +97,8 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
             let own = text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
             if key == "Axis" && own.len() == 1 && !own.eq_ignore_ascii_case(axis.as_str()) {
                 let expected = format!("--axis {}, or a file of the axis {axis}", own.to_ascii_lowercase());
-                return Err(InputError::at(
-                    from,
-                    line,
-                    1,
-                    format!("`Axis: {text}` with --axis {axis}"),
-                    expected,
-                ));
+                let found = format!("`Axis: {text}` with --axis {axis}");
+                return Err(InputError::line(from, line, found, expected));
             }
             if key == "Date" && rtec_files::date::parse(&text).is_some() {
                 record.date = Some(text);
@@ -126,7 +114,7 @@ pub fn rtl(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record, In
 }
 
 /// The numbers after `Targets :`, over several lines if needed.
-fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>, InputError> {
+fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>> {
     let mut targets = Vec::new();
     let mut inside = false;
     for (line, text) in &section.lines {
@@ -139,10 +127,9 @@ fn targets(from: &Path, section: &Section<'_>, count: usize) -> Result<Vec<f64>,
             continue;
         }
         for word in body.split_whitespace() {
-            let target = word.parse::<f64>().ok().filter(|v| v.is_finite());
             let expected = "a target in mm (with a decimal point)";
-            targets
-                .push(target.ok_or_else(|| InputError::at(from, *line, 1, format!("`{word}`"), expected))?);
+            let error = || InputError::line(from, *line, format!("`{word}`"), expected);
+            targets.push(finite(word).ok_or_else(error)?);
         }
     }
     if targets.len() != count {
@@ -161,37 +148,32 @@ fn deviations(
     section: &Section<'_>,
     targets: usize,
     runs: usize,
-) -> Result<Vec<Vec<Deviation>>, InputError> {
+) -> Result<Vec<Vec<Deviation>>> {
     if runs > section.lines.len() {
         let found = format!("Run-count {runs} and {} lines of deviations", section.lines.len());
         return Err(InputError::whole(from, found, "a deviation for each target of each run"));
     }
-    let mut listed: Vec<Vec<(usize, usize, f64)>> = vec![Vec::new(); runs];
+    let mut listed: Vec<Vec<Deviation>> = vec![Vec::new(); runs];
     for (line, text) in &section.lines {
         if text.ends_with(':') {
             continue; // `Run Target Data:`
         }
-        let at = |found: String, expected: String| InputError::at(from, *line, 1, found, expected);
+        let at = |found: String, expected: String| InputError::line(from, *line, found, expected);
         let words: Vec<&str> = text.split_whitespace().collect();
         let parsed = match words[..] {
-            [run, target, value] => {
-                let value = value.parse::<f64>().ok().filter(|v| v.is_finite());
-                run.parse().ok().zip(target.parse().ok()).zip(value)
-            }
+            [run, target, value] => run.parse().ok().zip(target.parse().ok()).zip(finite(value)),
             _ => None,
         };
-        let ((run, target), um): ((usize, usize), f64) = parsed.ok_or_else(|| {
-            at(format!("`{text}`"), "run, target and deviation in um (with a decimal point)".to_owned())
-        })?;
+        let expected = "run, target and deviation in um (with a decimal point)";
+        let ((run, target), um): ((usize, usize), f64) =
+            parsed.ok_or_else(|| at(format!("`{text}`"), expected.to_owned()))?;
         if !(1..=runs).contains(&run) || !(1..=targets).contains(&target) {
             let expected = format!("runs 1 to {runs} and targets 1 to {targets}, as the file counts them");
             return Err(at(format!("run {run}, target {target}"), expected));
         }
         if listed[run - 1].iter().any(|(_, t, _)| *t == target - 1) {
-            return Err(at(
-                format!("target {target} of run {run} a second time"),
-                "each target once a run".to_owned(),
-            ));
+            let found = format!("target {target} of run {run} a second time");
+            return Err(at(found, "each target once a run".to_owned()));
         }
         listed[run - 1].push((*line, target - 1, um));
     }
@@ -203,20 +185,14 @@ fn deviations(
 }
 
 /// Rows of cycle, position, direction and error; and a message about rows left out.
-fn rows(
-    from: &Path,
-    listed: &[Vec<Deviation>],
-    targets: &[f64],
-) -> Result<(Vec<[f64; 4]>, Vec<String>), InputError> {
+fn rows(from: &Path, listed: &[Vec<Deviation>], targets: &[f64]) -> Result<(Vec<[f64; 4]>, Vec<String>)> {
     let mut rows: Vec<[f64; 4]> = Vec::new();
     let (mut notes, mut seen) = (Vec::new(), [0.0, 0.0]);
     let some = listed.iter().flatten().any(|(_, _, um)| *um != 0.0);
     for (n, run) in listed.iter().enumerate() {
         if some && run.iter().all(|(_, _, um)| *um == 0.0) {
-            notes.push(format!(
-                "run {} is all zeros and was left out: a direction that was not measured",
-                n + 1
-            ));
+            let why = "is all zeros and was left out: a direction that was not measured";
+            notes.push(format!("run {} {why}", n + 1));
             continue;
         }
         let place = |k: usize| targets[run[k].1];
@@ -224,18 +200,12 @@ fn rows(
         let steps = (1..run.len()).map(|k| place(k) - place(k - 1));
         if let Some(k) = steps.into_iter().position(|s| (s < 0.0) != falls) {
             let found = format!("run {} turns back at target {}", n + 1, run[k + 1].1 + 1);
-            return Err(InputError::at(
-                from,
-                run[k + 1].0,
-                1,
-                found,
-                "a run that goes through its targets one way",
-            ));
+            let expected = "a run that goes through its targets one way";
+            return Err(InputError::line(from, run[k + 1].0, found, expected));
         }
         seen[usize::from(falls)] += 1.0;
-        for (_, target, um) in run {
-            rows.push([seen[usize::from(falls)], targets[*target], if falls { -1.0 } else { 1.0 }, *um]);
-        }
+        let (cycle, way) = (seen[usize::from(falls)], if falls { -1.0 } else { 1.0 });
+        rows.extend(run.iter().map(|(_, target, um)| [cycle, targets[*target], way, *um]));
     }
     Ok((rows, notes))
 }

@@ -5,7 +5,7 @@ use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rt
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::path::{Path, PathBuf};
@@ -84,7 +84,7 @@ impl ImportRequest {
     ///
     /// # Errors
     /// The first finding in the file or in the options.
-    pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record, InputError> {
+    pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let bytes = rtec_files::text::bytes(file)?;
         let text = if self.format == ImportFormat::Rtl {
@@ -97,12 +97,12 @@ impl ImportRequest {
             text
         };
         // The record is not written yet, so its findings name the imported file.
-        let mut record = self
-            .of_text(&text)
-            .map_err(|e| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e })
-            .map_err(
-                |e| if e.file == file { FileKind::instead_of(self.format.kind(), &text, e) } else { e },
-            )?;
+        let of_file =
+            |e: InputError| if e.file == out { InputError { file: file.to_owned(), ..e } } else { e };
+        let instead = |e: InputError| {
+            if e.file == file { FileKind::instead_of(self.format.kind(), &text, e) } else { e }
+        };
+        let mut record = self.of_text(&text).map_err(|e| instead(of_file(e)))?;
         // The file that will be written is a plain CSV.
         if let Some(written) = record.written.take() {
             say(Said::Note(written));
@@ -131,29 +131,27 @@ impl ImportRequest {
         Ok(record)
     }
 
-    fn of_text(&self, text: &str) -> Result<Record, InputError> {
+    fn of_text(&self, text: &str) -> Result<Record> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
-        let axis = || -> Result<Axis, InputError> {
+        let axis = || -> Result<Axis> {
             let name = self.axis.as_deref().unwrap_or_default();
             let found = if name.is_empty() { "no --axis".to_owned() } else { format!("--axis {name}") };
             Axis::new(name).ok_or_else(|| InputError::whole(file, found, "--axis with the axis' name"))
         };
         let columns = || {
-            let usage =
-                |found: String, expected: String| InputError::whole(Path::new("--columns"), found, expected);
+            let usage = |(found, expected): (String, String)| {
+                InputError::whole(Path::new("--columns"), found, expected)
+            };
             if self.columns.is_empty() {
-                return Err(usage("no --columns".into(), "NAME=ROLE[:UNIT], as t=time:min".into()));
+                return Err(usage(("no --columns".into(), "NAME=ROLE[:UNIT], as t=time:min".into())));
             }
-            with_commas(&self.columns)
-                .iter()
-                .map(|c| ImportColumn::parse(c).map_err(|(f, e)| usage(f, e)))
-                .collect::<Result<Vec<_>, _>>()
+            let of = |c: &String| ImportColumn::parse(c).map_err(usage);
+            with_commas(&self.columns).iter().map(of).collect::<Result<Vec<_>, _>>()
         };
         let kind = || {
-            Kind::parse(&self.kind).ok_or_else(|| {
-                let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
-                InputError::whole(Path::new("--kind"), format!("`{}`", self.kind), kinds)
-            })
+            let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
+            let error = || InputError::whole(Path::new("--kind"), format!("`{}`", self.kind), kinds);
+            Kind::parse(&self.kind).ok_or_else(error)
         };
         let form = Form { decimal_comma: self.decimal_comma, log: self.log, ..Form::default() };
         Ok(match self.format {

@@ -2,10 +2,10 @@
 //! Lines that are not samples of a wanted key are ignored.
 
 use super::table::ImportColumn;
-use super::{add_note, record_of};
-use rtec_files::InputError;
+use super::{add_note, finite, record_of};
 use rtec_files::clock::{self, Counted, day, iso8601_ns};
 use rtec_files::words::is_comment;
+use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;
 
@@ -22,13 +22,10 @@ pub fn shdr(
     kind: Kind,
     log: bool,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     if let Some(w) = wanted.iter().find(|w| w.role == Role::Time) {
-        return Err(InputError::whole(
-            from,
-            format!("`{}` as time", w.column),
-            "no column for the time: it stands in front of every line",
-        ));
+        let expected = "no column for the time: it stands in front of every line";
+        return Err(InputError::whole(from, format!("`{}` as time", w.column), expected));
     }
     let mut now: Vec<Option<f64>> = vec![None; wanted.len()];
     let mut told = vec![false; wanted.len()];
@@ -46,19 +43,14 @@ pub fn shdr(
         let time = stamp.split('@').next().unwrap_or(stamp);
         let ns = nanoseconds(time).ok_or_else(|| {
             let expected = "a time as 2022-08-08T13:51:37.25Z, or seconds, then |";
-            InputError::at(from, i + 1, 1, format!("`{stamp}`"), expected)
+            InputError::line(from, i + 1, format!("`{stamp}`"), expected)
         })?;
         let fields: Vec<&str> = fields.collect();
         // A document, up to the line that repeats its mark.
         if let Some(mark) = fields.last().filter(|f| f.starts_with("--multiline--")) {
             if !lines.any(|(_, line)| line.trim_end() == mark.trim_end()) {
-                return Err(InputError::at(
-                    from,
-                    i + 1,
-                    1,
-                    format!("`{mark}`"),
-                    "the same mark at the end of what it begins",
-                ));
+                let expected = "the same mark at the end of what it begins";
+                return Err(InputError::line(from, i + 1, format!("`{mark}`"), expected));
             }
             continue;
         }
@@ -80,7 +72,7 @@ pub fn shdr(
         }
         if times.last().is_some_and(|last| ns < *last) {
             let found = format!("`{stamp}` before the time of the row in front");
-            return Err(InputError::at(from, i + 1, 1, found, "times that never decrease"));
+            return Err(InputError::line(from, i + 1, found, "times that never decrease"));
         }
         if times.last() == Some(&ns) {
             // Changes at one time give one row.
@@ -101,14 +93,9 @@ pub fn shdr(
     let Some((first, text)) = start else {
         return Err(InputError::whole(from, "no time at which all wanted keys are known", "at least one"));
     };
-    let mut columns =
-        vec![Column::new("t", Role::Time, times.iter().map(|t| (t - first) as f64 / 1e9).collect())];
-    columns.extend(
-        wanted
-            .iter()
-            .zip(data)
-            .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) }),
-    );
+    let times = times.iter().map(|t| (t - first) as f64 / 1e9).collect();
+    let mut columns = vec![Column::new("t", Role::Time, times)];
+    columns.extend(wanted.iter().zip(data).map(|(w, data)| w.filled(data)));
     let mut record = record_of(to, kind, columns, log)?;
     let counted = text.parse().ok().and_then(clock::counted);
     record.date = match &counted {
@@ -122,7 +109,7 @@ pub fn shdr(
 
 /// ISO 8601, or seconds.
 fn nanoseconds(time: &str) -> Option<i128> {
-    let seconds = || time.parse::<f64>().ok().filter(|t| t.is_finite() && t.abs() < 1e12);
+    let seconds = || finite(time).filter(|t| t.abs() < 1e12);
     iso8601_ns(time).or_else(|| seconds().map(|s| (s * 1e9).round() as i128))
 }
 
@@ -132,5 +119,5 @@ fn sample(value: &str) -> Option<Option<f64>> {
     if value.is_empty() || value.eq_ignore_ascii_case("UNAVAILABLE") {
         return Some(None);
     }
-    value.parse::<f64>().ok().filter(|v| v.is_finite()).map(Some)
+    finite(value).map(Some)
 }

@@ -1,11 +1,11 @@
 //! Imports any table with named columns.
 //! Options: separator, number format, roles and units.
 
-use super::{add_note, record_of};
+use super::{add_note, finite, record_of};
 use rtec_files::clock::{self, Counted, Moments, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
-use rtec_files::{InputError, Numbers, TableMarks, units};
+use rtec_files::{InputError, Numbers, Result, TableMarks, units};
 use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
 use std::borrow::Cow;
 use std::path::Path;
@@ -59,7 +59,7 @@ impl ImportColumn {
         else {
             return Self::of(name, name, role, Some(unit), 1.0, 0.0);
         };
-        let number = factor.parse().ok().filter(|v: &f64| v.is_finite() && *v != 0.0);
+        let number = finite(factor).filter(|v| *v != 0.0);
         let number = number.ok_or_else(|| bad(factor, "a factor that is no zero, as in V*35.15=N"))?;
         if unit.is_empty() {
             return Err(bad(rest, "the unit that the factor leads to, as in V*35.15=N"));
@@ -81,8 +81,6 @@ impl ImportColumn {
     ) -> Result<Self, (String, String)> {
         let own = role.unit();
         let unit = unit.map(units::plain);
-        let unit_said = unit.map(str::to_owned);
-        let unit_given = unit.is_some();
         let (unit_there, further) = match (own, unit) {
             (None, any) => (any.unwrap_or("1"), [1.0, 0.0]),
             (Some(own), None) => (own, [1.0, 0.0]),
@@ -90,10 +88,8 @@ impl ImportColumn {
             (Some(own), Some(u)) => {
                 let others = units::others(own);
                 let known: Vec<&str> = std::iter::once(own).chain(others.iter().map(|o| o.0)).collect();
-                let (_, f, a) = others
-                    .iter()
-                    .find(|o| o.0 == u)
-                    .ok_or_else(|| (format!("`{u}`"), format!("a unit of {role}: {}", known.join(", "))))?;
+                let error = || (format!("`{u}`"), format!("a unit of {role}: {}", known.join(", ")));
+                let (_, f, a) = others.iter().find(|o| o.0 == u).ok_or_else(error)?;
                 (own, [*f, *a])
             }
         };
@@ -104,13 +100,18 @@ impl ImportColumn {
             unit: unit_there.to_owned(),
             role,
             scale,
-            unit_given,
-            unit_said,
+            unit_given: unit.is_some(),
+            unit_said: unit.map(str::to_owned),
         })
     }
 
+    /// The record's column with these values.
+    pub(super) fn filled(&self, data: Vec<f64>) -> Column {
+        Column { unit: self.unit.clone(), ..Column::new(&self.name, self.role.clone(), data) }
+    }
+
     /// The column in the unit that its header name states, and that unit.
-    fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>), InputError> {
+    fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>)> {
         let name = header.names().nth(place).unwrap_or_default();
         if let Some((said, stated)) =
             self.unit_said.as_deref().and_then(|s| Some((s, units::contradicted(name, s)?)))
@@ -177,12 +178,12 @@ fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
             let mut inside = false;
             for c in line.trim_end().chars() {
                 let blank = c.is_whitespace();
-                out.push(if blank && inside {
-                    '\t'
-                } else if blank {
-                    ' '
-                } else {
+                out.push(if !blank {
                     c
+                } else if inside {
+                    '\t'
+                } else {
+                    ' '
                 });
                 inside = !blank;
             }
@@ -210,34 +211,27 @@ pub fn table(
     form: &Form,
     kind: Kind,
     to: &Path,
-) -> Result<Record, InputError> {
+) -> Result<Record> {
     let (whole, text) = (text, prepared(text, form));
     let (mut reader, header) = opened(from, &text, wanted, form)?;
     let places = wanted
         .iter()
         .map(|w| match &header {
             Some(header) => header.place_or_number(&w.column),
-            None => w.column.parse::<usize>().ok().filter(|n| *n > 0).map(|n| n - 1).ok_or_else(|| {
-                InputError::whole(
-                    from,
-                    format!("column `{}`", w.column),
-                    "a column's number, from 1: the table has no names",
-                )
+            None => w.column.parse::<usize>().ok().and_then(|n| n.checked_sub(1)).ok_or_else(|| {
+                let expected = "a column's number, from 1: the table has no names";
+                InputError::whole(from, format!("column `{}`", w.column), expected)
             }),
         })
         .collect::<Result<Vec<_>, _>>()?;
     let mut by_name = Vec::new();
-    let own: Vec<ImportColumn> = match &header {
-        None => wanted.to_vec(),
-        Some(header) => {
-            let of = |(w, place): (&ImportColumn, &usize)| {
-                let (column, stated) = w.by_header(header, *place)?;
-                by_name.extend(stated);
-                Ok(column)
-            };
-            wanted.iter().zip(&places).map(of).collect::<Result<_, InputError>>()?
-        }
+    let of = |(w, place): (&ImportColumn, &usize)| {
+        let Some(header) = &header else { return Ok(w.clone()) };
+        let (column, stated) = w.by_header(header, *place)?;
+        by_name.extend(stated);
+        Ok(column)
     };
+    let own: Vec<ImportColumn> = wanted.iter().zip(&places).map(of).collect::<Result<_>>()?;
     let (wanted, places, clock_place) = with_one_time(own, places);
     let wanted = wanted.as_slice();
     let (numbers, written) = numbers(from, &text, wanted, form, &places)?;
@@ -271,9 +265,8 @@ pub fn table(
             if is_time && clock.moments.start().is_some() {
                 let expected =
                     clock::expected_instead(cell.text()).filter(|_| clock::has_two_days(cell.text()));
-                return Err(named(cell.finding(
-                    expected.unwrap_or("a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37"),
-                )));
+                let as_before = "a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37";
+                return Err(named(cell.finding(expected.unwrap_or(as_before))));
             }
             let number = numbers.parse(cell.text()).ok_or_else(|| {
                 let in_units = data.is_empty() && cells.iter().all(|cell| is_unit(cell.text()));
@@ -294,11 +287,8 @@ pub fn table(
             None => InputError::whole(from, "no rows", "at least one"),
         });
     }
-    let columns = wanted
-        .iter()
-        .zip(data)
-        .map(|(w, data)| Column { unit: w.unit.clone(), ..Column::new(&w.name, w.role.clone(), data) });
-    let mut record = record_of(to, kind, columns.collect(), form.log)?;
+    let columns = wanted.iter().zip(data).map(|(w, data)| w.filled(data)).collect();
+    let mut record = record_of(to, kind, columns, form.log)?;
     let by_name = (!by_name.is_empty())
         .then(|| format!("{}: read by its name: {}", from.display(), by_name.join(", ")));
     let said: Vec<String> = written.into_iter().chain(by_name).collect();
@@ -334,12 +324,10 @@ fn opened<'t>(
     text: &'t str,
     wanted: &[ImportColumn],
     form: &Form,
-) -> Result<(Reader<&'t [u8]>, Option<Header>), InputError> {
+) -> Result<(Reader<&'t [u8]>, Option<Header>)> {
     let mut reader = Reader::new(from, text.as_bytes())?;
-    match form.by {
-        Some(' ') => reader = reader.parted_by('\t'),
-        Some(by) => reader = reader.parted_by(by),
-        None => {}
+    if let Some(by) = form.by {
+        reader = reader.parted_by(if by == ' ' { '\t' } else { by });
     }
     let columns: Vec<&str> = wanted.iter().map(|w| w.column.as_str()).collect();
     let header = match (form.nameless, form.by) {
@@ -469,23 +457,17 @@ impl Clock {
             () if in_filetime => clock::filetime(number),
             () => clock::counted(number * w.scale[0]),
         };
+        let instead = |time: &str, Counted { unit, what, .. }: Counted| {
+            format!("a time in {time}: this is {what} in {unit}, as {}=time:{unit}", w.column)
+        };
         if first && let Some(found) = counted() {
             if !matches!(found.unit, "s" | "d") && !in_filetime {
-                let (column, unit, what) = (&w.column, found.unit, found.what);
-                return Err(format!(
-                    "a time in s, or its unit: this is {what} in {unit}, as {column}=time:{unit}"
-                ));
+                return Err(instead("s, or its unit", found));
             }
             self.counted = Some((number, found));
-        } else if first
-            && w.scale[0] > 1.0
-            && let Some(found) = clock::counted(number)
-        {
+        } else if let Some(found) = clock::counted(number).filter(|_| first && w.scale[0] > 1.0) {
             // The number is a clock in its own unit, but not in minutes or hours.
-            let (column, unit, what) = (&w.column, found.unit, found.what);
-            return Err(format!(
-                "a time in the unit of its clock: this is {what} in {unit}, as {column}=time:{unit}"
-            ));
+            return Err(instead("the unit of its clock", found));
         }
         if self.last.replace(number).is_some_and(|last| last < COUNTER && last - number > 0.9 * COUNTER) {
             return Err(format!(
@@ -510,13 +492,11 @@ impl Clock {
         let local = self.moments.start().is_some_and(|text| !has_zone(text));
         let gap = record.data(&Role::Time).and_then(put_forward).filter(|_| local);
         if let Some((row, gap_s, usual_s)) = gap {
-            add_note(
-                record,
-                &format!(
-                    "row {row} is {gap_s} s after the row before, the others {usual_s} s: was the clock put forward to summer time? \
-                     Then write the times with their offset, as 2025-03-30T03:00:00+02:00"
-                ),
+            let text = format!(
+                "row {row} is {gap_s} s after the row before, the others {usual_s} s: was the clock put forward to summer time? \
+                 Then write the times with their offset, as 2025-03-30T03:00:00+02:00"
             );
+            add_note(record, &text);
         }
     }
 }
@@ -542,7 +522,7 @@ fn numbers(
     wanted: &[ImportColumn],
     form: &Form,
     places: &[usize],
-) -> Result<(Vec<Numbers>, Option<String>), InputError> {
+) -> Result<(Vec<Numbers>, Option<String>)> {
     if let Some(comma) = form.decimal_comma {
         return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
     }
@@ -552,19 +532,14 @@ fn numbers(
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }
 
-fn cells<'a>(
-    header: Option<&Header>,
-    row: Row<'a>,
-    form: &Form,
-    by: char,
-) -> Result<Vec<Cell<'a>>, InputError> {
+fn cells<'a>(header: Option<&Header>, row: Row<'a>, form: &Form, by: char) -> Result<Vec<Cell<'a>>> {
     let Some(header) = header else { return Ok(row.cells().collect()) };
     header.cells(row).map_err(|e| {
         let (fields, names) = (row.cells().count(), header.names().count());
         if by == ',' && form.decimal_comma != Some(true) && row.has_decimal_commas(names) {
             let found = format!("{fields} fields in {names} columns: decimal commas between commas?");
-            return row
-                .finding(found, "numbers with a decimal point, or columns parted by semicolons or tabs");
+            let expected = "numbers with a decimal point, or columns parted by semicolons or tabs";
+            return row.finding(found, expected);
         }
         e
     })

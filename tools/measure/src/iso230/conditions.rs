@@ -26,7 +26,7 @@
 //! ```
 
 use super::air::Air;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::toml::{Document, Entry, Table};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -92,7 +92,7 @@ impl Conditions {
     ///
     /// # Errors
     /// The first finding, with file, line and column.
-    pub fn read(path: &Path) -> Result<Self, InputError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let text = rtec_files::text::read(path)?;
         Self::parse(path, &text)
     }
@@ -101,13 +101,12 @@ impl Conditions {
     ///
     /// # Errors
     /// As [`Conditions::read`].
-    pub fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
+    pub fn parse(path: &Path, text: &str) -> Result<Self> {
         let doc = Document::parse(path, text)?;
         let root = doc.root();
         let mut found = Self::default();
         for entry in root.entries() {
-            let table = entry.as_table();
-            match (entry.key(), table) {
+            match (entry.key(), entry.as_table()) {
                 ("instrument", Some(t)) => found.instrument = words(&t)?,
                 ("test", Some(t)) => found.words.extend(words(&t)?),
                 ("thermal", Some(t)) => {
@@ -126,9 +125,8 @@ impl Conditions {
                         }
                         // No device and no solid has such a value: it is in another unit.
                         if key.contains("_per_") && v != 0.0 && !(1e-3..=100.0).contains(&v) {
-                            return Err(
-                                e.mismatch(format!("{meaning}: 0.001 to 100, in the key's unit, or 0"))
-                            );
+                            let expected = format!("{meaning}: 0.001 to 100, in the key's unit, or 0");
+                            return Err(e.mismatch(expected));
                         }
                         let most = if key.ends_with("_mm") { LARGEST_MM } else { LARGEST_UM };
                         if !key.contains("_per_") && v > most {
@@ -138,16 +136,14 @@ impl Conditions {
                     }
                     for (one, other) in PAIRS.into_iter().flat_map(|(a, b)| [(a, b), (b, a)]) {
                         if let (Some(e), None) = (t.get(one), t.get(other)) {
-                            return Err(e.mismatch(format!(
-                                "{other} beside it: the contributor is the product of both (0 where there is none)"
-                            )));
+                            let why = "the contributor is the product of both (0 where there is none)";
+                            return Err(e.mismatch(format!("{other} beside it: {why}")));
                         }
                     }
                 }
                 (_, Some(_)) => {
-                    return Err(entry.unknown_key(
-                        "instrument, test, thermal, air or uncertainty, or words as machine = \"…\"",
-                    ));
+                    let known = "instrument, test, thermal, air or uncertainty, or words as machine = \"…\"";
+                    return Err(entry.unknown_key(known));
                 }
                 (key, None) => found.words.push((plain(key), word(&entry)?)),
             }
@@ -164,26 +160,26 @@ impl Conditions {
     /// Uncertainty of the figures of a circle, if any contributor is stated.
     /// `scatter_um` is the standard deviation of one reading. Without a radius no length has an uncertainty.
     pub fn circle_budget(&self, radius_mm: Option<f64>, scatter_um: f64) -> Option<Budget> {
-        self.budget(|key| key != NOT_OF_CIRCLES, radius_mm, 0.0, scatter_um)
+        self.budget(true, radius_mm, 0.0, scatter_um)
     }
 
     /// Uncertainty of the figures of a drift test, if any contributor is stated.
     /// `scatter_um` is the standard deviation of one reading.
     pub fn drift_budget(&self, scatter_um: f64) -> Option<Budget> {
-        self.budget(|key| OF_DIFFERENCES.contains(&key), None, get(&self.stated, "set_up_um"), scatter_um)
+        self.budget(false, None, get(&self.stated, "set_up_um"), scatter_um)
     }
 
-    /// A budget of the stated values with these keys.
+    /// The budget of a circle, or else of a drift test.
     /// `set_up_um` is the contribution of the set-up to a difference.
     fn budget(
         &self,
-        used: impl Fn(&str) -> bool,
+        circle: bool,
         radius_mm: Option<f64>,
         set_up_um: f64,
         scatter_um: f64,
     ) -> Option<Budget> {
-        let stated: BTreeMap<String, f64> =
-            self.stated.iter().filter(|(key, _)| used(key)).map(|(k, v)| (k.clone(), *v)).collect();
+        let mut stated = self.stated.clone();
+        stated.retain(|key, _| is_in_budget(key, circle));
         if stated.is_empty() {
             return None;
         }
@@ -206,12 +202,11 @@ impl Conditions {
 
     /// Keys of `[uncertainty]` that a circle, or else a drift test, does not use.
     pub(crate) fn not_in_budget(&self, circle: bool) -> Vec<&str> {
-        let used = |key: &str| if circle { key != NOT_OF_CIRCLES } else { OF_DIFFERENCES.contains(&key) };
-        self.stated.keys().map(String::as_str).filter(|key| !used(key)).collect()
+        self.stated.keys().map(String::as_str).filter(|key| !is_in_budget(key, circle)).collect()
     }
 }
 
-fn words(table: &Table<'_>) -> Result<Vec<(String, String)>, InputError> {
+fn words(table: &Table<'_>) -> Result<Vec<(String, String)>> {
     table.entries().map(|e| Ok((plain(e.key()), word(&e)?))).collect()
 }
 
@@ -228,17 +223,14 @@ fn plain(key: &str) -> String {
         ("_h", "h"),
         ("_s", "s"),
     ];
-    let unit = UNITS.iter().find_map(|(end, unit)| Some((key.strip_suffix(end)?, *unit)));
-    match unit {
-        Some((name, unit)) => format!("{} ({unit})", name.replace('_', " ")),
-        None => key.replace('_', " "),
-    }
+    let in_unit =
+        |(end, unit): &(&str, &str)| Some(format!("{} ({unit})", key.strip_suffix(end)?.replace('_', " ")));
+    UNITS.iter().find_map(in_unit).unwrap_or_else(|| key.replace('_', " "))
 }
 
-fn word(entry: &Entry<'_>) -> Result<String, InputError> {
-    let number = entry.as_number().map(|n| n.to_string());
-    let text =
-        entry.as_str().map(str::to_owned).or(number).or_else(|| entry.as_bool().map(|b| b.to_string()));
+fn word(entry: &Entry<'_>) -> Result<String> {
+    let number = entry.as_number().map(|n| n.to_string()).or(entry.as_bool().map(|b| b.to_string()));
+    let text = entry.as_str().map(str::to_owned).or(number);
     // A date is written without quotes.
     let text = text.or_else(|| rtec_files::date::parse(&entry.text()).map(|_| entry.text()));
     text.ok_or_else(|| entry.mismatch("text or a number"))
@@ -251,7 +243,7 @@ const LARGEST_UM: f64 = 500.0;
 /// Largest contributor in mm.
 const LARGEST_MM: f64 = 100.0;
 
-fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
+fn expansion(entry: Entry<'_>) -> Result<Expansion> {
     const FORM: &str = "{ sensor = \"T3\", ppm_per_K = 8.5 }";
     let t = entry.table(FORM)?;
     t.only(&["sensor", "ppm_per_K"])?;
@@ -260,9 +252,8 @@ fn expansion(entry: Entry<'_>) -> Result<Expansion, InputError> {
     // No solid expands by more; a smaller number than that of glass ceramics is in another unit.
     let size = ppm_per_k.abs();
     if ppm_per_k != 0.0 && !(1e-3..=100.0).contains(&size) || ppm_per_k < SHRINKS_PPM_PER_K {
-        return Err(value.mismatch(
-            "a coefficient of 0.001 to 100 ppm/K, as steel's 11.5, or 0; below zero to -2 for what shrinks as it warms",
-        ));
+        let expected = "a coefficient of 0.001 to 100 ppm/K, as steel's 11.5, or 0; below zero to -2 for what shrinks as it warms";
+        return Err(value.mismatch(expected));
     }
     Ok(Expansion { sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(), ppm_per_k })
 }
@@ -376,6 +367,11 @@ const OF_DIFFERENCES: [&str; 3] = ["device_um", "set_up_um", "drift_um"];
 /// The only key that a circle does not use.
 const NOT_OF_CIRCLES: &str = "misalignment_mm";
 
+/// Whether the budget of a circle, or else of a drift test, uses this key.
+fn is_in_budget(key: &str, circle: bool) -> bool {
+    if circle { key != NOT_OF_CIRCLES } else { OF_DIFFERENCES.contains(&key) }
+}
+
 impl Uncertainty {
     fn new(stated: &BTreeMap<String, f64>, length_mm: f64, approaches: usize) -> Self {
         let mut contributors = along(stated, length_mm);
@@ -486,9 +482,9 @@ mod tests {
         assert_eq!(unknown.length_um, None);
         // A drift test is a difference, independent of the length.
         let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget(0.3);
-        let d =
-            of("[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\ndevice_um_per_m = 0.8\n")
-                .unwrap();
+        let stated =
+            "[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\ndevice_um_per_m = 0.8\n";
+        let d = of(stated).unwrap();
         near(d.difference_um, (0.09 + 0.16 + 2.0 * eve * eve + 2.0 * 0.36).sqrt());
         assert_eq!(d.length_um, None);
         assert_eq!(of("[uncertainty]\ndevice_um_per_m = 0.8\n"), None);

@@ -3,7 +3,7 @@
 //! differences give squareness.
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -69,7 +69,7 @@ pub struct Diagonals {
 /// # Errors
 /// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals
 /// mixed; what [`positioning_with`] finds.
-pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, InputError> {
+pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
     let all = records.iter().map(|r| diagonal(r, options)).collect::<Result<Vec<_>, _>>()?;
     let first = all.first().map_or(0, |d| d.axes.len());
     if let Some((odd, r)) = all.iter().zip(records).find(|(d, _)| d.axes.len() != first) {
@@ -112,15 +112,13 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals, Inp
     })
 }
 
-fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> {
-    let moving: Vec<(&Axis, &[f64], f64)> = record
-        .axes(Role::Position)
-        .filter_map(|a| {
-            let p = record.data(&Role::Position(a.clone()))?;
-            let [lo, hi] = span(p);
-            (hi - lo > 1e-3).then_some((a, p, hi - lo))
-        })
-        .collect();
+fn diagonal(record: &Record, options: &Options) -> Result<Diagonal> {
+    let travel = |a| {
+        let p = record.position(a)?;
+        let [lo, hi] = span(p);
+        (hi - lo > 1e-3).then_some((a, p, hi - lo))
+    };
+    let moving: Vec<(&Axis, &[f64], f64)> = record.axes(Role::Position).filter_map(travel).collect();
     if !(2..=3).contains(&moving.len()) {
         let names: Vec<&str> = moving.iter().map(|m| m.0.as_str()).collect();
         let found = format!("{} moving axes ({})", moving.len(), names.join(", "));
@@ -167,23 +165,13 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
     } else {
         let of = |a: &Axis| errors.iter().find(|(b, _)| *b == a).map(|(_, e)| *e);
         let all: Option<Vec<&[f64]>> = moving.iter().map(|m| of(m.0)).collect();
-        let all = all.ok_or_else(|| {
-            lacks(
-                record,
-                "no error along the diagonal",
-                "a column error.d, or the errors of all axes that move",
-            )
-        })?;
+        let expected = "a column error.d, or the errors of all axes that move";
+        let all = all.ok_or_else(|| lacks(record, "no error along the diagonal", expected))?;
         (0..record.rows()).map(|r| all.iter().zip(&unit).map(|(e, u)| e[r] * u).sum()).collect()
     };
-    let direction =
-        direction(record, own.map(|o| (o.0, sense.unwrap_or(1.0))), &moving, &unit).ok_or_else(|| {
-            lacks(
-                record,
-                "no direction of approach",
-                "a column direction.d, or the direction of one of its axes",
-            )
-        })?;
+    let direction = direction(record, own.map(|o| (o.0, sense.unwrap_or(1.0))), &moving, &unit);
+    let expected = "a column direction.d, or the direction of one of its axes";
+    let direction = direction.ok_or_else(|| lacks(record, "no direction of approach", expected))?;
     let d =
         own.map(|o| o.0.clone()).or_else(|| Axis::new("d")).ok_or_else(|| lacks(record, "no axis", "one"))?;
     let mut columns = vec![
@@ -191,15 +179,14 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
         Column::new("direction along the diagonal", Role::Direction(d.clone()), direction),
         Column::new("error along the diagonal", Role::Error(d), error.clone()),
     ];
-    columns.extend(record.columns.iter().filter(|c| c.role == Role::Temperature).cloned());
+    columns.extend(record.temperatures().cloned());
     let line = Record::of_checked(&record.path, Kind::Positioning, columns);
     let along_it = positioning_with(&line, options)?;
     let along_it = along_it.into_iter().next().ok_or_else(|| lacks(record, "no error", "an error"))?;
-    let signs = unit.iter().map(|u| if *u > 0.0 { 'P' } else { 'N' }).collect();
     Ok(Diagonal {
         record: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
         axes: moving.iter().map(|m| m.0.to_string()).collect(),
-        sense: signs,
+        sense: unit.iter().map(|u| if *u > 0.0 { 'P' } else { 'N' }).collect(),
         assumed,
         box_mm: moving.iter().map(|m| m.2).collect(),
         slope_um: slope(&along_it).0 * along_it.travel_mm,
@@ -212,8 +199,7 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal, InputError> 
 /// `None` without a direction column, or if the rows are not in order of movement: then both directions occur
 /// under each sense.
 fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
-    let roles = [Role::Direction(own.clone()), Role::Velocity(own.clone())];
-    let way = roles.iter().find_map(|r| record.data(r))?;
+    let way = record.way(own)?;
     let step = |i: usize| along[i] - along[i - 1];
     let mean = |rising: bool| -> Option<f64> {
         let rows: Vec<usize> =
@@ -236,23 +222,11 @@ fn direction(
     moving: &[(&Axis, &[f64], f64)],
     unit: &[f64],
 ) -> Option<Vec<f64>> {
-    let read = |a: &Axis| {
-        let role = [Role::Direction(a.clone()), Role::Velocity(a.clone())];
-        role.iter()
-            .find_map(|r| record.data(r))
-            .map(|d| d.iter().map(|v| rtec_model::effect::sign(*v)).collect())
-    };
     let turned = |(a, sense): (&Axis, f64)| -> Option<Vec<f64>> {
-        let d: Vec<f64> = read(a)?;
-        Some(d.iter().map(|v| v * sense).collect())
+        Some(record.way(a)?.iter().map(|v| rtec_model::effect::sign(*v) * sense).collect())
     };
-    own.and_then(turned).or_else(|| {
-        let of = |((a, ..), u): (&(&Axis, &[f64], f64), &f64)| {
-            let d: Vec<f64> = read(a)?;
-            Some(d.iter().map(|v| v * u.signum()).collect())
-        };
-        moving.iter().zip(unit).find_map(of)
-    })
+    let of_axis = || moving.iter().zip(unit).find_map(|((a, ..), u)| turned((a, u.signum())));
+    own.and_then(turned).or_else(of_axis)
 }
 
 /// Standard error of the mean of values with these standard errors.
@@ -265,15 +239,7 @@ fn together(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
 /// Slope of the mean error over the targets, µm/mm, and its standard error.
 /// The error needs more than two targets.
 fn slope(p: &Positioning) -> (f64, Option<f64>) {
-    let points: Vec<(f64, f64)> = p
-        .targets
-        .iter()
-        .filter_map(|t| {
-            let both = [t.mean_up, t.mean_down];
-            let known: Vec<f64> = both.into_iter().flatten().collect();
-            (!known.is_empty()).then(|| (t.position_mm, known.iter().sum::<f64>() / known.len() as f64))
-        })
-        .collect();
+    let points: Vec<(f64, f64)> = p.means().collect();
     let n = points.len() as f64;
     let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
     let xy: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
@@ -315,11 +281,9 @@ fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Opti
                     if together { change } else { -change }
                 };
                 let mean = own.iter().map(of).sum::<f64>() / own.len() as f64;
-                let error = |d: &&Diagonal| {
-                    Some(
-                        d.slope_standard_error_um? * d.along.travel_mm / (d.box_mm[i] * d.box_mm[j]) * 1000.0,
-                    )
-                };
+                let area = |d: &Diagonal| d.box_mm[i] * d.box_mm[j];
+                let error =
+                    |d: &&Diagonal| Some(d.slope_standard_error_um? * d.along.travel_mm / area(d) * 1000.0);
                 let pair = format!("{}.{}", own[0].axes[i], own[0].axes[j]);
                 errors.insert(pair.clone(), together(own.iter().map(error)));
                 found.insert(pair, mean);

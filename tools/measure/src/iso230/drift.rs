@@ -5,12 +5,12 @@ mod long;
 mod scatter;
 mod spans;
 
-pub use long::LongDrift;
+pub(crate) use long::LongDrift;
 
 use super::{Budget, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
 use figures::{Look, Sums};
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
 use serde::Serialize;
@@ -101,7 +101,7 @@ const MOST_PLACES: usize = 10;
 ///
 /// # Errors
 /// The record has no time or no error response.
-pub fn drift(record: &Record) -> Result<Vec<Drift>, InputError> {
+pub fn drift(record: &Record) -> Result<Vec<Drift>> {
     let t = record
         .data(&Role::Time)
         .ok_or_else(|| lacks(record, "no time", "a column of role time: drift is an error over time"))?;
@@ -152,10 +152,8 @@ fn is_move(from_mm: f64, to_mm: f64) -> bool {
 
 fn states(record: &Record) -> Vec<State> {
     let rpm = record.data(&Role::SpindleSpeed);
-    let axes: Vec<(String, &[f64])> = record
-        .axes(Role::Position)
-        .filter_map(|a| Some((a.to_string(), record.data(&Role::Position(a.clone()))?)))
-        .collect();
+    let positions = record.axes(Role::Position);
+    let axes: Vec<_> = positions.filter_map(|a| Some((a.as_str(), record.position(a)?))).collect();
     let moves = |p: &[f64], row: usize| {
         let other = |i: Option<usize>| i.and_then(|i| p.get(i)).is_some_and(|q| is_move(*q, p[row]));
         other(row.checked_sub(1)) || other(Some(row + 1))
@@ -165,8 +163,7 @@ fn states(record: &Record) -> Vec<State> {
             if rpm.is_some_and(|r| r[row].abs() > TURNS_RPM) {
                 return State::Spindle;
             }
-            let moving: Vec<&str> =
-                axes.iter().filter(|(_, p)| moves(p, row)).map(|(a, _)| a.as_str()).collect();
+            let moving: Vec<&str> = axes.iter().filter(|(_, p)| moves(p, row)).map(|(a, _)| *a).collect();
             if moving.is_empty() { State::Rest } else { State::Moves(moving.join(", ")) }
         })
         .collect()
@@ -192,12 +189,10 @@ fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scat
         let from_min = (t[rows[0]] - t[0]) / 60.0;
         span.phase(&record.columns, from_min, at_mm, figures(record, t, e, rows.iter().copied()))
     };
-    let moving = match &span.state {
-        State::Moves(axes) => record.axes(Role::Position).find(|a| axes.split(", ").any(|n| n == a.as_str())),
-        _ => None,
-    };
-    let position = moving.and_then(|a| record.data(&Role::Position(a.clone())));
-    if let Some(p) = position {
+    if let State::Moves(axes) = &span.state
+        && let Some(axis) = record.axes(Role::Position).find(|a| axes.split(", ").any(|n| n == a.as_str()))
+        && let Some(p) = record.position(axis)
+    {
         let own: Vec<f64> = rows.iter().map(|r| p[*r]).collect();
         let places = targets(&own);
         if (2..=MOST_PLACES).contains(&places.len()) {
@@ -211,12 +206,8 @@ fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scat
     vec![at(None, &rows)]
 }
 
-fn temperatures(columns: &[Column]) -> impl Iterator<Item = &Column> {
-    columns.iter().filter(|c| c.role == Role::Temperature)
-}
-
 fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usize> + Clone) -> Figures {
-    let degc: Vec<&[f64]> = temperatures(&record.columns).map(|c| c.data.as_slice()).collect();
+    let degc: Vec<&[f64]> = record.temperatures().map(|c| c.data.as_slice()).collect();
     let of = |row: usize| (t[row], e[row], degc.as_slice(), row);
     let mut sums = Sums::new(degc.len());
     for row in rows.clone() {
@@ -226,7 +217,7 @@ fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usi
     for row in rows {
         look.see(of(row));
     }
-    look.figures(temperatures(&record.columns).map(|c| c.name.as_str()))
+    look.figures(record.temperatures().map(|c| c.name.as_str()))
 }
 
 /// Charts of displacements and temperatures over time, with the phases marked.
@@ -240,7 +231,7 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
     };
     let errors =
         displaced(&record.columns).map(|c| (c.unit.clone(), line(&c.role.to_string(), &c.data))).collect();
-    let degc = temperatures(&record.columns).map(|c| line(&c.name, &c.data)).collect();
+    let degc = record.temperatures().map(|c| line(&c.name, &c.data)).collect();
     charts_of(errors, degc, &spans_of(record, t), &record.columns)
 }
 

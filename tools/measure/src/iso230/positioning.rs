@@ -2,14 +2,14 @@
 
 use super::conditions::REFERENCE_DEGC;
 use super::{
-    ALIKE, Conditions, Expansion, Place, Uncertainty, alike, lacks, largest, mean_and_s, places, range,
-    targets,
+    ALIKE, Conditions, Expansion, Place, Uncertainty, alike, lacks, largest, mean_and_s, mean_of,
+    no_temperature, places, range, spread, targets,
 };
 use crate::plot::{Chart, Colour, Series, Style};
 use crate::steps::Steps;
-use rtec_files::InputError;
+use rtec_files::Result;
 use rtec_files::text::short;
-use rtec_model::record::{Axis, Column, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, mean};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -121,7 +121,7 @@ pub struct Resolution {
 /// Whether a record holds an error (or tilt) along an axis beside its position.
 pub fn has_positioning(record: &Record) -> bool {
     record.columns.iter().any(|c| match &c.role {
-        Role::Error(axis) | Role::AngleError(axis, _) => record.data(&Role::Position(axis.clone())).is_some(),
+        Role::Error(axis) | Role::AngleError(axis, _) => record.position(axis).is_some(),
         _ => false,
     })
 }
@@ -130,7 +130,7 @@ pub fn has_positioning(record: &Record) -> bool {
 ///
 /// # Errors
 /// As [`positioning_with`].
-pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
+pub fn positioning(record: &Record) -> Result<Vec<Positioning>> {
     positioning_with(record, &Options::default())
 }
 
@@ -141,11 +141,11 @@ pub fn positioning(record: &Record) -> Result<Vec<Positioning>, InputError> {
 /// swapped.
 /// One side only without `one_way`; no target with two approaches from one side on an axis of up to 2 m; a
 /// sensor of the conditions that the record lacks.
-pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>, InputError> {
+pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>> {
     let mut found = Vec::new();
     for column in &record.columns {
         let (Role::Error(axis) | Role::AngleError(axis, _)) = &column.role else { continue };
-        let Some(position) = record.data(&Role::Position(axis.clone())) else { continue };
+        let Some(position) = record.position(axis) else { continue };
         let direction = direction_of(record, axis)?;
         swapped(record, column, position)?;
         let mut run =
@@ -166,21 +166,18 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
 }
 
 /// The direction of approach of every row.
-fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputError> {
+fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64]> {
     let role = Role::Direction(axis.clone());
-    let direction = record
-        .data(&role)
-        .or_else(|| record.data(&Role::Velocity(axis.clone())))
-        .ok_or_else(|| lacks(record, "no direction of approach", "a column of role direction.AXIS"))?;
-    let zeros = direction.iter().filter(|d| **d == 0.0).count();
-    let (ups, downs) =
-        (direction.iter().filter(|d| **d > 0.0).count(), direction.iter().filter(|d| **d < 0.0).count());
+    let expected = "a column of role direction.AXIS";
+    let direction = record.way(axis).ok_or_else(|| lacks(record, "no direction of approach", expected))?;
+    let count = |of: fn(f64) -> bool| direction.iter().filter(|d| of(**d)).count();
+    let (zeros, ups, downs) = (count(|d| d == 0.0), count(|d| d > 0.0), count(|d| d < 0.0));
     // A row of direction 0 belongs to neither side; a quarter of such rows is a mistake.
     if zeros > 0 && (ups == 0) != (downs == 0) && 4 * zeros > direction.len() {
         let (seen, lost) = if ups > 0 { (1, "downwards") } else { (-1, "upwards") };
+        let rows = ups + downs;
         let found = format!(
-            "a {role} of only 0 ({zeros} rows) and {seen:+} ({} rows): 0 looks as if it stood for {lost}",
-            ups + downs
+            "a {role} of only 0 ({zeros} rows) and {seen:+} ({rows} rows): 0 looks as if it stood for {lost}"
         );
         return Err(lacks(record, &found, "+1 for an approach upwards and -1 for one downwards"));
     }
@@ -192,21 +189,18 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64], InputE
 
 /// Refuses a record in which the error and the position look exchanged.
 /// Targets are a few repeated places, errors are not.
-fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<(), InputError> {
+fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<()> {
     let n = position.len();
     let (places, values) = (targets(position).len(), alike(&error.data, ALIKE).len());
-    let wide = |v: &[f64]| range(v.iter().map(|v| (*v, *v))).unwrap_or(0.0);
-    if n >= 10 && 2 * places > n && 4 * values <= n && values > 1 && wide(&error.data) > wide(position) {
+    let is_wider = spread(&error.data) > spread(position);
+    if n >= 10 && 2 * places > n && 4 * values <= n && values > 1 && is_wider {
         let found = format!(
             "{places} targets in {n} rows, while `{}` (role {}) has {values} values again and again: position and error \
              look swapped",
             error.name, error.role
         );
-        return Err(lacks(
-            record,
-            &found,
-            "a few target positions, approached several times each, and the error there",
-        ));
+        let expected = "a few target positions, approached several times each, and the error there";
+        return Err(lacks(record, &found, expected));
     }
     Ok(())
 }
@@ -225,14 +219,14 @@ struct Run<'r> {
 impl Run<'_> {
     /// Corrects the error for the laser's air and reduces it to 20 °C.
     /// Scale and work piece have the expansions and sensors of the conditions.
-    fn reduce(&mut self, conditions: &Conditions) -> Result<(), InputError> {
+    fn reduce(&mut self, conditions: &Conditions) -> Result<()> {
         if let Some(air) = &conditions.air {
             let (corrected, words) = air.corrected(self.record, self.position, &self.error)?;
             self.error = corrected;
             self.notes.push(words);
         } else if *conditions != Conditions::default() {
-            self.notes
-                .push("the laser's air is as the instrument took it: no [air] in the conditions".to_owned());
+            let note = "the laser's air is as the instrument took it: no [air] in the conditions";
+            self.notes.push(note.to_owned());
         }
         let mut words = Vec::new();
         for (body, what, sign) in
@@ -240,18 +234,12 @@ impl Run<'_> {
         {
             let Some(Expansion { sensor, ppm_per_k }) = body else { continue };
             let degc = self.record.temperature(sensor).ok_or_else(|| {
-                let has = self.record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
-                lacks(
-                    self.record,
-                    &format!("no temperature {sensor} for the {what} (the record has: {has})"),
-                    "the sensor that the conditions name",
-                )
+                no_temperature(self.record, sensor, what, "the sensor that the conditions name")
             })?;
             for ((e, p), t) in self.error.iter_mut().zip(self.position).zip(degc) {
                 *e -= sign * ppm_per_k * (t - REFERENCE_DEGC) * p / 1000.0;
             }
-            let mean = degc.iter().sum::<f64>() / degc.len() as f64;
-            words.push(format!("{what} {sensor} at {mean:.2} °C with {ppm_per_k} ppm/K"));
+            words.push(format!("{what} {sensor} at {:.2} °C with {ppm_per_k} ppm/K", mean(degc)));
         }
         if !words.is_empty() {
             self.notes.push(format!("reduced to 20 °C: {}", words.join(", ")));
@@ -259,36 +247,21 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn list(&self) -> Vec<Target> {
-        self.list_of(&self.error)
-    }
-
+    /// The targets with these errors.
     fn list_of(&self, error: &[f64]) -> Vec<Target> {
         let of = |Place { position_mm, up, down }: Place| {
-            let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
-            let (mean_up, mean_down) = (mean(&up), mean(&down));
+            let (mean_up, mean_down) = (mean_of(&up), mean_of(&down));
             let [s_up, s_down] = [&up, &down].map(|v| mean_and_s(v).map(|m| m.1));
             let reversal = mean_up.zip(mean_down).map(|(u, d)| u - d);
-            let repeatability = reversal
-                .zip(s_up)
-                .zip(s_down)
-                .map(|((b, su), sd)| (2.0 * su + 2.0 * sd + b.abs()).max(4.0 * su).max(4.0 * sd));
-            Target {
-                position_mm,
-                mean_up,
-                mean_down,
-                s_up,
-                s_down,
-                reversal,
-                repeatability,
-                approaches: [up.len(), down.len()],
-            }
+            let repeatability = repeatability(reversal, [s_up, s_down]);
+            let approaches = [up.len(), down.len()];
+            Target { position_mm, mean_up, mean_down, s_up, s_down, reversal, repeatability, approaches }
         };
         places(self.position, Some(self.direction), error).into_iter().map(of).collect()
     }
 
-    fn evaluate(mut self, options: &Options) -> Result<Positioning, InputError> {
-        let list = self.list();
+    fn evaluate(mut self, options: &Options) -> Result<Positioning> {
+        let list = self.list_of(&self.error);
         let role = &self.column.role;
         let bidirectional = list.iter().any(|t| t.reversal.is_some());
         if !bidirectional && !options.one_way {
@@ -313,12 +286,10 @@ impl Run<'_> {
         // All figures use the same approaches; single approaches count on a long axis only.
         let listed = list;
         let list: Vec<Target> = listed.iter().map(|t| t.counted(long)).collect();
-        let pick = |m: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
-            list.iter().filter_map(|t| m(t).zip(s(t))).collect()
-        };
-        let (ups, downs) = (pick(|t| t.mean_up, |t| t.s_up), pick(|t| t.mean_down, |t| t.s_down));
-        let spread = |v: &[(f64, f64)]| range(v.iter().map(|(m, s)| (m - 2.0 * s, m + 2.0 * s)));
-        let mean_range = |m: fn(&Target) -> Option<f64>| range(list.iter().filter_map(m).map(|m| (m, m)));
+        let ups: Vec<(f64, f64)> = list.iter().filter_map(|t| t.mean_up.zip(t.s_up)).collect();
+        let downs: Vec<(f64, f64)> = list.iter().filter_map(|t| t.mean_down.zip(t.s_down)).collect();
+        let accuracy = |v: &[(f64, f64)]| range(v.iter().map(|(m, s)| (m - 2.0 * s, m + 2.0 * s)));
+        let mean_range = |m: fn(&Target) -> Option<f64>| spread(list.iter().filter_map(m));
         let both: Vec<(f64, f64)> = ups.iter().chain(&downs).copied().collect();
         let means = list.iter().flat_map(|t| [t.mean_up, t.mean_down]).flatten();
         let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
@@ -344,10 +315,10 @@ impl Run<'_> {
             axis: self.axis.to_string(),
             response: role.to_string(),
             unit: if tilt { "urad" } else { "um" },
-            A: only(spread(&both)),
-            A_up: spread(&ups),
-            A_down: spread(&downs),
-            E: only(range(means.map(|m| (m, m)))),
+            A: only(accuracy(&both)),
+            A_up: accuracy(&ups),
+            A_down: accuracy(&downs),
+            E: only(spread(means)),
             E_up: mean_range(|t| t.mean_up),
             E_down: mean_range(|t| t.mean_down),
             R: repeatability,
@@ -355,7 +326,7 @@ impl Run<'_> {
             R_down: r_down,
             B: reversal[0],
             B_mean: reversal[1],
-            M: only(range(centres.map(|c| (c, c)))),
+            M: only(spread(centres)),
             arcsec: None,
             uncertainty,
             resolution,
@@ -367,10 +338,8 @@ impl Run<'_> {
             warnings: self.notes,
         };
         if tilt {
-            let figures = found.figures();
-            found.arcsec = Some(
-                figures.iter().map(|(k, v)| ((*k).to_owned(), v.map(|v| v / URAD_PER_ARCSEC))).collect(),
-            );
+            let in_arcsec = |(k, v): (&str, Option<f64>)| (k.to_owned(), v.map(|v| v / URAD_PER_ARCSEC));
+            found.arcsec = Some(found.figures().map(in_arcsec).into());
         }
         Ok(found)
     }
@@ -379,78 +348,70 @@ impl Run<'_> {
     fn resolution(&mut self, unit: &str) -> Option<Resolution> {
         let column = Column { data: self.error.clone(), ..self.column.clone() };
         let steps = Steps::of_response(self.record, &column).filter(Steps::is_coarse)?;
-        let found = Resolution {
-            step: steps.step,
-            mean_within: steps.half_width(),
-            reversal_within: 2.0 * steps.half_width(),
-        };
+        let (step, mean_within) = (steps.step, steps.half_width());
+        let reversal_within = 2.0 * mean_within;
+        let [q, mean, reversal] = [step, mean_within, reversal_within].map(short);
         self.notes.push(format!(
-            "readings in steps of {} {unit}, most repeats alike: each mean may be off by up to {} {unit}, a reversal by up to {} {unit}; \
-             scatter below a step does not show in R. A finer gauge shows both",
-            short(found.step),
-            short(found.mean_within),
-            short(found.reversal_within)
+            "readings in steps of {q} {unit}, most repeats alike: each mean may be off by up to {mean} {unit}, a reversal by up to {reversal} {unit}; \
+             scatter below a step does not show in R. A finer gauge shows both"
         ));
-        Some(found)
+        Some(Resolution { step, mean_within, reversal_within })
     }
 
     /// Largest scatter of the positions of one target, mm.
     fn scatter_mm(&self) -> f64 {
-        let of = |rows: &Vec<usize>| range(rows.iter().map(|r| (self.position[*r], self.position[*r])));
+        let of = |rows: &Vec<usize>| spread(rows.iter().map(|r| self.position[*r]));
         largest(targets(self.position).iter().filter_map(of)).unwrap_or(0.0)
     }
 
     /// Warns of requirements of the standard that this test does not meet.
     fn warn(&mut self, list: &[Target], span: f64, long: bool) {
-        let n = list.len();
+        let (n, scatter_mm) = (list.len(), self.scatter_mm());
+        let mut note = |is_so: bool, text: String| self.notes.extend(Some(text).filter(|_| is_so));
+        let count = |of: &dyn Fn([usize; 2]) -> bool| list.iter().filter(|t| of(t.approaches)).count();
         let interval = span / (n.max(2) - 1) as f64;
-        if span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM {
-            self.notes.push(format!(
+        note(
+            span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM,
+            format!(
                 "targets {interval:.0} mm apart: ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more than 2 m"
-            ));
-        }
-        if long {
-            self.notes.push(
-                "more than 2 m with one approach from each side: E, B and M only, no A and R (ISO 230-2, 5.3.3)".to_owned(),
-            );
-        } else {
-            let wanted = fewest_targets(span);
-            if n < wanted {
-                self.notes.push(format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}"));
-            }
-            let few = list.iter().filter(|t| t.approaches.iter().any(|n| *n > 0 && *n < FEWEST)).count();
-            if few > 0 {
-                self.notes
-                    .push(format!("{few} targets with fewer than the five approaches ISO 230-2 asks for"));
-            }
-        }
+            ),
+        );
+        let only = "E, B and M only, no A and R (ISO 230-2, 5.3.3)";
+        note(long, format!("more than 2 m with one approach from each side: {only}"));
+        let wanted = fewest_targets(span);
+        note(
+            !long && n < wanted,
+            format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}"),
+        );
+        let few = count(&|sides| sides.iter().any(|n| *n > 0 && *n < FEWEST));
+        note(
+            !long && few > 0,
+            format!("{few} targets with fewer than the five approaches ISO 230-2 asks for"),
+        );
         let steps: Vec<f64> = list.windows(2).map(|w| w[1].position_mm - w[0].position_mm).collect();
-        if let (true, Some(all)) = (n > 2, range(steps.iter().map(|s| (*s, *s))))
-            && all < 1e-3 * span / n as f64
-        {
-            self.notes.push(format!(
-                "targets at equal distances of {:.4} mm: an error of that period does not show",
-                span / (n - 1) as f64
-            ));
-        }
-        let alone = list.iter().filter(|t| t.approaches.contains(&1)).count();
-        if !long && alone > 0 {
-            self.notes.push(format!(
+        let is_even = n > 2 && spread(&steps).is_some_and(|all| all < 1e-3 * span / n as f64);
+        let what = "an error of that period does not show";
+        note(is_even, format!("targets at equal distances of {interval:.4} mm: {what}"));
+        let alone = count(&|sides| sides.contains(&1));
+        note(
+            !long && alone > 0,
+            format!(
                 "{alone} targets approached once only from a side: those approaches are in no figure, as they have no s"
-            ));
-        }
-        let scatter_mm = self.scatter_mm();
-        if scatter_mm > 2.0 * ALIKE * span {
-            self.notes.push(format!(
+            ),
+        );
+        note(
+            scatter_mm > 2.0 * ALIKE * span,
+            format!(
                 "the positions of one target differ by up to {scatter_mm:.3} mm: read instead of commanded? The figures are of their means"
-            ));
-        }
-        let odd = list.iter().filter(|t| (t.approaches[0] == 0) != (t.approaches[1] == 0)).count();
-        if odd > 0 && odd < n {
-            self.notes.push(format!(
+            ),
+        );
+        let odd = count(&|[up, down]| (up == 0) != (down == 0));
+        note(
+            odd > 0 && odd < n,
+            format!(
                 "{odd} targets approached from one side only (the ends of the travel?): not in B, R and M"
-            ));
-        }
+            ),
+        );
     }
 }
 
@@ -468,8 +429,10 @@ impl Target {
     }
 }
 
-fn mean_of(v: &[f64]) -> Option<f64> {
-    (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64)
+/// Bidirectional repeatability of a target, from its reversal and the s of both sides.
+fn repeatability(reversal: Option<f64>, [up, down]: [Option<f64>; 2]) -> Option<f64> {
+    let (b, up, down) = (reversal?, up?, down?);
+    Some((2.0 * up + 2.0 * down + b.abs()).max(4.0 * up).max(4.0 * down))
 }
 
 /// Fewest targets on this travel of up to 2 m.
@@ -487,6 +450,15 @@ impl Positioning {
     pub fn without_change(&self, symbol: &str) -> Option<f64> {
         let place = UNCHANGED.iter().position(|s| *s == symbol)?;
         self.drift.map(|d| d.without).or(self.step.map(|s| s.without))?[place]
+    }
+
+    /// Position of each target, mm, and mean of its directions.
+    pub(crate) fn means(&self) -> impl Iterator<Item = (f64, f64)> {
+        let of = |t: &Target| {
+            let known: Vec<f64> = [t.mean_up, t.mean_down].into_iter().flatten().collect();
+            (!known.is_empty()).then(|| (t.position_mm, mean(&known)))
+        };
+        self.targets.iter().filter_map(of)
     }
 
     /// The figures in the order of the standard.
@@ -517,30 +489,19 @@ impl Positioning {
         };
         let mut chart =
             Chart::new(&title, &format!("position {} (mm)", self.axis), &format!("{what} ({unit})"));
-        let of =
-            |mean: fn(&Target) -> Option<f64>, s: fn(&Target) -> Option<f64>, k: f64| -> Vec<(f64, f64)> {
-                self.targets.iter().filter_map(|t| Some((t.position_mm, mean(t)? + k * s(t)?))).collect()
-            };
-        let line = |mean: fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
-            self.targets.iter().filter_map(|t| Some((t.position_mm, mean(t)?))).collect()
+        let over_travel = |of: &dyn Fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
+            self.targets.iter().filter_map(|t| Some((t.position_mm, of(t)?))).collect()
         };
         let sides: [(&str, Colour, [Of; 2]); 2] = [
             ("up ↑", Colour::Up, [|t| t.mean_up, |t| t.s_up]),
             ("down ↓", Colour::Down, [|t| t.mean_down, |t| t.s_down]),
         ];
         for (label, colour, [mean, s]) in sides {
-            let (lo, hi) = (of(mean, s, -2.0), of(mean, s, 2.0));
-            if !lo.is_empty() {
-                let band = [lo, hi].concat();
+            let band = [-2.0, 2.0].map(|k| over_travel(&|t| Some(mean(t)? + k * s(t)?))).concat();
+            if !band.is_empty() {
                 chart = chart.with(Series::new(&format!("{label} ± 2s"), Style::Band, band).coloured(colour));
             }
-            let points = line(mean);
-            if !points.is_empty() {
-                chart = chart.with(
-                    Series::new(&format!("{label} mean"), Style::Line, points.clone()).coloured(colour),
-                );
-                chart = chart.with(Series::new("", Style::Dots, points).coloured(colour));
-            }
+            chart = chart.with_side(&format!("{label} mean"), over_travel(&mean), colour);
         }
         chart
     }

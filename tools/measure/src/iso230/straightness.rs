@@ -2,9 +2,9 @@
 //! The error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not
 //! available).
 
-use super::{Place, lacks, line, range};
-use crate::plot::{Chart, Colour, Series, Style};
-use rtec_files::InputError;
+use super::{Place, lacks, line, mean_of, spread};
+use crate::plot::{Chart, Colour};
+use rtec_files::Result;
 use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 
@@ -60,20 +60,10 @@ const FEWEST_PLACES: usize = 5;
 
 /// Pairs of the axis that moves and an error across it.
 fn pairs(record: &Record) -> Vec<(Axis, Axis)> {
-    let moves = |a: &Axis| {
-        let p = record.data(&Role::Position(a.clone()));
-        p.and_then(spread).is_some_and(|r| r > 0.0)
-    };
-    let positions: Vec<Axis> = record
-        .columns
-        .iter()
-        .filter_map(|c| match &c.role {
-            Role::Position(a) if moves(a) => Some(a.clone()),
-            _ => None,
-        })
-        .collect();
+    let moves = |a: &Axis| record.position(a).and_then(spread).is_some_and(|r| r > 0.0);
+    let positions: Vec<&Axis> = record.axes(Role::Position).filter(|a| moves(a)).collect();
     // If several axes move, an error across one of them has no single cause.
-    let [axis] = positions.as_slice() else { return Vec::new() };
+    let [axis] = positions[..] else { return Vec::new() };
     let across = record.columns.iter().filter_map(|c| match &c.role {
         Role::Error(b) if b != axis => Some((axis.clone(), b.clone())),
         _ => None,
@@ -90,7 +80,7 @@ pub fn has_straightness(record: &Record) -> bool {
 ///
 /// # Errors
 /// No error across a moving axis; fewer than five places.
-pub fn straightness(record: &Record) -> Result<Vec<Straightness>, InputError> {
+pub fn straightness(record: &Record) -> Result<Vec<Straightness>> {
     let pairs = pairs(record);
     if pairs.is_empty() {
         let expected = "one moving position.AXIS and the error across it, as position.x with error.y";
@@ -115,23 +105,15 @@ fn slope_error(off: &[StraightPlace]) -> f64 {
     (left / (n - 2.0) / square).sqrt()
 }
 
-/// Largest minus smallest.
-fn spread(values: &[f64]) -> Option<f64> {
-    range(values.iter().map(|v| (*v, *v)))
-}
-
-fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, InputError> {
-    let empty: &[f64] = &[];
-    let position = record.data(&Role::Position(axis.clone())).unwrap_or(empty);
-    let error = record.data(&Role::Error(across.clone())).unwrap_or(empty);
-    let direction =
-        record.data(&Role::Direction(axis.clone())).or_else(|| record.data(&Role::Velocity(axis.clone())));
+fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
+    let position = record.position(axis).unwrap_or_default();
+    let error = record.data(&Role::Error(across.clone())).unwrap_or_default();
+    let direction = record.way(axis);
     let mut places = Vec::new();
     let mut spreads: Vec<f64> = Vec::new();
     for Place { position_mm, up, down } in super::places(position, direction, error) {
-        spreads.extend([&up, &down].into_iter().filter(|v| v.len() > 1).filter_map(|v| spread(v)));
-        let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
-        let (up_um, down_um) = (mean(&up), mean(&down));
+        spreads.extend([&up, &down].into_iter().filter(|v| v.len() > 1).filter_map(spread));
+        let (up_um, down_um) = (mean_of(&up), mean_of(&down));
         let Some(mean_um) = up_um.zip(down_um).map(|(u, d)| f64::midpoint(u, d)).or(up_um).or(down_um) else {
             continue;
         };
@@ -142,11 +124,8 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
     };
     let Some((off, slope)) = off_line(&side(|p| Some(p.mean_um))) else {
         let found = format!("{} places along {axis}", places.len());
-        return Err(lacks(
-            record,
-            &found,
-            "five places at least: through fewer a line goes whatever the axis does",
-        ));
+        let expected = "five places at least: through fewer a line goes whatever the axis does";
+        return Err(lacks(record, &found, expected));
     };
     let one_side = |of| off_line(&side(of)).and_then(|(off, _)| spread(&off));
     let (straightness_up_um, straightness_down_um) = (one_side(|p| p.up_um), one_side(|p| p.down_um));
@@ -158,9 +137,9 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
     ];
     if one_sided > 0 && one_sided < places.len() {
         // Places from one side only contain half of the reversal as form.
-        warnings.push(format!(
-            "{one_sided} places from one side only: half of the reversal is in the form there"
-        ));
+        let text =
+            format!("{one_sided} places from one side only: half of the reversal is in the form there");
+        warnings.push(text);
     }
     for (p, off) in places.iter_mut().zip(off) {
         let line_um = p.mean_um - off;
@@ -172,12 +151,12 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness, Input
         symbol: format!("E{}{}", across.to_string().to_uppercase(), axis.to_string().to_uppercase()),
         axis: axis.to_string(),
         across: across.to_string(),
-        straightness_um: spread(&places.iter().map(|p| p.mean_um).collect::<Vec<_>>()).unwrap_or(0.0),
+        straightness_um: spread(places.iter().map(|p| p.mean_um)).unwrap_or(0.0),
         straightness_up_um: straightness_up_um.filter(|_| direction.is_some()),
         straightness_down_um,
         slope_urad: slope * 1000.0,
         slope_standard_error_urad: 1000.0 * slope_error(&places),
-        reversal_um: (!reversals.is_empty()).then(|| reversals.iter().sum::<f64>() / reversals.len() as f64),
+        reversal_um: mean_of(&reversals),
         repeatability_um: super::largest(spreads),
         travel_mm,
         places,
@@ -197,11 +176,7 @@ impl Straightness {
         for (label, colour, of) in sides {
             let points: Vec<(f64, f64)> =
                 self.places.iter().filter_map(|p| Some((p.position_mm, of(p)?))).collect();
-            if !points.is_empty() {
-                let line = Series::new(label, Style::Line, points.clone()).coloured(colour);
-                let dots = Series::new("", Style::Dots, points).coloured(colour);
-                chart = chart.with(line).with(dots);
-            }
+            chart = chart.with_side(label, points, colour);
         }
         chart
     }

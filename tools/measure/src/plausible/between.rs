@@ -4,7 +4,7 @@ use super::sensor_regression::{sensor_regression, with_lags};
 use super::stats::{median, middle_range, range};
 use super::{Suspicion, What, repeats};
 use crate::iso230::correlation;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
+use rtec_model::record::{Axis, Column, Kind, Record, Role, mean, span};
 
 /// Records with exactly the rows of an earlier one.
 /// Pairs of the earlier record's index and its own.
@@ -39,10 +39,9 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     }
     for (at, pair) in odd_ones(crossed) {
         for (own, other) in [(0, 1), (1, 0)] {
-            let text = format!(
-                "reads what {} reads in the other record, and that one what this one does",
-                pair[other]
-            );
+            let other = &pair[other];
+            let text =
+                format!("reads what {other} reads in the other record, and that one what this one does");
             out.push(Suspicion::new(&records[at], &pair[own], What::Swapped, &[], text));
         }
     }
@@ -81,23 +80,15 @@ fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
         let (small, large, r, c, of) = if ra < rb { (ra, rb, a, ca, b) } else { (rb, ra, b, cb, a) };
         let looks = match ca.role {
             Role::Position(_) => {
-                small > 0.0
-                    && small < 3.0
-                    && (500.0..2000.0).contains(&(large / small))
-                    && is_round_in_metres(c)
+                small < 3.0 && (500.0..2000.0).contains(&(large / small)) && is_round_in_metres(c)
             }
-            Role::Error(_) => small > 0.0 && small < 0.5 && (250.0..4000.0).contains(&(large / small)),
+            Role::Error(_) => small < 0.5 && (250.0..4000.0).contains(&(large / small)),
             _ => false,
         };
-        let known = out
-            .iter()
-            .any(|s| s.what == What::Unit && s.column == c.name && s.record == r.path.display().to_string());
-        if looks && !known {
-            let text = format!(
-                "varies by {small:.3} {}, in {} by {large:.1}: a thousand times less",
-                c.unit,
-                of.path.display()
-            );
+        let known = out.iter().any(|s| s.what == What::Unit && s.is_of(r, c));
+        if looks && small > 0.0 && !known {
+            let (unit, of) = (&c.unit, of.path.display());
+            let text = format!("varies by {small:.3} {unit}, in {of} by {large:.1}: a thousand times less");
             out.push(Suspicion::new(r, &c.name, What::Unit, &[], text));
         }
     }
@@ -123,7 +114,7 @@ fn as_aligned(record: &Record) -> Record {
     }
     let centred = |role: Role| {
         let data = record.data(&role)?;
-        let mean = data.iter().sum::<f64>() / data.len() as f64;
+        let mean = mean(data);
         Some(data.iter().map(|v| v - mean).collect::<Vec<f64>>())
     };
     let read =
@@ -154,11 +145,9 @@ const TURNS: f64 = -0.5;
 /// Whether common temperatures agree within 2 K (medians); true if there are none.
 /// Otherwise heat may change the sign of an error.
 fn as_warm(a: &Record, b: &Record) -> bool {
-    let near = |name: &str| match (a.temperature(name), b.temperature(name)) {
-        (Some(x), Some(y)) => (median(x.to_vec()) - median(y.to_vec())).abs() < 2.0,
-        _ => true,
-    };
-    a.names(&Role::Temperature).all(near)
+    let off =
+        |name: &str| Some(median(a.temperature(name)?.to_vec()) - median(b.temperature(name)?.to_vec()));
+    a.names(&Role::Temperature).filter_map(off).all(|k| k.abs() < 2.0)
 }
 
 /// Bins of an axis's positions over two records.
@@ -194,7 +183,7 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     }
     let all = bins.iter().map(|b| b.count).product::<usize>();
     let means = |r: &Record, e: &[f64], side: usize| {
-        let d = r.data(&Role::Direction(axis.clone()));
+        let d = r.direction(axis);
         let mut sums = vec![(0.0, 0.0, 0.0); 2 * all];
         for (i, e) in e.iter().enumerate() {
             let bin = bins.iter().fold(0, |bin, b| bin * b.count + b.bin(side, i));
@@ -223,9 +212,9 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     // itself.
     let turns = |name: &str| {
         let at = |r: &Record, side: usize| r.temperature(name).map(|t| mean(&means(r, t, side)));
-        at(a, 0)
-            .zip(at(b, 1))
-            .is_some_and(|(x, y)| range(&x).min(range(&y)) > TURNS_K && correlation(&x, &y) < TURNS)
+        let opposite =
+            |(x, y): (Vec<f64>, Vec<f64>)| range(&x).min(range(&y)) > TURNS_K && correlation(&x, &y) < TURNS;
+        at(a, 0).zip(at(b, 1)).is_some_and(opposite)
     };
     if a.names(&Role::Temperature).any(turns) {
         return false;

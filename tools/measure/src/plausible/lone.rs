@@ -52,10 +52,7 @@ pub(super) fn of_response(record: &Record, c: &Column) -> Lone {
         honest && !(is_error && off > LARGEST_PEAK_UM)
     };
     let mut orders = vec![vec![(0..c.data.len()).collect()]];
-    let by_place = ways(record, c);
-    if !by_place.is_empty() {
-        orders.push(by_place);
-    }
+    orders.extend(Some(ways(record, c)).filter(|by_place| !by_place.is_empty()));
     let mut found = wild(&c.data, &orders, &excused, |off| is_error && off > LARGEST_PEAK_UM);
     if found.rows.is_empty()
         && returns_to_one_place(record)
@@ -85,9 +82,7 @@ fn apart_from_all(v: &[f64]) -> Option<(usize, f64)> {
         let rest: Vec<f64> = v.iter().enumerate().filter(|(i, _)| *i != row).map(|(_, v)| *v).collect();
         let mean = rest.iter().sum::<f64>() / (n - 1.0);
         let s = (rest.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 2.0)).sqrt();
-        // The noise is at least that of rounding to the resolution.
-        let step = if quantum(&rest) > 0.0 { quantum(&rest) } else { quantum(v) };
-        let s = s.max(step / 12_f64.sqrt());
+        let s = s.max(rounding(&rest, v));
         (row, s, (v[row] - mean).abs() / (s * (1.0 + 1.0 / (n - 1.0)).sqrt()))
     };
     let (row, s, size) = (0..v.len()).map(off).max_by(|a, b| a.2.total_cmp(&b.2))?;
@@ -111,12 +106,8 @@ pub(super) fn wild(
         let Some(worst) = held.min_by(|a, b| a.noise.total_cmp(&b.noise)) else { break };
         let rest: Vec<f64> =
             (0..v.len()).filter(|i| *i != worst.row && !out.contains(i)).map(|i| v[i]).collect();
-        let mut all = rest.clone();
-        all.push(v[worst.row]);
-        // The noise is at least that of rounding. If all others are equal, the deviation itself gives the
-        // resolution.
-        let step = if quantum(&rest) > 0.0 { quantum(&rest) } else { quantum(&all) };
-        let noise = worst.noise.max(step / 12_f64.sqrt());
+        let all = [&rest[..], &[v[worst.row]]].concat();
+        let noise = worst.noise.max(rounding(&rest, &all));
         out.push(worst.row);
         if worst.off > bound(rest.len() + 1, worst.differences) * noise
             || beyond(worst.off) && worst.off > 100.0 * worst.noise
@@ -126,6 +117,13 @@ pub(super) fn wild(
     }
     wild.rows.sort_unstable();
     wild
+}
+
+/// Standard deviation of rounding to the resolution, the least noise.
+/// If all the others are equal, the deviation itself gives the resolution.
+fn rounding(others: &[f64], all: &[f64]) -> f64 {
+    let step = if quantum(others) > 0.0 { quantum(others) } else { quantum(all) };
+    step / 12_f64.sqrt()
 }
 
 /// Student's quantile for [`CHANCE`] per column of `rows` rows.
@@ -166,12 +164,8 @@ fn farthest(
             differences += 1;
         }
     }
-    (differences > 0).then(|| NeighbourDeviation {
-        row,
-        off,
-        noise: (squares / differences as f64).sqrt(),
-        differences,
-    })
+    let noise = (squares / differences as f64).sqrt();
+    (differences > 0).then_some(NeighbourDeviation { row, off, noise, differences })
 }
 
 /// Whether this small-sample test applies to a column of `rows` rows.

@@ -47,7 +47,7 @@ pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
 use crate::steps;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, Result, Said};
 use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -58,50 +58,29 @@ use std::path::Path;
 /// A sensor with at most this share of bad rows loses only those rows.
 const FEW: f64 = 0.1;
 
-/// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum What {
-    /// Another unit than the column states.
-    Unit,
-    /// The opposite sign.
-    Sign,
-    /// A direction of approach that contradicts the movement or is constant.
-    Direction,
-    /// A constant value where a real one would change.
-    Stuck,
-    /// The value of an input without a sensor.
-    Unplugged,
-    /// A value that is impossible on a machine.
-    Range,
-    /// A step that is impossible on a machine.
-    Jump,
-    /// Duplicated rows or columns.
-    Doubled,
-    /// Two columns or two sensors exchanged.
-    Swapped,
-    /// Single rows far from all others.
-    Outliers,
-    /// Measured on another machine than the model's (found only with a model).
-    OtherMachine,
+rtec_files::choice! {
+    /// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
+    #[derive(PartialOrd, Ord, Hash, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum What {
+        Unit = "unit", "Another unit than the column states.";
+        Sign = "sign", "The opposite sign.";
+        Direction = "direction", "A direction of approach that contradicts the movement or is constant.";
+        Stuck = "stuck", "A constant value where a real one would change.";
+        Unplugged = "unplugged", "The value of an input without a sensor.";
+        Range = "range", "A value that is impossible on a machine.";
+        Jump = "jump", "A step that is impossible on a machine.";
+        Doubled = "doubled", "Duplicated rows or columns.";
+        Swapped = "swapped", "Two columns or two sensors exchanged.";
+        Outliers = "outliers", "Single rows far from all others.";
+        OtherMachine = "other_machine", "Measured on another machine than the model's (found only with a model).";
+    }
 }
 
 impl What {
     /// The name in JSON documents.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Unit => "unit",
-            Self::Sign => "sign",
-            Self::Direction => "direction",
-            Self::Stuck => "stuck",
-            Self::Unplugged => "unplugged",
-            Self::Range => "range",
-            Self::Jump => "jump",
-            Self::Doubled => "doubled",
-            Self::Swapped => "swapped",
-            Self::Outliers => "outliers",
-            Self::OtherMachine => "other_machine",
-        }
+        Self::ALL[self as usize].0
     }
 }
 
@@ -160,6 +139,15 @@ impl Suspicion {
         self.sensor
     }
 
+    /// Whether it is about this column of this record.
+    fn is_of(&self, record: &Record, column: &Column) -> bool {
+        self.column == column.name && self.is_in(record)
+    }
+
+    fn is_in(&self, record: &Record) -> bool {
+        self.record == record.path.display().to_string()
+    }
+
     /// Its rows, from 0; empty for all.
     pub fn row_list(&self) -> Vec<usize> {
         let range = |part: &str| {
@@ -191,17 +179,11 @@ impl fmt::Display for Suspicion {
 
 /// Rows from 0 as text, such as `3-9,14`, from 1.
 fn rows_text(rows: &[usize]) -> String {
-    let mut out: Vec<String> = Vec::new();
-    let mut i = 0;
-    while i < rows.len() {
-        let mut j = i;
-        while j + 1 < rows.len() && rows[j + 1] == rows[j] + 1 {
-            j += 1;
-        }
-        out.push(if j > i { format!("{}-{}", rows[i] + 1, rows[j] + 1) } else { (rows[i] + 1).to_string() });
-        i = j + 1;
-    }
-    out.join(",")
+    let written = |run: &[usize]| match run {
+        [first, .., last] => format!("{}-{}", first + 1, last + 1),
+        one => (one[0] + 1).to_string(),
+    };
+    rows.chunk_by(|a, b| *b == a + 1).map(written).collect::<Vec<_>>().join(",")
 }
 
 /// All suspicions of these records, compared with one another; none for clean data.
@@ -230,12 +212,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
 /// Reports suspicions, steps and conditions of records; returns the suspicions.
 pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
     let found = suspicions(records);
-    for s in &found {
-        say(Said::Warning(s.to_string()));
-    }
-    for step in steps_of(records) {
-        say(Said::Warning(step));
-    }
+    found.iter().map(ToString::to_string).chain(steps_of(records)).for_each(|s| say(Said::Warning(s)));
     say_conditions(records, &found, say);
     found
 }
@@ -267,7 +244,7 @@ pub fn enter(document: &mut serde_json::Value, found: &[Suspicion]) {
 ///
 /// # Errors
 /// The first such suspicion against one of these records.
-pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<(), InputError> {
+pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<()> {
     let learned = |s: &&Suspicion| records.iter().any(|r| r.display().to_string() == s.record);
     let wrong = |s: &&Suspicion| {
         let dead = s.what == What::Stuck && s.rows.is_empty();
@@ -331,27 +308,23 @@ pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [R
 /// Exchanged sensors are put back.
 pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = Cow::Borrowed(records);
+    let place = |doubt: &Suspicion| records.iter().position(|r| doubt.is_in(r));
     for [one, other] in exchanged(doubts) {
-        let Some(at) = records.iter().position(|r| r.path.display().to_string() == one.record) else {
-            continue;
-        };
+        let Some(at) = place(one) else { continue };
         let record = &mut usable.to_mut()[at];
-        let place = |name: &str| record.columns.iter().position(|c| c.name == name);
-        if let (Some(a), Some(b)) = (place(&one.column), place(&other.column)) {
-            let first = record.first_row();
-            for row in one.row_list().into_iter().filter_map(|row| row.checked_sub(first)) {
-                if row < record.rows() {
-                    let value = record.columns[a].data[row];
-                    record.columns[a].data[row] = record.columns[b].data[row];
-                    record.columns[b].data[row] = value;
-                }
+        let column = |name: &str| record.columns.iter().position(|c| c.name == name);
+        if let (Some(a), Some(b)) = (column(&one.column), column(&other.column)) {
+            let (first, rows) = (record.first_row(), record.rows());
+            let own = one.row_list().into_iter().filter_map(|row| row.checked_sub(first));
+            for row in own.filter(|row| *row < rows) {
+                let value = record.columns[a].data[row];
+                record.columns[a].data[row] = record.columns[b].data[row];
+                record.columns[b].data[row] = value;
             }
         }
     }
     for doubt in doubts.iter().filter(|d| d.is_not_taken()) {
-        let Some(at) = records.iter().position(|r| r.path.display().to_string() == doubt.record) else {
-            continue;
-        };
+        let Some(at) = place(doubt) else { continue };
         let record = &mut usable.to_mut()[at];
         let first = record.first_row();
         if doubt.is_of_column() {
@@ -482,17 +455,8 @@ pub struct Unusable {
 pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     let mut out = Unusable::default();
     for s in suspicions {
-        let off = matches!(
-            s.what,
-            What::Unplugged
-                | What::Range
-                | What::Stuck
-                | What::Jump
-                | What::Outliers
-                | What::Unit
-                | What::Swapped
-        );
-        if s.sensor && (off || s.what == What::Doubled) && !s.is_few() {
+        let is_kept = matches!(s.what, What::Sign | What::Direction | What::OtherMachine);
+        if s.sensor && !is_kept && !s.is_few() {
             out.sensors.insert(s.column.clone());
         } else if s.misreads_rows() {
             out.rows.entry(s.record.clone()).or_default().extend(s.row_list());

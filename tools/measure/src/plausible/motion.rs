@@ -59,9 +59,9 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     // A spreadsheet counts days from 1900: 36 526 to 58 000 are dates of this century.
     if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 && (36_526.0..58_000.0).contains(&t.data[0])
     {
+        let start = t.data[0];
         let text = format!(
-            "begins at {:.3} in steps of {usual:.5}, which looks like the days of a spreadsheet",
-            t.data[0]
+            "begins at {start:.3} in steps of {usual:.5}, which looks like the days of a spreadsheet"
         );
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
         return;
@@ -88,11 +88,8 @@ fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let coarse = median(steps(&a.data).iter().map(|d| d.abs())) > 0.2;
     let halves = range(&a.data) / 180.0;
     let whole = halves > 0.9 && (halves - halves.round()).abs() < 0.01;
-    if range(&a.data) > 80.0
-        && lo >= -3601.0
-        && hi <= 3601.0
-        && (nice * 10 >= a.data.len() * 9 || coarse || whole)
-    {
+    let looks = nice * 10 >= a.data.len() * 9 || coarse || whole;
+    if range(&a.data) > 80.0 && lo >= -3601.0 && hi <= 3601.0 && looks {
         let text = format!("from {lo} to {hi} rad, which looks like degrees");
         out.push(Suspicion::new(record, &a.name, What::Unit, &[], text));
     } else {
@@ -106,9 +103,7 @@ const OTHER_ANGLE_RAD: f64 = 0.0175;
 
 fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return };
-    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.data(&Role::Position(a.clone()))) else {
-        return;
-    };
+    let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.position(a)) else { return };
     let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
     let places = x.iter().zip(y).map(|(x, y)| round.angle(*x, *y));
     let off = |sign: f64| {
@@ -118,10 +113,8 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     if off(1.0) > OTHER_ANGLE_RAD {
         let [a, b] = &circle.plane;
         let how = if off(-1.0) < OTHER_ANGLE_RAD { ": it runs the other way round" } else { "" };
-        let text = format!(
-            "is not the angle of the positions from {a} towards {b}: off by {:.3} rad in the middle{how}",
-            off(1.0)
-        );
+        let off = format!("off by {:.3} rad in the middle{how}", off(1.0));
+        let text = format!("is not the angle of the positions from {a} towards {b}: {off}");
         out.push(Suspicion::new(record, &angle.name, What::Swapped, &[], text));
     }
 }
@@ -156,12 +149,9 @@ pub(super) fn moves(p: &[f64]) -> Vec<Option<f64>> {
 
 /// Share of the rows that move in the sign of `way`, and number of rows compared.
 pub fn agreement(p: &[f64], way: &[f64]) -> (f64, usize) {
-    let asked: Vec<bool> = moves(p)
-        .iter()
-        .zip(way)
-        .filter(|(_, w)| **w != 0.0)
-        .filter_map(|(m, w)| m.map(|m| m * w > 0.0))
-        .collect();
+    let moves = moves(p);
+    let rows = moves.iter().zip(way).filter(|(_, w)| **w != 0.0);
+    let asked: Vec<bool> = rows.filter_map(|(m, w)| m.map(|m| m * w > 0.0)).collect();
     (asked.iter().filter(|a| **a).count() as f64 / asked.len().max(1) as f64, asked.len())
 }
 
@@ -220,7 +210,7 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
         return false;
     }
     let way = record
-        .data(&Role::Direction(axis.clone()))
+        .direction(axis)
         .or_else(|| record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == Kind::Positioning));
     let by_direction = way.is_some_and(|w| {
         let ((as_error, asked), (as_position, others)) = (agreement(&e.data, w), agreement(&p.data, w));
@@ -263,17 +253,12 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != Kind::FeedSweep;
         let quick = matches!(record.kind, Kind::Ballbar) && size < 0.7;
         // In a positioning run one axis moves; others move by their own error or its correction.
+        let is_measured = |a: &&Axis| record.column(&Role::Error((*a).clone())).is_some();
+        let mut others =
+            record.axes(Role::Position).filter(|a| Some(*a) != p.role.axis()).filter(is_measured);
         let follows = record.kind == Kind::Positioning
-            && record.columns.iter().any(|c| match &c.role {
-                Role::Position(a) if c.name != p.name => {
-                    record.column(&Role::Error(a.clone())).is_some() && range(&c.data) > 100.0 * size
-                }
-                _ => false,
-            });
-        if follows {
-            return;
-        }
-        if !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
+            && others.any(|a| record.position(a).is_some_and(|q| range(q) > 100.0 * size));
+        if follows || !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
             return;
         }
         format!("moves over {size:.3} mm only, which looks like metres")
@@ -286,15 +271,13 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
 fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
     let place = |a: &Axis| record.column(&Role::Position(a.clone()));
     let moving: Vec<&Axis> = axes.iter().filter(|a| place(a).is_some_and(|p| range(&p.data) > 0.0)).collect();
-    let way = |a: &Axis| {
-        record.data(&Role::Direction(a.clone())).or_else(|| record.data(&Role::Velocity(a.clone())))
-    };
     let [only] = moving[..] else { return };
-    let Some(p) = place(only).filter(|_| record.kind == Kind::Positioning && way(only).is_none()) else {
+    let Some(p) = place(only).filter(|_| record.kind == Kind::Positioning && record.way(only).is_none())
+    else {
         return;
     };
     let still = record.axes(Role::Direction).chain(record.axes(Role::Velocity)).find(|a| *a != only);
-    let Some((axis, way)) = still.and_then(|a| Some((a, way(a)?))) else { return };
+    let Some((axis, way)) = still.and_then(|a| Some((a, record.way(a)?))) else { return };
     let (agree, asked) = agreement(&p.data, way);
     let both_ways = way.iter().any(|w| *w > 0.0) && way.iter().any(|w| *w < 0.0);
     if both_ways && asked >= 10 && agree >= 0.95 {
@@ -313,15 +296,11 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
     let (agree, asked) = agreement(&p.data, &d.data);
     let moves = moves(&p.data);
     let moved = moves.iter().flatten().count() as f64;
-    let down_at = |zero: bool| {
-        let rows = moves.iter().zip(&d.data).filter(|(_, d)| (**d == 0.0) == zero);
-        let known: Vec<f64> = rows.filter_map(|(m, _)| *m).collect();
-        (known.iter().filter(|m| **m < 0.0).count(), known.len())
-    };
-    let (ups, downs) = (
-        moves.iter().flatten().filter(|m| **m > 0.0).count() as f64,
-        moves.iter().flatten().filter(|m| **m < 0.0).count() as f64,
-    );
+    let at_zero = moves.iter().zip(&d.data).filter(|(_, d)| **d == 0.0);
+    let at_zero: Vec<bool> = at_zero.filter_map(|(m, _)| Some((*m)? < 0.0)).collect();
+    let down = at_zero.iter().filter(|down| **down).count();
+    let ups = moves.iter().flatten().filter(|m| **m > 0.0).count() as f64;
+    let downs = moved - ups;
     let one_sided =
         matches!(record.kind, Kind::Positioning | Kind::FeedSweep | Kind::Ballbar | Kind::Dynamics)
             && ups >= 0.3 * moved
@@ -329,13 +308,10 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
             && moved >= 10.0;
     // Rows sorted by position do not show how each was approached.
     let is_sorted = p.data.is_sorted() || p.data.iter().rev().is_sorted();
-    let text = if share(&|v| v == 0.0) >= 0.25
-        && share(&|v| v == 0.0) < 1.0
-        && (share(&|v| v > 0.0) == 0.0 || share(&|v| v < 0.0) == 0.0)
-        && {
-            let (down, of) = down_at(true);
-            of >= 5 && (down * 5 >= of * 4 || down * 5 <= of)
-        } {
+    let zeros = share(&|v| v == 0.0);
+    let is_one_sign = share(&|v| v > 0.0) == 0.0 || share(&|v| v < 0.0) == 0.0;
+    let is_one_way = at_zero.len() >= 5 && (5 * down >= 4 * at_zero.len() || 5 * down <= at_zero.len());
+    let text = if (0.25..1.0).contains(&zeros) && is_one_sign && is_one_way {
         "is 0 while the axis moves: it looks like 0 and 1 for -1 and +1".to_owned()
     } else if distinct(&d.data) == 1 && one_sided {
         format!("is {} in every row, yet {} moves both ways", d.data[0], p.name)
@@ -362,32 +338,24 @@ fn speed(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
         .column(&Role::Acceleration(axis.clone()))
         .and_then(|a| per_second(&v.data, &t.data, &a.data).filter(|(_, r)| r.abs() > 0.9).map(|f| f.0));
     let about = |k: f64| (ratio.abs() / k - 1.0).abs() < 0.2;
-    let found = if about(1e3) && of_speed.is_none_or(|f| (f / 1e3 - 1.0).abs() < 0.2) && of_speed.is_some() {
-        Some((&t.name, What::Unit, "looks like milliseconds: speeds say so"))
-    } else if about(1e3) {
-        Some((
-            &p.name,
-            What::Unit,
+    let in_ms = of_speed.is_some_and(|f| (f / 1e3 - 1.0).abs() < 0.2);
+    let looks = [
+        (about(1e3) && in_ms, t, "looks like milliseconds: speeds say so"),
+        (
+            about(1e3),
+            p,
             "looks like metres (or the speed like µm/s, the time like ms): the two disagree by 1000",
-        ))
-    } else if about(1e-3) {
-        Some((
-            &p.name,
-            What::Unit,
-            "looks like micrometres (or the speed like m/s): the two disagree by 1000",
-        ))
-    } else if about(60.0) {
-        Some((&v.name, What::Unit, "looks like mm/min: it is 60 times what positions and times say"))
-    } else if about(1.0 / 60.0) {
-        Some((&t.name, What::Unit, "looks like minutes (or the speed like m/s by 16.7): speeds say so"))
-    } else if ratio < 0.0 && r < -0.9 {
-        Some((&v.name, What::Sign, "has the sign opposite to the movement"))
-    } else {
-        None
+        ),
+        (about(1e-3), p, "looks like micrometres (or the speed like m/s): the two disagree by 1000"),
+        (about(60.0), v, "looks like mm/min: it is 60 times what positions and times say"),
+        (about(1.0 / 60.0), t, "looks like minutes (or the speed like m/s by 16.7): speeds say so"),
+    ];
+    let (column, what, text) = match looks.into_iter().find(|l| l.0) {
+        Some((_, column, text)) => (column, What::Unit, text),
+        None if ratio < 0.0 && r < -0.9 => (v, What::Sign, "has the sign opposite to the movement"),
+        None => return,
     };
-    if let Some((column, what, text)) = found {
-        out.push(Suspicion::new(record, column, what, &[], text.to_owned()));
-    }
+    out.push(Suspicion::new(record, &column.name, what, &[], text.to_owned()));
 }
 
 /// Median ratio of a logged rate to the slope of `x`, and their correlation.

@@ -12,7 +12,7 @@ pub(super) const LARGEST_PEAK_UM: f64 = 1000.0;
 /// The response's own axis, or the only moving one if that is at rest (straightness, tilt). `None` if there
 /// is no such axis.
 pub(super) fn read_along<'r>(record: &'r Record, c: &'r Column) -> Option<&'r Axis> {
-    let moves = |axis: &Axis| record.data(&Role::Position(axis.clone())).is_some_and(|p| range(p) > 0.0);
+    let moves = |axis: &Axis| record.position(axis).is_some_and(|p| range(p) > 0.0);
     let own = match &c.role {
         Role::AngleError(axis, _) => Some(axis),
         role => role.axis(),
@@ -28,8 +28,8 @@ pub(super) fn read_along<'r>(record: &'r Record, c: &'r Column) -> Option<&'r Ax
 /// Empty if positions are not logged.
 pub(super) fn ways(record: &Record, c: &Column) -> Vec<Vec<usize>> {
     let Some(axis) = read_along(record, c) else { return Vec::new() };
-    let Some(p) = record.data(&Role::Position(axis.clone())) else { return Vec::new() };
-    let d = record.data(&Role::Direction(axis.clone()));
+    let Some(p) = record.position(axis) else { return Vec::new() };
+    let d = record.direction(axis);
     let of = |way: f64| {
         let own = |i: &usize| (d.map_or(0.0, |d| d[*i]) - way).abs() < 0.5;
         let mut rows: Vec<usize> = (0..p.len()).filter(own).collect();
@@ -129,10 +129,8 @@ pub(super) fn causes(record: &Record) -> Vec<bool> {
                     }
                 } else if c.role == Role::Coolant {
                     // A pump that is on or off for few rows affects those rows.
-                    let short = |w: &&[usize]| w[1] - w[0] <= SHORT;
-                    for w in changes.windows(2).filter(short) {
-                        (w[0]..w[1]).for_each(|i| around(i, 0));
-                    }
+                    let short = changes.windows(2).filter(|w| w[1] - w[0] <= SHORT);
+                    short.flat_map(|w| w[0]..w[1]).for_each(|i| around(i, 0));
                 }
             }
             Role::Load(_) | Role::Channel => {

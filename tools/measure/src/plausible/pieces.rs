@@ -45,12 +45,7 @@ impl PieceSuspicions {
                 all.push(Suspicion { rows: rows.clone(), of: self.rows, ..s.clone() });
             }
         }
-        for s in &all {
-            say(Said::Warning(s.to_string()));
-        }
-        for step in self.steps {
-            say(Said::Warning(step));
-        }
+        all.iter().map(ToString::to_string).chain(self.steps).for_each(|s| say(Said::Warning(s)));
         all
     }
 }

@@ -13,13 +13,10 @@ const WORST: f64 = 14.0;
 /// Outliers among the approaches of a positioning run to the same target.
 /// Columns with known outliers are skipped.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
-    let path = record.path.display().to_string();
     for c in record.measured().filter(|_| record.kind == Kind::Positioning) {
-        let known = |s: &Suspicion| s.record == path && s.column == c.name && s.what == What::Outliers;
+        let known = |s: &Suspicion| s.what == What::Outliers && s.is_of(record, c);
         let Some(axis) = read_along(record, c).filter(|_| !out.iter().any(known)) else { continue };
-        let (Some(p), Some(d)) =
-            (record.data(&Role::Position(axis.clone())), record.data(&Role::Direction(axis.clone())))
-        else {
+        let (Some(p), Some(d)) = (record.position(axis), record.direction(axis)) else {
             continue;
         };
         let groups = groups(p, d);
@@ -64,7 +61,7 @@ pub(super) const MOVES: f64 = 0.01;
 /// Positions of the other axes that move.
 /// On a plate or a circle one axis alone does not define a place.
 pub(super) fn also_moved<'r>(record: &'r Record, axis: &Axis) -> Vec<&'r [f64]> {
-    let least = MOVES * record.data(&Role::Position(axis.clone())).map_or(0.0, range);
+    let least = MOVES * record.position(axis).map_or(0.0, range);
     let other = |c: &&Column| matches!(&c.role, Role::Position(a) if a != axis) && range(&c.data) > least;
     record.columns.iter().filter(other).map(|c| c.data.as_slice()).collect()
 }

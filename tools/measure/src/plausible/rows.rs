@@ -26,29 +26,20 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
         let same = one_reading(c);
         if same.is_empty() {
             flat(record, all, c, out);
-            let found = wild(record, c);
-            far_off(record, c, &found, out);
-            continue;
         }
         // The other rows are checked as if these were interpolated.
         let without = Column { data: bridged(&c.data, &same), ..c.clone() };
-        let mut found = wild(record, &without);
-        found.rows.retain(|row| same.binary_search(row).is_err());
-        found.rows.extend(same);
-        found.rows.sort_unstable();
-        far_off(record, c, &found, out);
+        let Lone { mut rows, spread } = wild(record, &without);
+        rows.retain(|row| same.binary_search(row).is_err());
+        rows.extend(same);
+        rows.sort_unstable();
+        let Some(first) = rows.first() else { continue };
+        let (far, n, as_one) = (rows.len(), c.data.len(), c.data[*first]);
+        let text = format!(
+            "{far} of {n} rows are far off those beside them, as {as_one:.2} (the others spread by {spread:.2})"
+        );
+        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
     }
-}
-
-fn far_off(record: &Record, c: &Column, Lone { rows, spread }: &Lone, out: &mut Vec<Suspicion>) {
-    let Some(first) = rows.first() else { return };
-    let text = format!(
-        "{} of {} rows are far off those beside them, as {:.2} (the others spread by {spread:.2})",
-        rows.len(),
-        c.data.len(),
-        c.data[*first]
-    );
-    out.push(Suspicion::new(record, &c.name, What::Outliers, rows, text));
 }
 
 /// Ratio of distances from the median at which a reading is beyond all others.
@@ -143,16 +134,14 @@ fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
     let pairs = (0..between.len()).filter(|i| at_once(*i)).count();
     let others: Vec<[usize; 2]> =
         (0..between.len()).filter(|i| between[*i] != 0.0).map(|i| [i, i + 1]).collect();
-    let p: f64 = record
-        .measured()
-        .map(|c| {
-            let off: Vec<f64> = others.iter().map(|[i, j]| (c.data[*i] - c.data[*j]).abs()).collect();
-            let same = off.iter().filter(|d| **d == 0.0).count() as f64 / off.len().max(1) as f64;
-            // For noise over many steps of the gauge, half the differences lie within the median.
-            let step = quantum(&c.data);
-            same.max(0.5 * step / (2.0 * median(off) + step).max(f64::MIN_POSITIVE))
-        })
-        .product();
+    let stays = |c: &Column| {
+        let off: Vec<f64> = others.iter().map(|[i, j]| (c.data[*i] - c.data[*j]).abs()).collect();
+        let same = off.iter().filter(|d| **d == 0.0).count() as f64 / off.len().max(1) as f64;
+        // For noise over many steps of the gauge, half the differences lie within the median.
+        let step = quantum(&c.data);
+        same.max(0.5 * step / (2.0 * median(off) + step).max(f64::MIN_POSITIVE))
+    };
+    let p: f64 = record.measured().map(stays).product();
     Binomial::new(p.min(1.0), pairs as u64).is_ok_and(|b| b.sf(alike as u64 - 1) >= DOUBLED_BY_CHANCE)
 }
 
@@ -160,22 +149,18 @@ fn is_chance(record: &Record, time: &[f64], alike: usize) -> bool {
 /// A coarse gauge often repeats its reading at a place; the rows outside the copies show how often.
 fn repeats_by_chance(record: &Record, copies: &[usize], block: usize) -> f64 {
     let is_copy = |row: &usize| copies.binary_search(row).is_ok();
-    let again: f64 = record
-        .measured()
-        .map(|c| {
-            let (mut pairs, mut same) = (0.0, 0.0);
-            for rows in repeats(record, c) {
-                for w in rows.windows(2).filter(|w| !w.iter().any(is_copy)) {
-                    pairs += 1.0;
-                    same += f64::from(u8::from(c.data[w[0]].to_bits() == c.data[w[1]].to_bits()));
-                }
-            }
-            // Selection bias: the longest block was chosen, so the other rows repeat too seldom. Use the
-            // upper confidence limit.
-            let most = Beta::new(same + 1.0, pairs - same).map_or(1.0, |b| b.inverse_cdf(0.95));
-            if pairs > 0.0 { most } else { 0.5 }
-        })
-        .product();
+    let of = |c: &Column| {
+        let groups = repeats(record, c);
+        let pairs: Vec<&[usize]> =
+            groups.iter().flat_map(|rows| rows.windows(2)).filter(|w| !w.iter().any(is_copy)).collect();
+        let is_same = |w: &&&[usize]| c.data[w[0]].to_bits() == c.data[w[1]].to_bits();
+        let (same, all) = (pairs.iter().filter(is_same).count() as f64, pairs.len() as f64);
+        // Selection bias: the longest block was chosen, so the other rows repeat too seldom. Use the upper
+        // confidence limit.
+        let most = Beta::new(same + 1.0, all - same).map_or(1.0, |b| b.inverse_cdf(0.95));
+        if all > 0.0 { most } else { 0.5 }
+    };
+    let again: f64 = record.measured().map(of).product();
     record.rows() as f64 * again.powi(block as i32)
 }
 
@@ -271,8 +256,8 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     if outside.len() < 20 || length < SHORTEST {
         return;
     }
-    let p = outside.windows(2).filter(|w| w[0].to_bits() != w[1].to_bits()).count() as f64
-        / (outside.len() - 1) as f64;
+    let changes = outside.windows(2).filter(|w| w[0].to_bits() != w[1].to_bits()).count();
+    let p = changes as f64 / (outside.len() - 1) as f64;
     // A coarse reading changes less often near the middle of a step, hence the square.
     let chance = length as f64 * (1.0 - 0.7 * p.min(0.95).powi(2)).ln() + (n as f64).ln();
     let long =
@@ -299,12 +284,8 @@ fn wild(record: &Record, c: &Column) -> Lone {
         return Lone::default();
     }
     let may_peak = excused(record);
-    let in_time: Vec<usize> = (0..n).collect();
-    let mut orders = vec![vec![in_time]];
-    let by_place = ways(record, c);
-    if !by_place.is_empty() {
-        orders.push(by_place);
-    }
+    let mut orders = vec![vec![(0..n).collect()]];
+    orders.extend(Some(ways(record, c)).filter(|by_place| !by_place.is_empty()));
     // Use the order in which the response is smoothest, or the same place at other times.
     let in_order = |o: &Vec<Vec<usize>>| {
         let (left, alone) = beside(&c.data, o);
@@ -317,9 +298,9 @@ fn wild(record: &Record, c: &Column) -> Lone {
     if let Some(places) = &mates
         && places.iter().all(|p| p.len() >= 3)
     {
-        let (left, alone) = of_place(&c.data, places);
+        let left = of_place(&c.data, places);
         let scale = width(&left);
-        lefts.push((left, alone, scale));
+        lefts.push((left, vec![true; n], scale));
     }
     let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else {
         return Lone::default();
@@ -330,7 +311,7 @@ fn wild(record: &Record, c: &Column) -> Lone {
     }
     // A deviation that a place always has is the machine's.
     let mut usual_there = vec![false; n];
-    let at_places = mates.as_ref().map_or(0.0, |m| width(&of_place(&c.data, m).0));
+    let at_places = mates.as_ref().map_or(0.0, |m| width(&of_place(&c.data, m)));
     for place in mates.iter().flatten().filter(|p| p.len() >= 2) {
         let values: Vec<f64> = place.iter().map(|i| c.data[*i]).collect();
         for (i, others) in place.iter().zip(medians_of_others(&values)) {
@@ -383,9 +364,7 @@ fn noise_along(v: &[f64], orders: &[Vec<usize>]) -> f64 {
 
 /// The rows of each place, from the rows of each direction sorted by position.
 fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
-    let Some(p) = read_along(record, c).and_then(|a| record.data(&Role::Position(a.clone()))) else {
-        return Vec::new();
-    };
+    let Some(p) = read_along(record, c).and_then(|a| record.position(a)) else { return Vec::new() };
     let of_way = |rows: &Vec<usize>| {
         let near = 0.2 * range(p) / rows.len().max(1) as f64;
         rows.chunk_by(|a, b| p[*b] - p[*a] <= near).map(<[usize]>::to_vec).collect::<Vec<_>>()
@@ -394,7 +373,7 @@ fn places(record: &Record, c: &Column, ways: &[Vec<usize>]) -> Vec<Vec<usize>> {
 }
 
 /// Each row's deviation from the median of its place.
-fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
+fn of_place(v: &[f64], places: &[Vec<usize>]) -> Vec<f64> {
     let mut left = vec![0.0; v.len()];
     for place in places {
         let usual = median(place.iter().map(|i| v[*i]));
@@ -402,5 +381,5 @@ fn of_place(v: &[f64], places: &[Vec<usize>]) -> (Vec<f64>, Vec<bool>) {
             left[*i] = v[*i] - usual;
         }
     }
-    (left, vec![true; v.len()])
+    left
 }

@@ -1,7 +1,7 @@
 //! Regression of one sensor (or error) on other sensors, applied to another run.
 
 use rtec_least_squares::{Factor, add, dot};
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Record, mean};
 
 /// Time constants of heat that one body passes to another, s.
 const LAGS_S: [f64; 2] = [600.0, 2400.0];
@@ -11,10 +11,8 @@ pub(super) fn with_lags(record: &Record, names: &[&str]) -> (Record, Vec<String>
     let mut wide = record.clone();
     let mut all: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
     for name in names {
-        let Some(own) = record.columns.iter().find(|c| c.role == Role::Temperature && c.name == *name) else {
-            continue;
-        };
-        for tau_s in LAGS_S {
+        let own = record.temperatures().find(|c| c.name == *name);
+        for (own, tau_s) in own.into_iter().flat_map(|own| LAGS_S.map(|tau_s| (own, tau_s))) {
             let mut late = own.clone();
             late.name = format!("{name} {tau_s} s late");
             late.data = lagged(&own.data, record.time_s(), tau_s);
@@ -28,13 +26,12 @@ pub(super) fn with_lags(record: &Record, names: &[&str]) -> (Record, Vec<String>
 /// First-order lag, in equilibrium at the first row.
 fn lagged(v: &[f64], t: &[f64], tau_s: f64) -> Vec<f64> {
     let mut x = v.first().copied().unwrap_or(0.0);
-    let step = |i: usize| if i == 0 { 0.0 } else { t[i] - t[i - 1] };
-    (0..v.len())
-        .map(|i| {
-            x += (v[i] - x) * (1.0 - (-step(i) / tau_s).exp());
-            x
-        })
-        .collect()
+    let next = |i: usize| {
+        let step = if i == 0 { 0.0 } else { t[i] - t[i - 1] };
+        x += (v[i] - x) * (1.0 - (-step / tau_s).exp());
+        x
+    };
+    (0..v.len()).map(next).collect()
 }
 
 /// Linear regression of a sensor or an error on sensors of a record.
@@ -48,17 +45,14 @@ pub(super) struct SensorRegression {
 impl SensorRegression {
     pub(super) fn says(&self, record: &Record, rest: &[&str]) -> Vec<f64> {
         let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
-        let of = |i: usize| {
-            self.constant + columns.iter().zip(self.slopes.iter()).map(|(c, s)| s * c[i]).sum::<f64>()
-        };
+        let of =
+            |i: usize| self.constant + columns.iter().zip(&self.slopes).map(|(c, s)| s * c[i]).sum::<f64>();
         (0..record.rows()).map(of).collect()
     }
 }
 
 pub(super) fn sensor_regression(record: &Record, y: &[f64], rest: &[&str]) -> SensorRegression {
     let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
-    let n = y.len() as f64;
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
     let means: Vec<f64> = columns.iter().map(|c| mean(c)).collect();
     let my = mean(y);
     let about: Vec<Vec<f64>> =
@@ -75,7 +69,7 @@ pub(super) fn sensor_regression(record: &Record, y: &[f64], rest: &[&str]) -> Se
     for (column, slope) in about.iter().zip(&slopes) {
         add(&mut rest, -slope, column);
     }
-    let left = (dot(&rest, &rest) / n).sqrt();
+    let left = (dot(&rest, &rest) / y.len() as f64).sqrt();
     let constant = my - slopes.iter().zip(&means).map(|(s, m)| s * m).sum::<f64>();
     SensorRegression { constant, slopes, left }
 }

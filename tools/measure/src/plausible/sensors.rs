@@ -11,7 +11,7 @@ use rtec_model::record::{Column, Record, Role, span};
 pub(crate) const DEGC: [f64; 2] = [-40.0, 150.0];
 
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
-    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let sensors: Vec<&Column> = record.temperatures().collect();
     // Sensors that are read at least at times, with unread rows interpolated, and whether all rows were read.
     let mut read: Vec<(Column, bool)> = Vec::new();
     for c in &sensors {
@@ -44,16 +44,12 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
 /// Detects the code of an open input and values outside the range of a sensor.
 fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     let coded = |v: f64| disconnected(v).filter(|(_, certain)| *certain).map(|d| d.0);
-    let rest: Vec<f64> = c
-        .data
-        .iter()
-        .copied()
-        .filter(|v| disconnected(*v).is_none() && *v > DEGC[0] && *v < DEGC[1])
-        .collect();
+    let is_possible = |v: &f64| *v > DEGC[0] && *v < DEGC[1];
+    let rest: Vec<f64> =
+        c.data.iter().copied().filter(|v| disconnected(*v).is_none() && is_possible(v)).collect();
     // The sensor's usual value at other times, or else that of the others.
     let usual = if rest.is_empty() {
-        let near = others.iter().flat_map(|o| &o.data).copied().filter(|v| *v > DEGC[0] && *v < DEGC[1]);
-        median(near)
+        median(others.iter().flat_map(|o| &o.data).copied().filter(is_possible))
     } else {
         median(rest.clone())
     };
@@ -81,9 +77,9 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
         return;
     }
     if let Some((rows, step_k)) = frozen(record, c) {
+        let degc = c.data[rows.start];
         let text = format!(
-            "reads {} degC row after row behind a step of {step_k:.1} K, as a sensor that fails does",
-            c.data[rows.start]
+            "reads {degc} degC row after row behind a step of {step_k:.1} K, as a sensor that fails does"
         );
         let rows: Vec<usize> = rows.collect();
         out.push(Suspicion::new(record, &c.name, What::Unplugged, &rows, text));
@@ -186,24 +182,22 @@ fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
         (celsius - usual).abs() < 5.0 && c.data[0] - usual > 25.0
     };
     if looks {
-        let text = format!(
-            "starts at {:.1} degC, which looks like degrees Fahrenheit ({celsius:.1} degC)",
-            c.data[0]
-        );
+        let start = c.data[0];
+        let text =
+            format!("starts at {start:.1} degC, which looks like degrees Fahrenheit ({celsius:.1} degC)");
         out.push(Suspicion::new(record, &c.name, What::Unit, &[], text));
     }
 }
 
 /// Detects a lasting step that no other row or sensor shows.
-fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
+fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     let n = c.data.len();
     if n < 20 {
-        return false;
+        return;
     }
     let own = steps(&c.data);
-    let Some(at) = (0..own.len()).max_by(|a, b| own[*a].abs().total_cmp(&own[*b].abs())) else {
-        return false;
-    };
+    let largest = (0..own.len()).max_by(|a, b| own[*a].abs().total_cmp(&own[*b].abs()));
+    let Some(at) = largest else { return };
     let size = own[at].abs();
     let around = (at.saturating_sub(5)..(at + 6).min(own.len())).filter(|i| *i != at);
     let near = around.map(|i| own[i].abs()).fold(0.0, f64::max);
@@ -213,22 +207,21 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     let alone = others.iter().all(|o| (o.data[at + 1] - o.data[at]).abs() < 0.25 * size);
     if size < 4.0 || size < 8.0 * near || size < 20.0 * spread(&own) || paused || !alone || others.is_empty()
     {
-        return false;
+        return;
     }
     // Heat that one body shows at once reaches others late: they begin to move then.
     let follows = |o: &&Column| begins_to_move(&o.data, at, FOLLOWS * size);
     if is_switched(record, &own, at) || others.iter().any(follows) {
-        return false;
+        return;
     }
     let level = |r: std::ops::Range<usize>| median(c.data[r].to_vec());
     let stays = level(at + 1..(at + 6).min(n)) - level(at.saturating_sub(4)..at + 1);
     if (stays / own[at]) < 0.7 || at < 2 || at + 3 > n {
-        return false;
+        return;
     }
-    let text =
-        format!("jumps from {:.2} to {:.2} degC between two rows, and stays", c.data[at], c.data[at + 1]);
+    let (from, to) = (c.data[at], c.data[at + 1]);
+    let text = format!("jumps from {from:.2} to {to:.2} degC between two rows, and stays");
     out.push(Suspicion::new(record, &c.name, What::Jump, &[at + 1], text));
-    true
 }
 
 /// Rows on either side over which slopes are compared.
@@ -292,12 +285,14 @@ fn is_caused(record: &Record, at: usize) -> bool {
 fn misread(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) -> bool {
     let mut rows = excursions(record, c, others);
     let data = bridged(&c.data, &rows);
-    let single = wild(&Column { data, ..c.clone() }, others);
-    rows.extend(single);
+    rows.extend(wild(&Column { data, ..c.clone() }, others));
     rows.sort_unstable();
     rows.dedup();
-    say_wild(record, c, &rows, out);
-    !rows.is_empty()
+    let Some(first) = rows.first() else { return false };
+    let (bad, n, degc) = (rows.len(), c.data.len(), c.data[*first]);
+    let text = format!("{bad} of {n} values far from those before and after, as {degc:.2} degC");
+    out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+    true
 }
 
 /// Largest share of misread rows; with more, no level is known to be the body's.
@@ -416,17 +411,6 @@ fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
 const SHORTEST: usize = 20;
 /// Smallest deviation of an outlier, K.
 const LEAST_K: f64 = 3.0;
-
-fn say_wild(record: &Record, c: &Column, rows: &[usize], out: &mut Vec<Suspicion>) {
-    let Some(first) = rows.first() else { return };
-    let text = format!(
-        "{} of {} values far from those before and after, as {:.2} degC",
-        rows.len(),
-        c.data.len(),
-        c.data[*first]
-    );
-    out.push(Suspicion::new(record, &c.name, What::Outliers, rows, text));
-}
 
 /// Detects two columns with the same values.
 fn copies(record: &Record, out: &mut Vec<Suspicion>) {

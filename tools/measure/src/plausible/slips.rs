@@ -38,17 +38,12 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         let Some((first, meant)) = found.first().filter(|_| rows.len() <= 1 + record.rows() / ONE_IN) else {
             continue;
         };
-        let text = said(c, *first, *meant, rows.len());
+        let (at, n) = (c.data[*first], rows.len());
+        let more = if n > 1 { format!(", as in {n} rows") } else { String::new() };
+        let slip = "a slip of the decimal point, or of a digit";
+        let text = format!("goes to {at} where the run goes through {meant}: {slip}{more}");
         out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
     }
-}
-
-fn said(c: &Column, row: usize, meant: f64, rows: usize) -> String {
-    let more = if rows > 1 { format!(", as in {rows} rows") } else { String::new() };
-    format!(
-        "goes to {} where the run goes through {meant}: a slip of the decimal point, or of a digit{more}",
-        c.data[row]
-    )
 }
 
 /// The positions of a run in row order.
@@ -153,8 +148,8 @@ fn with_a_digit_more(value: f64) -> impl Iterator<Item = f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_builders::{column, record};
     use rtec_model::record::Kind;
-    use std::path::Path;
 
     /// A reading at a reversal may lie outside both neighbours, by less than a step.
     /// A lost digit lies farther off.
@@ -170,12 +165,9 @@ mod tests {
                 x[row] /= 10.0;
             }
             let e = (0..x.len()).map(|i| (i as f64).sin()).collect();
-            let columns = vec![
-                Column::new("x", Role::parse("position.x").unwrap(), x),
-                Column::new("e", Role::parse("error.x").unwrap(), e),
-            ];
+            let columns = vec![column("x", "position.x", x), column("e", "error.x", e)];
             let mut out = Vec::new();
-            look(&Record::new(Path::new("r.run.toml"), Kind::Dynamics, columns).unwrap(), &mut out);
+            look(&record("r.run.toml", Kind::Dynamics, columns), &mut out);
             out.len()
         };
         assert_eq!((said(None), said(Some(100))), (0, 1));
@@ -201,16 +193,11 @@ mod tests {
                 }
             }
             let e = (0..y.len()).map(|i| (i as f64).sin()).collect();
-            let mut columns = vec![
-                Column::new("t", Role::Time, t),
-                Column::new("y", Role::parse("position.y").unwrap(), y),
-                Column::new("e", Role::parse("error.y").unwrap(), e),
-            ];
-            if with_speed {
-                columns.push(Column::new("v", Role::parse("velocity.y").unwrap(), v));
-            }
+            let mut columns =
+                vec![column("t", "time", t), column("y", "position.y", y), column("e", "error.y", e)];
+            columns.extend(with_speed.then(|| column("v", "velocity.y", v)));
             let mut out = Vec::new();
-            look(&Record::new(Path::new("r.run.toml"), Kind::FeedSweep, columns).unwrap(), &mut out);
+            look(&record("r.run.toml", Kind::FeedSweep, columns), &mut out);
             out.len()
         };
         assert_eq!((said(false), said(true)), (1, 0));

@@ -26,25 +26,23 @@ const CHANCE: f64 = 1e-4;
 pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     for k in 0..records.len() {
         let (record, before) = (&records[k], out.len());
-        let path = record.path.display().to_string();
-        for c in temperatures(record) {
-            let known = |s: &&Suspicion| s.record == path && s.column == c.name;
-            if out[..before].iter().filter(known).any(|s| s.rows.is_empty() || s.what == What::Jump) {
+        for c in record.temperatures() {
+            let known: Vec<&Suspicion> = out[..before].iter().filter(|s| s.is_of(record, c)).collect();
+            if known.iter().any(|s| s.rows.is_empty() || s.what == What::Jump) {
                 continue;
             }
             if let Some((start, end)) = stands_still(records, k, c) {
                 let first = record.first_row();
                 let is_there = |row: usize| (first + start..first + end).contains(&row);
-                if out[..before].iter().filter(known).any(|s| s.row_list().into_iter().any(is_there)) {
+                if known.iter().any(|s| s.row_list().into_iter().any(is_there)) {
                     continue;
                 }
                 let all = end - start == c.data.len();
                 let rows: Vec<usize> = if all { Vec::new() } else { (start..end).collect() };
-                let text = format!(
-                    "reads {} degC in {}, as a sensor that is alive does not",
-                    c.data[start],
-                    if all { "every row".to_owned() } else { format!("{} rows on end", end - start) }
-                );
+                let stretch =
+                    if all { "every row".to_owned() } else { format!("{} rows on end", end - start) };
+                let text =
+                    format!("reads {} degC in {stretch}, as a sensor that is alive does not", c.data[start]);
                 out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
             }
         }
@@ -55,22 +53,15 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
 /// The sensor may not be read, or be coarse in a calm room.
 pub(super) fn still(records: &[Record], found: &[Suspicion]) -> Vec<String> {
     let of = |record: &Record| {
-        let path = record.path.display().to_string();
-        let is_doubted = |c: &Column| found.iter().any(|s| s.record == path && s.column == c.name);
+        let is_doubted = |c: &Column| found.iter().any(|s| s.is_of(record, c));
         let still = |c: &&Column| c.data.len() >= ENOUGH && range(&c.data) <= 0.0 && !is_doubted(c);
         let line = |c: &Column| {
-            format!(
-                "{path}: {} reads {} degC in every row: is it read? It explains nothing",
-                c.name, c.data[0]
-            )
+            let (path, name, degc) = (record.path.display(), &c.name, c.data[0]);
+            format!("{path}: {name} reads {degc} degC in every row: is it read? It explains nothing")
         };
-        temperatures(record).filter(still).map(line).collect::<Vec<_>>()
+        record.temperatures().filter(still).map(line).collect::<Vec<_>>()
     };
     records.iter().flat_map(of).collect()
-}
-
-fn temperatures(record: &Record) -> impl Iterator<Item = &Column> {
-    record.columns.iter().filter(|c| c.role == Role::Temperature)
 }
 
 /// Standard deviation of a sensor's row-to-row noise, and its resolution.
@@ -97,11 +88,9 @@ fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usiz
     if end - start < SHORTEST || n < 20 {
         return None;
     }
-    let elsewhere = records.iter().enumerate().filter(|(i, _)| *i != k);
-    let elsewhere: Vec<&Record> = elsewhere
-        .map(|(_, r)| r)
-        .filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0))
-        .collect();
+    let others = records.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, r)| r);
+    let elsewhere: Vec<&Record> =
+        others.filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0)).collect();
     let found = in_full_course(record, c, start)
         || by_noise(record, c, (start, end), &elsewhere)
         || by_the_others(record, c, (start, end), &elsewhere)
@@ -158,7 +147,7 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
     let chance = (length - 1) as f64 * stays.max(0.05).ln() + (record.rows() as f64).ln();
     // Noise that the spindle causes stops with the spindle, for all sensors at once.
     let outside = |o: &[f64]| [o[..start].to_vec(), o[end..].to_vec()].concat();
-    let noisy = temperatures(record).filter(|o| o.name != c.name).filter(|o| {
+    let noisy = record.temperatures().filter(|o| o.name != c.name).filter(|o| {
         let rest = outside(&o.data);
         let (s, q) = noise(&[&rest]);
         rest.len() >= ENOUGH && s > 0.3 * q
@@ -242,19 +231,14 @@ fn beside_the_run(record: &Record, c: &Column, (start, end): (usize, usize), res
         return None;
     }
     let known = record.select(&far);
-    Some(wrong_beside(
-        record,
-        c,
-        (start, end),
-        &sensor_regression(&known, known.temperature(&c.name)?, rest),
-        rest,
-    ))
+    let told = sensor_regression(&known, known.temperature(&c.name)?, rest);
+    Some(wrong_beside(record, c, (start, end), &told, rest))
 }
 
 /// Detects a sensor frozen in every row while all others change in most rows.
 /// At least one of the others must move by more than 1 K: a coarse sensor may stay constant in a calm room.
 fn among_lively_ones(record: &Record, c: &Column) -> bool {
-    let others: Vec<&Column> = temperatures(record).filter(|o| o.name != c.name).collect();
+    let others: Vec<&Column> = record.temperatures().filter(|o| o.name != c.name).collect();
     let changes = |o: &Column| steps(&o.data).iter().filter(|d| **d != 0.0).count() as f64;
     let lively = |o: &&&Column| changes(o) > 0.5 * (o.data.len() - 1) as f64;
     let moving = others.iter().any(|o| range(&o.data) > 1.0);
@@ -271,8 +255,8 @@ fn fine(v: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtec_builders::{column, record};
     use rtec_model::record::Kind;
-    use std::path::Path;
 
     /// A step at the end of a run has not reached other sensors yet.
     #[test]
@@ -295,18 +279,16 @@ mod tests {
             }
         };
         let made = |near: &dyn Fn(usize) -> f64| {
-            let column = |name: &str, of: &dyn Fn(usize) -> f64| {
-                Column::new(name, Role::Temperature, (0..300).map(of).collect())
+            let made = |name: &str, role: &str, of: &dyn Fn(usize) -> f64| {
+                column(name, role, (0..300).map(of).collect())
             };
-            let e = Column::new(
-                "e",
-                Role::parse("error.x").unwrap(),
-                (0..300).map(|i| 0.01 * f64::from(i)).collect(),
-            );
-            let t = Column::new("t", Role::Time, (0..300).map(|i| 60.0 * f64::from(i)).collect());
-            let slow = body(200.0, 300);
-            let columns = vec![t, column("T1", near), column("T2", &slow), e];
-            Record::new(Path::new("run.run.toml"), Kind::Drift, columns).unwrap()
+            let columns = vec![
+                made("t", "time", &|i| 60.0 * i as f64),
+                made("T1", "temperature", near),
+                made("T2", "temperature", &body(200.0, 300)),
+                made("e", "error.x", &|i| 0.01 * i as f64),
+            ];
+            record("run.run.toml", Kind::Drift, columns)
         };
         let said = |near: &dyn Fn(usize) -> f64| {
             let mut out = Vec::new();
@@ -332,14 +314,12 @@ mod tests {
                 (0..300).map(of).collect::<Vec<f64>>()
             };
             let (lively, calm) = (read(20.05, sigma), vec![20.3; 300]);
-            let record = |name: &str, t: Vec<f64>| {
+            let made = |name: &str, t: Vec<f64>| {
                 let e = (0..300).map(|i| f64::from(i).sin()).collect();
-                let e = Column::new("e", Role::parse("error.x").unwrap(), e);
-                let columns = vec![Column::new("T1", Role::Temperature, t), e];
-                Record::new(Path::new(name), Kind::Ballbar, columns).unwrap()
+                record(name, Kind::Ballbar, vec![column("T1", "temperature", t), column("e", "error.x", e)])
             };
             let mut out = Vec::new();
-            look(&[record("a", lively), record("b", calm)], &mut out);
+            look(&[made("a", lively), made("b", calm)], &mut out);
             out.len()
         };
         assert_eq!((said(0.02), said(0.2)), (0, 1));
@@ -348,22 +328,22 @@ mod tests {
     /// A regression that is wrong beside the run does not prove a stuck sensor.
     #[test]
     fn a_law_of_another_record_has_to_hold_beside_the_run() {
-        let record = |name: &str, near: Vec<f64>, far: Vec<f64>| {
-            let column = |name: &str, data| Column::new(name, Role::Temperature, data);
-            let e = Column::new("e", Role::parse("error.x").unwrap(), near.iter().map(|v| 0.1 * v).collect());
-            Record::new(Path::new(name), Kind::Drift, vec![column("T1", near), column("T2", far), e]).unwrap()
+        let made = |name: &str, near: Vec<f64>, far: Vec<f64>| {
+            let e = column("e", "error.x", near.iter().map(|v| 0.1 * v).collect());
+            let near = column("T1", "temperature", near);
+            record(name, Kind::Drift, vec![near, column("T2", "temperature", far), e])
         };
         let ramp = |i: i32| 20.0 + 0.05 * f64::from(i);
-        let other = record("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());
+        let other = made("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());
         // In this record the second sensor hardly follows the first.
         let slow = |i: i32| 22.0 + (f64::from(i) / 30.0).floor() * 0.0625;
-        let this = record("b", (0..100).map(ramp).collect(), (0..100).map(slow).collect());
+        let this = made("b", (0..100).map(ramp).collect(), (0..100).map(slow).collect());
         let c = this.columns[1].clone();
         let run = (30, 60);
         assert!(!by_the_others(&this, &c, run, &[&other]));
         // Here the regression holds beside the run, and in the run the sensor is frozen.
         let stuck = |i: i32| ramp(if (30..60).contains(&i) { 30 } else { i });
-        let this = record("c", (0..100).map(ramp).collect(), (0..100).map(stuck).collect());
+        let this = made("c", (0..100).map(ramp).collect(), (0..100).map(stuck).collect());
         assert!(by_the_others(&this, &this.columns[1].clone(), run, &[&other]));
     }
 }

@@ -5,7 +5,7 @@
 use super::sensor_regression::sensor_regression;
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::{Suspicion, What, motion, repeats};
-use crate::iso230::correlation;
+use crate::iso230::{correlation, mean_of};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
@@ -81,23 +81,21 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     let (small, large) = (size(rows.clone()), size(other));
     if A_THOUSAND.contains(&times.max(1.0 / times)) && small > 0.0 && large > A_THOUSAND.start() * small {
         let rows: Vec<usize> = rows.collect();
-        let text =
-            "is some 1000 times smaller than in the other rows: given in mm there, called µm?".to_owned();
-        out.push(Suspicion::new(record, &c.name, What::Unit, &rows, text));
+        let text = "is some 1000 times smaller than in the other rows: given in mm there, called µm?";
+        out.push(Suspicion::new(record, &c.name, What::Unit, &rows, text.to_owned()));
     }
 }
 
 /// Detects time and cycle in each other's column.
 /// The cycle has fractions and never decreases, and the time repeats whole numbers.
 fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
-    let column = |role: &Role| record.columns.iter().find(|c| c.role == *role);
-    let (Some(t), Some(n)) = (column(&Role::Time), column(&Role::Cycle)) else { return };
+    let (Some(t), Some(n)) = (record.column(&Role::Time), record.column(&Role::Cycle)) else { return };
     let whole = |c: &Column| c.data.iter().all(|v| (v - v.round()).abs() < 1e-9);
     let stands = t.data.windows(2).filter(|w| w[1] <= w[0]).count() * 2 > t.data.len();
     if whole(t) && stands && !whole(n) && n.data.windows(2).all(|w| w[1] >= w[0]) {
+        let n = &n.name;
         let text = format!(
-            "stands still at whole numbers as a repeat does, and {} goes on as a time: the two look exchanged",
-            n.name
+            "stands still at whole numbers as a repeat does, and {n} goes on as a time: the two look exchanged"
         );
         out.push(Suspicion::new(record, &t.name, What::Swapped, &[], text));
     }
@@ -105,7 +103,7 @@ fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
 
 /// Detects two sensors that exchange columns: each steps to where the other was.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
-    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let sensors: Vec<&Column> = record.temperatures().collect();
     let usual: Vec<f64> = sensors.iter().map(|c| spread(&steps(&c.data)).max(quantum(&c.data))).collect();
     let n = record.rows();
     for (k, q) in sensors.iter().enumerate() {
@@ -138,13 +136,10 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
 
 /// Detects runs of rows whose direction column contradicts the movement.
 fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
-    let (Some(p), Some(d)) =
-        (record.data(&Role::Position(axis.clone())), record.column(&Role::Direction(axis.clone())))
-    else {
+    let (Some(p), Some(d)) = (record.position(axis), record.column(&Role::Direction(axis.clone()))) else {
         return;
     };
-    let known = |s: &Suspicion| s.column == d.name && s.record == record.path.display().to_string();
-    if out.iter().any(known) {
+    if out.iter().any(|s| s.is_of(record, d)) {
         return;
     }
     let mut stretches: Vec<(f64, Vec<usize>)> = Vec::new();
@@ -172,11 +167,8 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
 /// Taken from the direction column, else the velocity, else (on circles) the positions, because lag changes
 /// sign with the direction.
 fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
-    if let Some(d) = record.data(&Role::Direction(axis.clone())) {
-        return d.to_vec();
-    }
-    if let Some(v) = record.data(&Role::Velocity(axis.clone())) {
-        return v.iter().map(|v| sign(*v)).collect();
+    if let Some(way) = record.way(axis) {
+        return way.iter().map(|v| sign(*v)).collect();
     }
     if record.kind != Kind::Ballbar {
         return vec![0.0; p.len()];
@@ -188,7 +180,7 @@ fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
 /// The row from which an error has the opposite sign at the same place.
 fn by_place(record: &Record, c: &Column) -> Option<usize> {
     let axis = c.role.axis()?;
-    let p = record.data(&Role::Position(axis.clone()))?;
+    let p = record.position(axis)?;
     let d = ways(record, axis, p);
     let others = repeats::also_moved(record, axis);
     let groups = others.iter().fold(repeats::groups(p, &d), |groups, q| repeats::apart_by(groups, q));
@@ -212,8 +204,7 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     }
     // A step across zero also looks like that, but it does not reverse the dependence on the place.
     let mean = |g: &Vec<usize>, before: bool| {
-        let own: Vec<f64> = g.iter().filter(|i| (**i < at) == before).map(|i| c.data[*i]).collect();
-        (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64)
+        mean_of(&g.iter().filter(|i| (**i < at) == before).map(|i| c.data[*i]).collect::<Vec<_>>())
     };
     let (a, b): (Vec<f64>, Vec<f64>) =
         groups.iter().filter_map(|g| Some((mean(g, true)?, mean(g, false)?))).unzip();
@@ -224,9 +215,7 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
 /// One direction against the other is not compared: a screw worn along its length looks the same.
 fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
-    let p = record.data(&Role::Position(axis.clone()))?;
-    let d = record.data(&Role::Direction(axis.clone()))?;
-    let groups = repeats::groups(p, d);
+    let groups = repeats::groups(record.position(axis)?, record.direction(axis)?);
     let cycles = groups.iter().map(Vec::len).min().filter(|n| *n >= 3 && groups.len() >= 8)?;
     let others_of = |g: &Vec<usize>| medians_of_others(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
     let without: Vec<Vec<f64>> = groups.iter().map(others_of).collect();
@@ -324,12 +313,11 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         let moved = c.data[at + 1] - c.data[at];
         (alike && due.abs() > 1.0).then(|| moved.abs() > 0.3 * due.abs())
     };
-    let told: Vec<bool> =
-        record.columns.iter().filter(|c| c.role == Role::Temperature).filter_map(went_on).collect();
+    let told: Vec<bool> = record.temperatures().filter_map(went_on).collect();
     if told.len() >= 2 && told.iter().all(|on| !on) {
+        let s = own[at];
         let text = format!(
-            "goes on by {:.0} s in one step, in which no temperature moves on: the clock looks put forward",
-            own[at]
+            "goes on by {s:.0} s in one step, in which no temperature moves on: the clock looks put forward"
         );
         out.push(Suspicion::new(record, &t.name, What::Jump, &[at + 1], text));
     }

@@ -36,10 +36,8 @@ fn bar(record: &Record, out: &mut Vec<Suspicion>) {
     let mm = circle.radius_mm * MM_PER_INCH;
     if circle.radius_mm < SHORTEST_BAR_MM && (mm / 10.0 - (mm / 10.0).round()).abs() < 0.01 {
         let name = record.column(&Role::Angle).map_or("", |c| c.name.as_str());
-        let text = format!(
-            "radius_mm = {} is shorter than any bar and looks like inches: {mm:.0} mm",
-            circle.radius_mm
-        );
+        let radius = circle.radius_mm;
+        let text = format!("radius_mm = {radius} is shorter than any bar and looks like inches: {mm:.0} mm");
         out.push(Suspicion::new(record, name, What::Unit, &[], text));
     }
 }
@@ -47,11 +45,8 @@ fn bar(record: &Record, out: &mut Vec<Suspicion>) {
 /// Detects a circle in inches if the record names no bar.
 /// It is smaller than any bar's circle, has no round radius, and is whole centimetres once converted.
 fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
-    let moving: Vec<&Column> = record
-        .columns
-        .iter()
-        .filter(|c| matches!(c.role, Role::Position(_)) && range(&c.data) > 0.0)
-        .collect();
+    let moves = |c: &&Column| matches!(c.role, Role::Position(_)) && range(&c.data) > 0.0;
+    let moving: Vec<&Column> = record.columns.iter().filter(moves).collect();
     let [a, b] = moving[..] else { return };
     let round = Round::through(&a.data, &b.data).filter(|r| record.kind == Kind::Ballbar && r.is_met());
     let Some(Round { radius, .. }) = round.filter(|r| r.radius < SHORTEST_BAR_MM) else { return };
@@ -74,7 +69,6 @@ const OFF_RADIUS: f64 = 5e-4;
 /// They are whole millimetres once converted, or an error along them is steeper than any scale's.
 fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let Some(p) = record.column(&Role::Position(axis.clone())) else { return };
-    let known = |s: &Suspicion| s.column == p.name && s.record == record.path.display().to_string();
     let travel = range(&p.data);
     // On a plate the residual of the line also holds the other axis's squareness and rotation.
     let (fewest, left_share, shortest_mm) = match record.kind {
@@ -82,7 +76,7 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
         Kind::Plate => (3, 0.3, 3.0),
         _ => return,
     };
-    if travel < shortest_mm || distinct(&p.data) < fewest || out.iter().any(known) {
+    if travel < shortest_mm || distinct(&p.data) < fewest || out.iter().any(|s| s.is_of(record, p)) {
         return;
     }
     let whole = |per: f64| {
@@ -124,7 +118,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     if record.kind != Kind::Drift || record.rows() < 20 {
         return;
     }
-    let sensors: Vec<&Column> = record.columns.iter().filter(|c| c.role == Role::Temperature).collect();
+    let sensors: Vec<&Column> = record.temperatures().collect();
     let cold: Vec<&&Column> = sensors.iter().filter(|c| c.data[0].abs() < 5.0).collect();
     let [sensor] = cold[..] else { return };
     let others: Vec<f64> = sensors.iter().filter(|c| c.name != sensor.name).map(|c| c.data[0]).collect();
@@ -136,10 +130,8 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     let errors: Vec<&Column> = record.responses().filter(|c| matches!(c.role, Role::Error(_))).collect();
     let taken: Vec<&&Column> = errors.iter().filter(|e| warm(e)).collect();
     if let [error] = taken[..] {
-        let text = format!(
-            "begins at {:.2} where {} begins at {:.2}: the two look exchanged",
-            error.data[0], sensor.name, sensor.data[0]
-        );
+        let (own, name, cold) = (error.data[0], &sensor.name, sensor.data[0]);
+        let text = format!("begins at {own:.2} where {name} begins at {cold:.2}: the two look exchanged");
         out.push(Suspicion::new(record, &error.name, What::Swapped, &[], text));
     }
 }
@@ -150,17 +142,16 @@ fn heat(record: &Record, out: &mut Vec<Suspicion>) {
     else {
         return;
     };
-    let temperatures = record.columns.iter().filter(|c| c.role == Role::Temperature);
+    let temperatures = record.temperatures();
     let halves: Vec<f64> = temperatures.filter_map(|c| half_warm(&t.data, c)).collect();
     if halves.len() < 2 {
         return;
     }
     let half = median(halves);
-    let named = |c: &Suspicion| c.column == t.name && c.record == record.path.display().to_string();
-    if half > 0.0 && half < HALF_WARM_S && !out.iter().any(named) {
+    if half > 0.0 && half < HALF_WARM_S && !out.iter().any(|s| s.is_of(record, t)) {
+        let unit = if half < HOURS_S { "hours" } else { "minutes" };
         let text = format!(
-            "temperatures go half their way in {half:.2} s, faster than a machine warms, which looks like {}",
-            if half < HOURS_S { "hours" } else { "minutes" }
+            "temperatures go half their way in {half:.2} s, faster than a machine warms, which looks like {unit}"
         );
         out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
     }
@@ -174,11 +165,8 @@ fn half_warm(t: &[f64], c: &Column) -> Option<f64> {
         return None;
     }
     // Large steps are a jump or a loose contact.
-    let steps: Vec<f64> = c.data.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
-    if steps.iter().copied().fold(0.0, f64::max) > 0.2 * size {
-        return None;
-    }
-    shortest_window(t, &c.data, size / 2.0)
+    let largest = c.data.windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f64::max);
+    if largest > 0.2 * size { None } else { shortest_window(t, &c.data, size / 2.0) }
 }
 
 /// Shortest time in which the values differ by `apart`.
@@ -221,21 +209,17 @@ fn circle(record: &Record, out: &mut Vec<Suspicion>) {
     let Some(round) = Round::through(&a.data, &b.data).filter(Round::is_met) else { return };
     let times = circle.radius_mm / round.radius;
     let is = |of: f64| (times / of - 1.0).abs() < OTHER_RADIUS;
-    let looks = if is(1.0) {
+    if is(1.0) {
         return;
-    } else if is(MM_PER_INCH) {
-        ": the positions look like inches"
-    } else if is(1.0 / MM_PER_INCH) {
-        ": radius_mm looks like inches"
-    } else if is(2.0) {
-        ": radius_mm looks like the diameter"
-    } else {
-        ""
-    };
-    let text = format!(
-        "runs on a circle of {:.3} mm radius, and radius_mm is {}{looks}",
-        round.radius, circle.radius_mm
-    );
+    }
+    let others = [
+        (MM_PER_INCH, ": the positions look like inches"),
+        (1.0 / MM_PER_INCH, ": radius_mm looks like inches"),
+        (2.0, ": radius_mm looks like the diameter"),
+    ];
+    let looks = others.into_iter().find(|(of, _)| is(*of)).map_or("", |(_, looks)| looks);
+    let (radius, stated) = (round.radius, circle.radius_mm);
+    let text = format!("runs on a circle of {radius:.3} mm radius, and radius_mm is {stated}{looks}");
     for column in [a, b] {
         out.push(Suspicion::new(record, &column.name, What::Unit, &[], text.clone()));
     }

@@ -3,8 +3,10 @@
 use super::{Report, Run, Table};
 use crate::ballbar::{Ballbar, Contour};
 use crate::export::number;
-use crate::history::History;
-use crate::iso230::{Budget, Conditions, Diagonals, Drift, Figures, Positioning, Returns, Straightness};
+use crate::history::{Figure, History};
+use crate::iso230::{
+    Budget, Conditions, Diagonal, Diagonals, Drift, Figures, Positioning, Returns, Straightness, Target,
+};
 use crate::plate::Plate;
 use crate::plot::{Chart, Colour, Picture, PlotError, Polar, Series, Style};
 use rtec_model::record::Record;
@@ -21,10 +23,8 @@ pub(crate) fn short(v: f64) -> String {
 }
 
 fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
-    of.map_or_else(
-        || "–".to_owned(),
-        |[lo, hi]| format!("{} … {}", number(*lo, decimals), number(*hi, decimals)),
-    )
+    let words = |[lo, hi]: &[f64; 2]| format!("{} … {}", number(*lo, decimals), number(*hi, decimals));
+    of.map_or_else(|| "–".to_owned(), words)
 }
 
 /// Symbol of ISO 230-2 as the standard writes it, and its meaning.
@@ -46,10 +46,7 @@ fn meaning(symbol: &str) -> (&'static str, &'static str) {
 }
 
 /// Positioning: figures with their uncertainty, targets, contributors.
-///
-/// # Errors
-/// A plot without a finite point.
-pub fn positioning(
+pub(crate) fn positioning(
     all: &[Positioning],
     records: &[Record],
     conditions: &Conditions,
@@ -83,8 +80,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     }
     let without = p.changes_by().map(|change| format!("#without the {change} ({unit})"));
     head.extend(without.as_deref());
-    let mut table = Table::new(&title, &head);
-    for (symbol, v) in p.figures() {
+    let row = |(symbol, v): (&str, Option<f64>)| {
         let (short, words) = meaning(symbol);
         // The figure of a tilt is not one of positioning.
         let words = if p.unit == "urad" { words.replace(" of positioning", "") } else { words.to_owned() };
@@ -98,39 +94,30 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         if without.is_some() {
             row.push(um(p.without_change(symbol)));
         }
-        table.row(row);
-    }
-    report.table(table);
+        row
+    };
+    report.table(Table::new(&title, &head, p.figures().map(row)));
     report.plot(p.chart())?;
     let title = format!("{}: targets, values in {unit}", p.response);
     let head = ["#i", "#position (mm)", "#n↑", "#n↓", "#mean ↑", "#s ↑", "#mean ↓", "#s ↓", "#B", "#R"];
-    let mut table = Table::new(&title, &head);
-    for (i, t) in p.targets.iter().enumerate() {
+    let row = |(i, t): (usize, &Target)| {
         let counts = t.approaches.map(|n| n.to_string());
         let figures = [t.mean_up, t.s_up, t.mean_down, t.s_down, t.reversal, t.repeatability].map(um);
         let start = [(i + 1).to_string(), format!("{:.3}", t.position_mm)];
-        table.row(start.into_iter().chain(counts).chain(figures));
-    }
-    report.table(table);
+        start.into_iter().chain(counts).chain(figures)
+    };
+    report.table(Table::new(&title, &head, p.targets.iter().enumerate().map(row)));
     if let Some(u) = &p.uncertainty {
-        let title = format!(
-            "Uncertainty over {:.0} mm (by the GUM; meant as in ISO/TR 230-9, not compared with its text)",
-            u.length_mm
-        );
-        let mut table = Table::new(&title, &["contributor", "#U, k = 2 (µm)"]);
-        for c in &u.contributors {
-            table.row([c.name.clone(), um(c.u_um)]);
-        }
-        report.table(table);
+        let by = "by the GUM; meant as in ISO/TR 230-9, not compared with its text";
+        let title = format!("Uncertainty over {:.0} mm ({by})", u.length_mm);
+        let rows = u.contributors.iter().map(|c| [c.name.clone(), um(c.u_um)]);
+        report.table(Table::new(&title, &["contributor", "#U, k = 2 (µm)"], rows));
     }
     Ok(())
 }
 
 /// Straightness of one axis's motion, across it.
-///
-/// # Errors
-/// The plot could not be made.
-pub fn straightness(
+pub(crate) fn straightness(
     all: &[Straightness],
     record: &Record,
     conditions: &Conditions,
@@ -140,15 +127,10 @@ pub fn straightness(
     let mut report = Report::new(&title, std::slice::from_ref(record), conditions);
     for s in all {
         report.warnings.extend(s.warnings.iter().map(|w| format!("{}: {w}", s.symbol)));
-        let title = format!(
-            "{}: error in {} while {} moves over {:.1} mm, {} places",
-            s.symbol,
-            s.across,
-            s.axis,
-            s.travel_mm,
-            s.places.len()
-        );
-        let mut table = Table::new(&title, &["figure", "#value", "unit"]);
+        let Straightness { symbol, across, axis, travel_mm, places, .. } = s;
+        let count = places.len();
+        let title =
+            format!("{symbol}: error in {across} while {axis} moves over {travel_mm:.1} mm, {count} places");
         let figures = [
             ("straightness, about the least-squares line", Some(s.straightness_um), "µm"),
             ("the same moving upwards alone", s.straightness_up_um, "µm"),
@@ -158,18 +140,15 @@ pub fn straightness(
             ("slope of the line: straightedge and axis together", Some(s.slope_urad), "µrad"),
             ("its standard error", Some(s.slope_standard_error_urad), "µrad"),
         ];
-        for (words, value, unit) in figures {
-            table.row([words.to_owned(), um(value), unit.to_owned()]);
-        }
-        report.table(table);
+        let rows = figures.map(|(words, value, unit)| [words.to_owned(), um(value), unit.to_owned()]);
+        report.table(Table::new(&title, &["figure", "#value", "unit"], rows));
         report.plot(s.chart())?;
         let head = ["#i", "#position (mm)", "#readings", "#up ↑ (µm)", "#down ↓ (µm)", "#mean (µm)"];
-        let mut table = Table::new(&format!("{}: places, about the line", s.symbol), &head);
-        for (i, p) in s.places.iter().enumerate() {
+        let rows = s.places.iter().enumerate().map(|(i, p)| {
             let start = [(i + 1).to_string(), format!("{:.3}", p.position_mm), p.readings.to_string()];
-            table.row(start.into_iter().chain([p.up_um, p.down_um, Some(p.mean_um)].map(um)));
-        }
-        report.table(table);
+            start.into_iter().chain([p.up_um, p.down_um, Some(p.mean_um)].map(um))
+        });
+        report.table(Table::new(&format!("{}: places, about the line", s.symbol), &head, rows));
     }
     Ok(report)
 }
@@ -177,30 +156,24 @@ pub fn straightness(
 /// Contributors in one reading, then the figures' uncertainties.
 fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f64>)]) {
     let title = format!("Uncertainty budget{of} (GUM alone; no standard's budget)");
-    let mut table = Table::new(&title, &["contributor or figure", "#U, k = 2 (µm)"]);
-    for c in &b.contributors {
-        table.row([c.name.clone(), um(c.u_um)]);
-    }
-    for (words, u) in figures {
-        table.row([(*words).to_owned(), um(*u)]);
-    }
-    report.table(table);
+    let contributors = b.contributors.iter().map(|c| [c.name.clone(), um(c.u_um)]);
+    let rows = contributors.chain(figures.iter().map(|(words, u)| [(*words).to_owned(), um(*u)]));
+    report.table(Table::new(&title, &["contributor or figure", "#U, k = 2 (µm)"], rows));
 }
 
 /// Circular tests: contours, and causes of their deviations.
-///
-/// # Errors
-/// None at present: a circle can always be drawn.
-pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) -> Result<Report, PlotError> {
+pub(crate) fn ballbar(
+    planes: &[Ballbar],
+    records: &[Record],
+    conditions: &Conditions,
+) -> Result<Report, PlotError> {
     let names: Vec<&str> = planes.iter().map(|b| b.plane.as_str()).collect();
     let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
     let mut report = Report::new(&title, records, conditions);
     for b in planes {
         report.warnings.extend(b.warnings.iter().map(|w| format!("{}: {w}", b.plane)));
         let radius = b.radius_mm.map(|r| format!(", radius {} mm", short(r))).unwrap_or_default();
-        let mut table =
-            Table::new(&format!("Plane {}{radius}", b.plane), &["symbol", "figure", "#value (µm)"]);
-        for (symbol, words, v) in [
+        let figures = [
             ("G ccw", "circular deviation, counter-clockwise", b.g_ccw),
             ("G cw", "circular deviation, clockwise", b.g_cw),
             ("G(b)", "bi-directional circular deviation", b.g_b),
@@ -208,10 +181,10 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
             ("F min", "smallest radial deviation", Some(b.f_min)),
             ("D", "mean bi-directional radial deviation", b.d),
             ("H", "hysteresis, largest difference of both ways", b.h),
-        ] {
-            table.row([symbol.to_owned(), words.to_owned(), um(v)]);
-        }
-        report.table(table);
+        ];
+        let rows = figures.map(|(symbol, words, v)| [symbol.to_owned(), words.to_owned(), um(v)]);
+        let title = format!("Plane {}{radius}", b.plane);
+        report.table(Table::new(&title, &["symbol", "figure", "#value (µm)"], rows));
         diagnosis(&mut report, b);
         for plot in circles(b) {
             report.plot(Picture::Polar(plot))?;
@@ -221,17 +194,15 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
         let head =
             ["record", "way", "#feed (mm/min)", "#turned (°)", "#G", "#F max", "#F min", &cx, &cy, "#radius"];
         let title = format!("Contours in plane {}, values in µm, ± their standard errors", b.plane);
-        let mut table = Table::new(&title, &head);
-        for c in &b.contours {
+        let rows = b.contours.iter().map(|c| {
             let feed = c.feed_mm_per_min.map_or_else(|| "–".to_owned(), |f| format!("{f:.0}"));
-            let circle = [c.centre_um[0], c.centre_um[1], c.radius_um];
-            let circle =
-                circle.iter().zip(&c.standard_error_um).map(|(v, e)| format!("{} ± {}", um(*v), um(*e)));
+            let circle = [c.centre_um[0], c.centre_um[1], c.radius_um].into_iter().zip(c.standard_error_um);
+            let circle = circle.map(|(v, e)| format!("{} ± {}", um(v), um(e)));
             let figures = [c.g, c.f_max, c.f_min].map(um).into_iter().chain(circle);
             let start = [c.record.clone(), c.direction.to_owned(), feed, format!("{:.0}", c.turned_deg)];
-            table.row(start.into_iter().chain(figures));
-        }
-        report.table(table);
+            start.into_iter().chain(figures)
+        });
+        report.table(Table::new(&title, &head, rows));
         if let Some(u) = &b.uncertainty {
             let figures = [
                 ("together, of G and H: a difference of two readings", Some(u.difference_um)),
@@ -247,12 +218,12 @@ pub fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) 
 fn diagnosis(report: &mut Report, b: &Ballbar) {
     let d = &b.diagnosis;
     let head = ["cause", "#value", "unit", "#95 % interval", "#makes (µm)"];
-    let mut table = Table::new(&format!("What makes it, plane {}", b.plane), &head);
+    let mut rows = Vec::new();
     let share = |cause: &str| um(d.contributions.iter().find(|c| c.cause == cause).map(|c| c.um));
     let mut add = |cause: &str, key: &str, v: Option<f64>, unit: &str, decimals: usize| {
         if let Some(v) = v {
             let shown = interval(d.interval_95.get(key), decimals);
-            table.row([cause.to_owned(), number(v, decimals), unit.to_owned(), shown, share(cause)]);
+            rows.push([cause.to_owned(), number(v, decimals), unit.to_owned(), shown, share(cause)]);
         }
     };
     add("scale mismatch", "scale_mismatch_ppm", d.scale_mismatch_ppm, "ppm", 1);
@@ -283,22 +254,19 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
     if let Some(n) = &d.not_separable {
         let cause = format!("{}, not separable one way at one feed", n.causes.join(" or "));
         let shown = interval(Some(&n.interval_95), 2);
-        table.row([cause, number(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
+        rows.push([cause, number(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
     }
-    report.table(table);
-    let title = format!(
-        "Contributions in plane {}, ranked: range of the radius that each makes, share of their sum",
-        b.plane
-    );
-    let mut table = Table::new(&title, &["#rank", "cause", "#makes (µm)", "#share (%)"]);
-    for (i, c) in d.contributions.iter().enumerate() {
+    report.table(Table::new(&format!("What makes it, plane {}", b.plane), &head, rows));
+    let of = "range of the radius that each makes, share of their sum";
+    let title = format!("Contributions in plane {}, ranked: {of}", b.plane);
+    let rows = d.contributions.iter().enumerate().map(|(i, c)| {
         let (rank, share) = match c.percent {
             Some(share) => ((i + 1).to_string(), format!("{share:.0}")),
             None => ("–".to_owned(), "not told".to_owned()),
         };
-        table.row([rank, c.cause.clone(), um(c.um), share]);
-    }
-    report.table(table);
+        [rank, c.cause.clone(), um(c.um), share]
+    });
+    report.table(Table::new(&title, &["#rank", "cause", "#makes (µm)", "#share (%)"], rows));
 }
 
 /// One plot per feed.
@@ -336,10 +304,7 @@ fn natural(name: &str) -> (String, u64) {
 }
 
 /// Thermal drift: the whole test, then phase by phase, each sensor.
-///
-/// # Errors
-/// A plot without a finite point.
-pub fn drift(
+pub(crate) fn drift(
     all: &[Drift],
     run: &Run,
     charts: Vec<Chart>,
@@ -351,17 +316,8 @@ pub fn drift(
             "the run lasts {short:.1} min: d60 and the last hour are of all of it; or is its time in another unit than stated?"
         ));
     }
-    let head = [
-        "response",
-        "unit",
-        "#time (min)",
-        "#d60",
-        "#dt",
-        "#last hour",
-        "#end − start",
-        "#per h",
-        "#most per h",
-    ];
+    let head = "response|unit|#time (min)|#d60|#dt|#last hour|#end − start|#per h|#most per h";
+    let head: Vec<&str> = head.split('|').collect();
     let unit = |d: &Drift| {
         match d.unit.as_str() {
             "um" => "µm",
@@ -371,55 +327,37 @@ pub fn drift(
         .to_owned()
     };
     let cells = |f: &Figures| {
-        let own =
-            [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h].map(Some).into_iter().chain([f.max_rate_per_h]);
-        let own = own.map(um);
-        std::iter::once(format!("{:.0}", f.t_min)).chain(own).collect::<Vec<_>>()
+        let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h].map(um);
+        std::iter::once(format!("{:.0}", f.t_min)).chain(own).chain([um(f.max_rate_per_h)])
     };
     let title = "The whole test; d60, dt, last hour: range of the readings within the first hour, all the time, the last hour; end − start: \
                  mean of the last hundredth of the rows minus that of the first; per h: slope of the straight line through all rows; \
                  most per h: largest change from one reading to another an hour later, up or down (– in less than an hour)";
-    let mut table = Table::new(title, &head);
-    for d in all {
-        table.row([d.response.clone(), unit(d)].into_iter().chain(cells(&d.whole)));
-    }
-    report.table(table);
+    let row = |d: &Drift, f: &Figures| [d.response.clone(), unit(d)].into_iter().chain(cells(f));
+    report.table(Table::new(title, &head, all.iter().map(|d| row(d, &d.whole))));
     for chart in charts {
         report.plot(chart)?;
     }
-    let count = all.first().map_or(0, |d| d.phases.len());
-    for i in 0..count {
-        let Some(p) = all.first().and_then(|d| d.phases.get(i)) else { continue };
+    for (i, p) in all.iter().take(1).flat_map(|d| d.phases.iter().enumerate()) {
         let at = p.at_mm.map(|mm| format!(", read at {mm:.1} mm")).unwrap_or_default();
         let title = format!("Phase from {:.0} min: {}{at}", p.from_min, p.what);
-        let mut table = Table::new(&title, &head);
-        for d in all {
-            if let Some(p) = d.phases.get(i) {
-                table.row([d.response.clone(), unit(d)].into_iter().chain(cells(&p.figures)));
-            }
-        }
-        report.table(table);
-        let title = format!("Sensors in that phase ({})", p.what);
-        let mut names = vec![
-            "sensor".to_owned(),
-            "#range (K)".to_owned(),
-            "#end − start (K)".to_owned(),
-            "#K/h".to_owned(),
-        ];
-        names.extend(all.iter().map(|d| format!("#γ {}", d.response)));
-        let mut table = Table { title, head: names, rows: Vec::new() };
+        let rows = all.iter().filter_map(|d| Some(row(d, &d.phases.get(i)?.figures)));
+        report.table(Table::new(&title, &head, rows));
+        let gammas: Vec<String> = all.iter().map(|d| format!("#γ {}", d.response)).collect();
+        let mut head = vec!["sensor", "#range (K)", "#end − start (K)", "#K/h"];
+        head.extend(gammas.iter().map(String::as_str));
         let mut sensors: Vec<_> = p.figures.temperatures.iter().collect();
         sensors.sort_by_key(|(name, _)| natural(name));
-        for (sensor, s) in sensors {
+        let rows = sensors.into_iter().map(|(sensor, s)| {
             let own =
                 [format!("{:.2}", s.range_k), format!("{:+.2}", s.end_k), format!("{:+.2}", s.rate_k_per_h)];
             let gammas = all.iter().map(|d| {
                 let s = d.phases.get(i).and_then(|p| p.figures.temperatures.get(sensor));
                 s.map_or_else(|| "–".to_owned(), |s| format!("{:+.3}", s.gamma))
             });
-            table.row(std::iter::once(sensor.clone()).chain(own).chain(gammas));
-        }
-        report.table(table);
+            std::iter::once(sensor.clone()).chain(own).chain(gammas)
+        });
+        report.table(Table::new(&format!("Sensors in that phase ({})", p.what), &head, rows));
     }
     for (d, u) in all.iter().filter_map(|d| Some((d, d.uncertainty.as_ref()?))) {
         let figures =
@@ -430,53 +368,49 @@ pub fn drift(
 }
 
 /// Diagonals: the box's figures, then each diagonal's.
-///
-/// # Errors
-/// A plot without a finite point.
-pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> Result<Report, PlotError> {
+pub(crate) fn diagonals(
+    d: &Diagonals,
+    records: &[Record],
+    conditions: &Conditions,
+) -> Result<Report, PlotError> {
     let title = format!("Positioning on {} diagonals (ISO 230-6)", d.kind);
     let mut report = Report::new(&title, records, conditions);
     report.warnings.clone_from(&d.warnings);
     let stated: Vec<_> = d.diagonals.iter().filter_map(|x| x.along.uncertainty.as_ref()).collect();
     let head = ["figure", "#value", "unit", "#U, k = 2 (µm)"];
     let columns = if stated.is_empty() { 3 } else { 4 };
-    let mut table = Table::new("The diagonals together", &head[..columns]);
+    let mut rows: Vec<[String; 4]> = Vec::new();
     for (words, value, symbol) in [
         ("largest systematic deviation E of a diagonal", d.e_d, "E"),
         ("largest accuracy A of a diagonal", d.a_d, "A"),
         ("largest reversal B of a diagonal", d.b_d, "B"),
     ] {
         let u = um(stated.iter().filter_map(|u| u.of(symbol)).reduce(f64::max));
-        table.row([words.to_owned(), um(value), "µm".to_owned(), u].into_iter().take(columns));
+        rows.push([words.to_owned(), um(value), "µm".to_owned(), u]);
     }
     let with = |v: f64, error: Option<f64>| {
         error.map_or_else(|| format!("{v:.1}"), |error| format!("{v:.1} ± {error:.1} (standard error)"))
     };
-    let scale = [with(d.scale_ppm, d.scale_standard_error_ppm), "ppm".to_owned(), String::new()];
-    let scale = std::iter::once("mean scale along the diagonals".to_owned()).chain(scale);
-    table.row(scale.take(columns));
+    let scale = with(d.scale_ppm, d.scale_standard_error_ppm);
+    rows.push(["mean scale along the diagonals".to_owned(), scale, "ppm".to_owned(), String::new()]);
     for (pair, v) in &d.squareness_urad {
         let error = d.squareness_standard_error_urad.get(pair).copied().flatten();
-        let row = [format!("squareness.{pair}"), with(*v, error), "µrad".to_owned(), String::new()];
-        table.row(row.into_iter().take(columns));
+        rows.push([format!("squareness.{pair}"), with(*v, error), "µrad".to_owned(), String::new()]);
     }
-    report.table(table);
+    let rows = rows.into_iter().map(|row| row.into_iter().take(columns));
+    report.table(Table::new("The diagonals together", &head[..columns], rows));
     let head = ["diagonal", "axes", "#length (mm)", "#A", "#E", "#M", "#R", "#B", "#mean B", "#end to end"];
-    let mut table = Table::new("Each diagonal, values in µm", &head);
+    let row = |x: &Diagonal| {
+        let p = &x.along;
+        let own = [p.A, p.E, p.M, p.R, p.B, p.B_mean, Some(x.slope_um)].map(um);
+        [x.sense.clone(), x.axes.join(" "), format!("{:.1}", p.travel_mm)].into_iter().chain(own)
+    };
+    report.table(Table::new("Each diagonal, values in µm", &head, d.diagonals.iter().map(row)));
     let mut chart =
         Chart::new("Mean deviation along each diagonal", "distance along it (mm)", "deviation (µm)");
     for x in &d.diagonals {
-        let p = &x.along;
-        let own = [p.A, p.E, p.M, p.R, p.B, p.B_mean, Some(x.slope_um)].map(um);
-        let start = [x.sense.clone(), x.axes.join(" "), format!("{:.1}", p.travel_mm)];
-        table.row(start.into_iter().chain(own));
-        let mean = p.targets.iter().filter_map(|t| {
-            let known: Vec<f64> = [t.mean_up, t.mean_down].into_iter().flatten().collect();
-            (!known.is_empty()).then(|| (t.position_mm, known.iter().sum::<f64>() / known.len() as f64))
-        });
-        chart = chart.with(Series::new(&x.sense, Style::Line, mean.collect()));
+        chart = chart.with(Series::new(&x.sense, Style::Line, x.along.means().collect()));
     }
-    report.table(table);
     report.plot(chart)?;
     for x in &d.diagonals {
         let mut chart = x.along.chart();
@@ -488,16 +422,13 @@ pub fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> 
 }
 
 /// A plate of holes.
-///
-/// # Errors
-/// None at present: arrows can always be drawn.
-pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
+pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     // A scale within its uncertainty implies no temperature of the plate.
     if p.is_scale_beyond_chance() {
         report.warnings.push(p.remark.clone());
     }
-    let (j, je, pe) = (&p.joint, &p.joint.standard_error, &p.standard_error);
+    let (j, je, pe) = (&p.joint.terms, &p.joint.standard_error, &p.standard_error);
     let none = || "–".to_owned();
     let row = |name: &str, value: f64, error: f64, decimals: usize, unit: &str| {
         [name.to_owned(), number(value, decimals), number(error, decimals), unit.to_owned()]
@@ -508,10 +439,10 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
     };
     let left = |name: &str, rms_um: f64| [name.to_owned(), um(rms_um), none(), "µm".to_owned()];
     let head = ["figure", "#value", "#standard error", "unit"];
-    let mut table = Table::new(&format!("{} holes, measured against nominal", p.holes), &head);
     let aluminium = "mean scale as a temperature of aluminium";
+    let quadrupole = "quadrupole: longer along its angle, shorter across";
     let rotation = "rotation from x towards y, of rows along x, or the plate's set-up";
-    for cells in [
+    let rows = [
         row("offset x", j.offset_mm[0], je.offset_mm[0], 4, "mm"),
         row("offset y", j.offset_mm[1], je.offset_mm[1], 4, "mm"),
         row("scale x", j.scale_x_ppm, je.scale_x_ppm, 1, "ppm"),
@@ -519,23 +450,14 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         row(aluminium, p.scale_as_aluminium_k, pe.scale_as_aluminium_k, 2, "K"),
         row("squareness", j.squareness_urad, je.squareness_urad, 1, "µrad"),
         row(rotation, j.rotation_urad, je.rotation_urad, 1, "µrad"),
-        row(
-            "quadrupole: longer along its angle, shorter across",
-            j.quadrupole_ppm,
-            je.quadrupole_ppm,
-            1,
-            "ppm",
-        ),
+        row(quadrupole, j.quadrupole_ppm, je.quadrupole_ppm, 1, "ppm"),
         angle("angle of the quadrupole from x", j.quadrupole_deg, je.quadrupole_deg),
-        left("left over after these (RMS length)", j.rms_um),
-    ] {
-        table.row(cells);
-    }
-    report.table(table);
+        left("left over after these (RMS length)", p.joint.rms_um),
+    ];
+    report.table(Table::new(&format!("{} holes, measured against nominal", p.holes), &head, rows));
     let title = "One after another, as owners of drilled plates publish it: one scale and rotation, then a radial quadrupole";
-    let mut table = Table::new(title, &head);
     let rotation = "rotation from x towards y, mean of rows along x and y";
-    for cells in [
+    let rows = [
         row("offset x", p.offset_mm[0], pe.offset_mm[0], 4, "mm"),
         row("offset y", p.offset_mm[1], pe.offset_mm[1], 4, "mm"),
         row("scale", p.scale_ppm, pe.scale_ppm, 1, "ppm"),
@@ -544,34 +466,24 @@ pub fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Repo
         row("quadrupole r·m·cos 2(θ − φ) along the radius: m", p.quadrupole_ppm, pe.quadrupole_ppm, 1, "ppm"),
         angle("its angle φ from x", p.quadrupole_deg, pe.quadrupole_deg),
         left("left over after the quadrupole too", p.rms_quadrupole_um),
-    ] {
-        table.row(cells);
-    }
-    for (diameter, v) in &p.rms_um_by_diameter {
-        table.row(left(&format!("left over, holes of {diameter} mm"), *v));
-    }
-    report.table(table);
+    ];
+    let by_diameter = p.rms_um_by_diameter.iter();
+    let by_diameter = by_diameter.map(|(d, v)| left(&format!("left over, holes of {d} mm"), *v));
+    report.table(Table::new(title, &head, rows.into_iter().chain(by_diameter)));
     report.plot(Picture::Vectors(p.plot(record)))?;
     Ok(report)
 }
 
 /// One machine's figures over time.
 /// A table, and each figure with its limit and trend.
-///
-/// # Errors
-/// A plot without a finite point.
-pub fn history(h: &History) -> Result<Report, PlotError> {
+pub(crate) fn history(h: &History) -> Result<Report, PlotError> {
     let title = format!("History of {}", h.machine);
     let mut report = Report { by: "history", ..Report::new(&title, &[], &Conditions::default()) };
     for f in h.beyond() {
         report.warn(&format!("{} is beyond its limit", f.name));
     }
-    for f in h.figures.iter().filter(|f| f.reaches.is_some()) {
-        report.warn(&format!(
-            "{} reaches its limit on {} by its trend",
-            f.name,
-            f.reaches.as_deref().unwrap_or_default()
-        ));
+    for (f, day) in h.figures.iter().filter_map(|f| Some((f, f.reaches.as_ref()?))) {
+        report.warn(&format!("{} reaches its limit on {day} by its trend", f.name));
     }
     for left in &h.left_out {
         report.warn(&format!("{}: left out: {}", left.record, left.why));
@@ -579,27 +491,15 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
     for figure in h.with_every_row() {
         report.warn(&figure);
     }
-    let head = [
-        "figure",
-        "unit",
-        "#records",
-        "first",
-        "#first",
-        "last",
-        "#last",
-        "#limit",
-        "#trend a year",
-        "95 %",
-        "reaches",
-    ];
-    let mut table = Table::new("Figures over time", &head);
-    for f in &h.figures {
-        let (Some(first), Some(last)) = (f.points.first(), f.points.last()) else { continue };
+    let head = "figure|unit|#records|first|#first|last|#last|#limit|#trend a year|95 %|reaches";
+    let head: Vec<&str> = head.split('|').collect();
+    let row = |f: &Figure| {
+        let (first, last) = (f.points.first()?, f.points.last()?);
         let trend = f.trend.map_or_else(String::new, |t| um(t.per_year));
         let interval = f.trend.map_or_else(String::new, |t| interval(Some(&t.interval), 2));
-        table.row([
+        Some([
             f.sensor.as_ref().map_or_else(|| f.name.clone(), |s| format!("{} ({s})", f.name)),
-            f.unit.replace("um", "µm").replace("urad", "µrad"),
+            f.written_unit(),
             f.points.len().to_string(),
             first.date.clone(),
             um(first.value),
@@ -609,11 +509,11 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
             trend,
             interval,
             f.reaches.clone().unwrap_or_default(),
-        ]);
-    }
-    report.table(table);
+        ])
+    };
+    report.table(Table::new("Figures over time", &head, h.figures.iter().filter_map(row)));
     for f in &h.figures {
-        let (points, unit) = (f.over_days(), f.unit.replace("um", "µm").replace("urad", "µrad"));
+        let (points, unit) = (f.over_days(), f.written_unit());
         let from = f.points.first().map_or("", |p| p.date.as_str());
         let end = points.last().map_or(0.0, |p| p.0);
         let mut chart = Chart::new(&f.name, &format!("days since {from}"), &unit);
@@ -635,38 +535,20 @@ pub fn history(h: &History) -> Result<Report, PlotError> {
 }
 
 /// Returning to one position: standard deviation and range.
-///
-/// # Errors
-/// A plot without a finite point.
-pub fn repeatability(
+pub(crate) fn repeatability(
     axes: &BTreeMap<String, Returns>,
     record: &Record,
     conditions: &Conditions,
 ) -> Result<Report, PlotError> {
     let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
-    let head = [
-        "axis",
-        "#returns",
-        "#standard deviation s (µm)",
-        "#4 s (µm)",
-        "#range (µm)",
-        "#trend (µm a return)",
-        "#s about it (µm)",
-    ];
-    let mut table = Table::new("Repeatability per axis", &head);
-    for (axis, of) in axes {
-        let about = of.s_about_trend_um.map_or_else(|| "–".to_owned(), um);
-        table.row([
-            axis.clone(),
-            of.returns.to_string(),
-            um(of.s_um),
-            um(4.0 * of.s_um),
-            um(of.range_um),
-            um(of.trend_um_per_return),
-            about,
-        ]);
-    }
-    report.table(table);
+    let head = "axis|#returns|#standard deviation s (µm)|#4 s (µm)|#range (µm)|#trend (µm a return)|#s about it (µm)";
+    let head: Vec<&str> = head.split('|').collect();
+    let rows = axes.iter().map(|(axis, of)| {
+        let figures = [of.s_um, 4.0 * of.s_um, of.range_um, of.trend_um_per_return].map(um);
+        let start = [axis.clone(), of.returns.to_string()].into_iter();
+        start.chain(figures).chain([um(of.s_about_trend_um)])
+    });
+    report.table(Table::new("Repeatability per axis", &head, rows));
     let mut chart = Chart::new("Returning to one position", "return (number)", "error (µm)");
     for c in record.responses() {
         let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();

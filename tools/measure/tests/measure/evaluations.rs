@@ -196,17 +196,17 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
     let record = Record::new(Path::new("p.run.toml"), Kind::Plate, columns).unwrap();
     let p = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap();
     let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-6, "{got} and {want}");
-    near(p.joint.scale_x_ppm, sx);
-    near(p.joint.scale_y_ppm, sy);
-    near(p.joint.squareness_urad, c + d);
+    near(p.joint.terms.scale_x_ppm, sx);
+    near(p.joint.terms.scale_y_ppm, sy);
+    near(p.joint.terms.squareness_urad, c + d);
     // As the effects have it: squareness.x.y = c + d beside rotation.x.y = d make error x = c·y and error y = d·x.
-    near(p.joint.rotation_urad, d);
-    near(p.joint.quadrupole_ppm, 20.0_f64.hypot(12.5));
-    near(p.joint.quadrupole_deg, (25.0_f64.atan2(40.0) / 2.0).to_degrees());
+    near(p.joint.terms.rotation_urad, d);
+    near(p.joint.terms.quadrupole_ppm, 20.0_f64.hypot(12.5));
+    near(p.joint.terms.quadrupole_deg, (25.0_f64.atan2(40.0) / 2.0).to_degrees());
     near(p.joint.rms_um, 0.0);
     // Each fit has an offset of its own; here the holes are about (0, 0) in x only.
-    near(p.joint.offset_mm[0], 0.004);
-    near(p.joint.offset_mm[1], -0.007);
+    near(p.joint.terms.offset_mm[0], 0.004);
+    near(p.joint.terms.offset_mm[1], -0.007);
     assert!(p.rms_quadrupole_um > 1.0 && (p.scale_ppm - 10.0).abs() > 5.0, "{p:?}");
 }
 

@@ -24,7 +24,7 @@ pub(super) struct Sums {
 
 impl Sums {
     pub(super) fn new(sensors: usize) -> Self {
-        Self { rows: 0, first_s: 0.0, last_s: 0.0, t: 0.0, e: 0.0, degc: vec![(0.0, 0); sensors] }
+        Self { degc: vec![(0.0, 0); sensors], ..Self::default() }
     }
 
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
@@ -42,32 +42,41 @@ impl Sums {
     }
 }
 
-/// Smallest and largest value.
-#[derive(Debug, Clone, Copy)]
-struct Span([f64; 2]);
-
-/// An empty range.
-impl Default for Span {
-    fn default() -> Self {
-        Self([f64::INFINITY, f64::NEG_INFINITY])
-    }
-}
+/// Smallest and largest value so far.
+#[derive(Debug, Clone, Copy, Default)]
+struct Span(Option<[f64; 2]>);
 
 impl Span {
     fn see(&mut self, v: f64) {
-        self.0 = [self.0[0].min(v), self.0[1].max(v)];
+        let [low, high] = self.0.unwrap_or([v; 2]);
+        self.0 = Some([low.min(v), high.max(v)]);
     }
 
     fn range(self) -> f64 {
-        (self.0[1] - self.0[0]).max(0.0)
+        self.0.map_or(0.0, |[low, high]| high - low)
     }
 }
 
-/// Sums over the first and the last 1 % of the rows.
+/// Sums and numbers of the values in the first and in the last 1 % of the rows.
 #[derive(Debug, Clone, Copy, Default)]
-struct FirstLastSums {
-    early: f64,
-    late: f64,
+struct FirstLastSums([(f64, usize); 2]);
+
+impl FirstLastSums {
+    fn see(&mut self, v: f64, ends: [bool; 2]) {
+        for ((sum, rows), _) in self.0.iter_mut().zip(ends).filter(|(_, is_there)| *is_there) {
+            *sum += v;
+            *rows += 1;
+        }
+    }
+
+    /// Mean of the last less that of the first, each `otherwise` without a value.
+    fn change(self, otherwise: [f64; 2]) -> f64 {
+        let mean = |k: usize| match self.0[k] {
+            (_, 0) => otherwise[k],
+            (sum, rows) => sum / rows as f64,
+        };
+        mean(1) - mean(0)
+    }
 }
 
 /// Sums of a sensor and its products with the displacement.
@@ -78,10 +87,6 @@ struct SensorSums {
     rows: usize,
     span: Span,
     ends: FirstLastSums,
-    /// Readings in the first 1 % of the rows.
-    early_rows: usize,
-    /// Readings in the last 1 % of the rows.
-    late_rows: usize,
     first: Option<f64>,
     last: f64,
     /// Sums of products of deviations: with time, with itself, with the displacement.
@@ -99,21 +104,14 @@ impl SensorSums {
         Self { mean: sum / rows as f64, rows, ..Self::default() }
     }
 
-    fn see(&mut self, v: f64, [about_t, about_e]: [f64; 2], [early, late]: [bool; 2]) {
+    fn see(&mut self, v: f64, [about_t, about_e]: [f64; 2], ends: [bool; 2]) {
         if !v.is_finite() {
             return;
         }
         self.span.see(v);
         self.first.get_or_insert(v);
         self.last = v;
-        if early {
-            self.ends.early += v;
-            self.early_rows += 1;
-        }
-        if late {
-            self.ends.late += v;
-            self.late_rows += 1;
-        }
+        self.ends.see(v, ends);
         let about = v - self.mean;
         self.tv += about_t * about;
         self.vv += about * about;
@@ -127,13 +125,10 @@ impl SensorSums {
     fn figures(&self) -> SensorDrift {
         // About the means over the sensor's own readings.
         let about = |[sum, squares]: [f64; 2]| squares - sum * sum / self.rows as f64;
-        let mean = |sum: f64, rows: usize, other: f64| if rows > 0 { sum / rows as f64 } else { other };
         let (tt, ee) = (about(self.t), about(self.e));
-        let late = mean(self.ends.late, self.late_rows, self.last);
-        let early = mean(self.ends.early, self.early_rows, self.first.unwrap_or(self.last));
         SensorDrift {
             range_k: self.span.range(),
-            end_k: late - early,
+            end_k: self.ends.change([self.first.unwrap_or(self.last), self.last]),
             rate_k_per_h: if tt > 0.0 { self.tv / tt * HOUR_S } else { 0.0 },
             gamma: if self.vv > 0.0 && ee > 0.0 { self.ve / (self.vv * ee).sqrt() } else { 0.0 },
         }
@@ -175,12 +170,8 @@ impl Look {
     }
 
     pub(super) fn see(&mut self, (t, e, degc, row): Row<'_>) {
-        let (early, late) = (self.seen < self.few, self.seen >= self.of.rows - self.few);
+        let ends = [self.seen < self.few, self.seen >= self.of.rows - self.few];
         self.seen += 1;
-        let at_ends = |ends: &mut FirstLastSums, v: f64| {
-            ends.early += if early { v } else { 0.0 };
-            ends.late += if late { v } else { 0.0 };
-        };
         self.all.see(e);
         if t <= self.of.first_s + HOUR_S {
             self.first_hour.see(e);
@@ -188,51 +179,40 @@ impl Look {
         if t >= self.of.last_s - HOUR_S {
             self.last_hour.see(e);
         }
-        at_ends(&mut self.ends, e);
+        self.ends.see(e, ends);
         let (about_t, about_e) = (t - self.mean_t, e - self.mean_e);
         self.tt += about_t * about_t;
         self.te += about_t * about_e;
         self.slide(t, e);
         for (sensor, v) in self.sensors.iter_mut().zip(degc) {
-            sensor.see(v[row], [about_t, about_e], [early, late]);
+            sensor.see(v[row], [about_t, about_e], ends);
         }
     }
 
     fn slide(&mut self, t: f64, e: f64) {
         self.window.push_back((t, e));
-        while let Some((from_s, from)) = self.window.front().copied() {
-            let h = t - from_s;
-            if h > HOUR_S {
-                self.window.pop_front();
-                continue;
-            }
-            if h >= 0.95 * HOUR_S {
-                let rate = (e - from).abs() / h * HOUR_S;
-                self.max_rate_per_h = Some(self.max_rate_per_h.map_or(rate, |most| most.max(rate)));
-            }
-            break;
+        while self.window.front().is_some_and(|(from_s, _)| t - from_s > HOUR_S) {
+            self.window.pop_front();
+        }
+        if let Some((from_s, from)) = self.window.front().filter(|(from_s, _)| t - from_s >= 0.95 * HOUR_S) {
+            let rate = (e - from).abs() / (t - from_s) * HOUR_S;
+            self.max_rate_per_h = Some(self.max_rate_per_h.map_or(rate, |most| most.max(rate)));
         }
     }
 
     /// The figures; `names` are those of the sensors.
     pub(super) fn figures<'n>(&self, names: impl Iterator<Item = &'n str>) -> Figures {
-        let few = self.few as f64;
-        let change = |ends: FirstLastSums| ends.late / few - ends.early / few;
-        // Slope of the straight line through the rows.
-        let per_h = |with_t: f64| if self.tt > 0.0 { with_t / self.tt * HOUR_S } else { 0.0 };
+        let read = names.zip(&self.sensors).filter(|(_, s)| s.rows > 0);
         Figures {
             d_60: self.first_hour.range(),
             d_t: self.all.range(),
             d_last_60: self.last_hour.range(),
-            end: change(self.ends),
-            rate_per_h: per_h(self.te),
+            end: self.ends.change([0.0; 2]),
+            // Slope of the straight line through the rows.
+            rate_per_h: if self.tt > 0.0 { self.te / self.tt * HOUR_S } else { 0.0 },
             max_rate_per_h: self.max_rate_per_h,
             t_min: (self.of.last_s - self.of.first_s) / 60.0,
-            temperatures: names
-                .zip(&self.sensors)
-                .filter(|(_, s)| s.rows > 0)
-                .map(|(name, s)| (name.to_owned(), s.figures()))
-                .collect(),
+            temperatures: read.map(|(name, s)| (name.to_owned(), s.figures())).collect(),
         }
     }
 }

@@ -4,13 +4,13 @@
 use super::figures::{Look, Row, Sums};
 use super::scatter::Scatter;
 use super::spans::{Span, Spans, State, TURNS_RPM};
-use super::{Drift, Figures, Phase, charts_of, displaced, temperatures};
+use super::{Drift, Figures, Phase, charts_of, displaced};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
 use crate::record::RecordPieces;
-use rtec_files::InputError;
+use rtec_files::{InputError, Result};
 use rtec_model::limits::disconnected;
-use rtec_model::record::{Column, Record, Role};
+use rtec_model::record::{Column, Record, Role, median, span};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -18,12 +18,12 @@ use std::path::{Path, PathBuf};
 const PIECE_ROWS: usize = 4096;
 
 /// A drift test on file after its first pass.
-pub struct LongDrift {
+pub(crate) struct LongDrift {
     path: PathBuf,
     pieces: RecordPieces,
-    /// The record with its first rows.
-    head: Record,
-    rows: usize,
+    /// The record with its first rows only.
+    pub(crate) head: Record,
+    pub(crate) rows: usize,
     spans: Vec<Span>,
     errors: Vec<Outline>,
     degc: Vec<Outline>,
@@ -41,13 +41,12 @@ struct Usual(Vec<f64>);
 impl Usual {
     /// Readings of each temperature; NaN where the sensor took none.
     fn taken(&mut self, record: &Record) -> Vec<Vec<f64>> {
-        let columns: Vec<&Column> = temperatures(&record.columns).collect();
+        let columns: Vec<&Column> = record.temperatures().collect();
         let possible = |v: f64| v > DEGC[0] && v < DEGC[1] && disconnected(v).is_none();
         if self.0.is_empty() {
             let middle = |c: &&Column| {
-                let mut good: Vec<f64> = c.data.iter().copied().filter(|v| possible(*v)).collect();
-                good.sort_by(f64::total_cmp);
-                good.get(good.len() / 2).copied().unwrap_or(f64::NAN)
+                let good: Vec<f64> = c.data.iter().copied().filter(|v| possible(*v)).collect();
+                if good.is_empty() { f64::NAN } else { median(good) }
             };
             self.0 = columns.iter().map(middle).collect();
         }
@@ -69,10 +68,7 @@ const UNUSUAL_K: f64 = 15.0;
 impl LongDrift {
     /// Reads a record of more than `more_than` rows; `None` for a shorter one.
     /// Also `None` if an axis moves, because its positions are grouped over all rows.
-    ///
-    /// # Errors
-    /// What [`crate::record::read`] finds.
-    pub fn of(path: &Path, more_than: usize) -> Result<Option<Self>, InputError> {
+    pub(crate) fn of(path: &Path, more_than: usize) -> Result<Option<Self>> {
         let Some(mut pieces) = RecordPieces::of(path)?.filter(|p| p.most_rows() > more_than as u64) else {
             return Ok(None);
         };
@@ -108,10 +104,7 @@ impl LongDrift {
 
     /// Leaves the rows of these suspicions out of all figures and plots.
     /// As [`crate::plausible::in_figures`] does; it reads the file once.
-    ///
-    /// # Errors
-    /// The file has changed.
-    pub fn leave_out(&mut self, doubts: &[Suspicion]) -> Result<(), InputError> {
+    pub(crate) fn leave_out(&mut self, doubts: &[Suspicion]) -> Result<()> {
         doubts.clone_into(&mut self.doubts);
         self.left_out = rows_left_out(doubts).into_values().flatten().collect();
         // A phase that would lose all rows keeps them.
@@ -137,31 +130,14 @@ impl LongDrift {
         Ok(())
     }
 
-    /// Number of rows.
-    pub fn rows(&self) -> usize {
-        self.rows
-    }
-
-    /// The record with its first rows only.
-    pub fn head(&self) -> &Record {
-        &self.head
-    }
-
     /// Lowest and highest value of each temperature, °C.
-    pub fn ranges_degc(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
-        temperatures(&self.head.columns).map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
+    pub(crate) fn ranges_degc(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
+        self.head.temperatures().map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
     }
 
     /// The same result as [`super::drift`], to the last bit.
     /// Reads the file twice; `each` gets its rows in pieces of `rows_at_once`.
-    ///
-    /// # Errors
-    /// The file has changed.
-    pub fn drift(
-        &mut self,
-        rows_at_once: usize,
-        mut each: impl FnMut(&Record),
-    ) -> Result<Vec<Drift>, InputError> {
+    pub(crate) fn drift(&mut self, rows_at_once: usize, mut each: impl FnMut(&Record)) -> Result<Vec<Drift>> {
         let (responses, sensors) = (self.errors.len(), self.degc.len());
         let none = vec![Sums::new(sensors); responses];
         let (mut whole, mut by_span) = (none.clone(), vec![none; self.spans.len()]);
@@ -174,8 +150,8 @@ impl LongDrift {
         let (mut whole, mut now) = (looks(whole), Vec::new());
         let mut scatters = vec![Scatter::default(); responses];
         let mut phases: Vec<Vec<Figures>> = vec![Vec::new(); responses];
-        let columns = self.head.columns.clone();
-        let figures = |look: &Look| look.figures(temperatures(&columns).map(|c| c.name.as_str()));
+        let head = self.head.clone();
+        let figures = |look: &Look| look.figures(head.temperatures().map(|c| c.name.as_str()));
         let mut by_span = by_span.into_iter();
         let mut present = None;
         let mut close = |looks: Vec<Look>| {
@@ -193,8 +169,8 @@ impl LongDrift {
             scatters[response].see(row.0, row.1);
         })?;
         close(now);
-        let phase = |(span, figures): (&Span, Figures)| -> Phase {
-            span.phase(&columns, (span.start_s - start_s) / 60.0, None, figures)
+        let phase = |(of, figures): (&Span, Figures)| -> Phase {
+            of.phase(&head.columns, (of.start_s - start_s) / 60.0, None, figures)
         };
         let all = displaced(&self.head.columns).zip(whole).zip(phases).zip(&scatters);
         Ok(all
@@ -212,7 +188,7 @@ impl LongDrift {
         rows_at_once: usize,
         each: &mut dyn FnMut(&Record),
         mut see: impl FnMut(usize, usize, Row<'_>),
-    ) -> Result<(), InputError> {
+    ) -> Result<()> {
         self.pieces.rewind()?;
         let (mut seen, mut span) = (0, 0);
         while let Some(record) = self.pieces.next_record(rows_at_once)? {
@@ -245,13 +221,13 @@ impl LongDrift {
 
     /// The charts of [`super::drift_charts`] from fewer points.
     /// They touch the same pixels, except for some at the edge between two.
-    pub fn charts(&self) -> Vec<Chart> {
+    pub(crate) fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
         let line = |name: &str, of: &Outline| Series::new(name, Style::Line, of.points(start_s));
         let errors = displaced(&self.head.columns)
             .zip(&self.errors)
             .map(|(c, of)| (c.unit.clone(), line(&c.role.to_string(), of)));
-        let degc = temperatures(&self.head.columns).zip(&self.degc).map(|(c, of)| line(&c.name, of));
+        let degc = self.head.temperatures().zip(&self.degc).map(|(c, of)| line(&c.name, of));
         charts_of(errors.collect(), degc.collect(), &self.spans, &self.head.columns)
     }
 }
@@ -264,8 +240,7 @@ struct Moves {
 
 impl Moves {
     fn see(&mut self, record: &Record) -> bool {
-        let axes: Vec<&[f64]> =
-            record.axes(Role::Position).filter_map(|a| record.data(&Role::Position(a.clone()))).collect();
+        let axes: Vec<&[f64]> = record.axes(Role::Position).filter_map(|a| record.position(a)).collect();
         let from = |n: usize, p: &[f64]| self.before.get(n).copied().unwrap_or(p[0]);
         let steps = |(n, p): (usize, &&[f64])| {
             let before = std::iter::once(from(n, p)).chain(p.iter().copied());
@@ -339,8 +314,7 @@ impl Outline {
 
     /// Lowest and highest value.
     fn range(&self) -> [f64; 2] {
-        let wider = |[l, h]: [f64; 2], [_, low, high, _]: &Block| [l.min(low.2), h.max(high.2)];
-        self.blocks.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
+        span(self.blocks.iter().flat_map(|[_, low, high, _]| [low.2, high.2]))
     }
 }
 
@@ -375,16 +349,13 @@ mod tests {
         assert_eq!(points[0], (0.0, value(0)));
         assert_eq!(points[points.len() - 1], ((rows - 1) as f64, value(rows - 1)));
         assert_eq!(outline.rows_a_block, 32);
-        let span = |values: &mut dyn Iterator<Item = f64>| {
-            values.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
-        };
-        assert_eq!(outline.range().map(f64::to_bits), span(&mut (0..rows).map(value)).map(f64::to_bits));
+        assert_eq!(outline.range().map(f64::to_bits), span((0..rows).map(value)).map(f64::to_bits));
         for column in 0..700 {
             let (from, to) = (column * rows / 700, (column + 1) * rows / 700);
             let drawn = points.iter().filter(|(row, _)| (from as f64..to as f64).contains(row)).map(|p| p.1);
-            let [low, high] = span(&mut drawn.into_iter());
-            let [inner_low, inner_high] = span(&mut (from.next_multiple_of(32)..to / 32 * 32).map(value));
-            let [whole_low, whole_high] = span(&mut (from..to).map(value));
+            let [low, high] = span(drawn);
+            let [inner_low, inner_high] = span((from.next_multiple_of(32)..to / 32 * 32).map(value));
+            let [whole_low, whole_high] = span((from..to).map(value));
             assert!(
                 whole_low <= low && low <= inner_low && inner_high <= high && high <= whole_high,
                 "{column}"

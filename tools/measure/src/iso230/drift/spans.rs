@@ -105,10 +105,10 @@ impl Span {
     pub(super) fn name(&self, columns: &[Column]) -> (&'static str, String) {
         match &self.state {
             State::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
-            State::Rest if columns.iter().all(|c| c.role != Role::SpindleSpeed) => (
-                "environment",
-                "no axis moves, spindle_speed not recorded: environment (ETVE) only if it stood".to_owned(),
-            ),
+            State::Rest if columns.iter().all(|c| c.role != Role::SpindleSpeed) => {
+                let what = "no axis moves, spindle_speed not recorded: environment (ETVE) only if it stood";
+                ("environment", what.to_owned())
+            }
             State::Rest => ("environment", "environment (ETVE), at rest".to_owned()),
             State::Moves(axes) => ("movement", format!("movement of {axes}")),
             State::Spindle => {

@@ -3,7 +3,7 @@
 //! Candidates are compared by likelihood with Schwarz's criterion. A drift over time is a straight line or a
 //! warm-up, each optionally growing along the axis, or a parabola. A step has a size and a row.
 
-use super::{Run, Target, largest, mean_of, targets};
+use super::{Run, Target, largest, mean_of, repeatability, targets};
 use crate::iso230::is_alike;
 use rtec_model::record::Role;
 use serde::{Serialize, Serializer};
@@ -53,15 +53,15 @@ pub struct Step {
 }
 
 fn about_drift<S: Serializer>(without: &Unchanged, to: S) -> Result<S::Ok, S::Error> {
-    to.collect_map(
-        UNCHANGED.iter().zip(without).map(|(symbol, value)| (format!("{symbol}_about_drift"), value)),
-    )
+    about("drift", without, to)
 }
 
 fn about_step<S: Serializer>(without: &Unchanged, to: S) -> Result<S::Ok, S::Error> {
-    to.collect_map(
-        UNCHANGED.iter().zip(without).map(|(symbol, value)| (format!("{symbol}_about_step"), value)),
-    )
+    about("step", without, to)
+}
+
+fn about<S: Serializer>(change: &str, without: &Unchanged, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_map(UNCHANGED.iter().zip(without).map(|(symbol, v)| (format!("{symbol}_about_{change}"), v)))
 }
 
 /// A change over time that all approaches share.
@@ -264,24 +264,21 @@ impl Run<'_> {
         let reduced: Vec<f64> = (0..n).map(|row| self.error[row] - explained(row)).collect();
         // The parameters reduced the degrees of freedom.
         let lost = ((used - repeats.groups.len()) as f64 / freedom).sqrt();
-        let about = |t: &Target| {
-            let [up, down] = [t.s_up? * lost, t.s_down? * lost];
-            Some((2.0 * up + 2.0 * down + t.reversal?.abs()).max(4.0 * up).max(4.0 * down))
-        };
+        let about = |t: &Target| repeatability(t.reversal, [t.s_up, t.s_down].map(|s| Some(s? * lost)));
         let list: Vec<Target> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
         let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
-        let repeatability = largest(list.iter().filter_map(about));
+        let both_ways = largest(list.iter().filter_map(about));
         let one_way =
             |s: fn(&Target) -> Option<f64>| largest(list.iter().filter_map(|t| Some(4.0 * s(t)? * lost)));
         let reversal = largest(reversals.iter().map(|b| b.abs()));
         let one_way = [one_way(|t| t.s_up), one_way(|t| t.s_down)];
-        let values = [repeatability, one_way[0], one_way[1], reversal, mean_of(&reversals)];
+        let values = [both_ways, one_way[0], one_way[1], reversal, mean_of(&reversals)];
         let figures = UNCHANGED.into_iter().zip(values).zip(with);
         // With approaches from both sides R includes R_up and R_down.
-        let figures = figures.filter(|((symbol, _), _)| !symbol.starts_with("R_") || repeatability.is_none());
+        let figures = figures.filter(|((symbol, _), _)| !symbol.starts_with("R_") || both_ways.is_none());
         let without: Vec<String> = figures
-            .filter_map(|((symbol, without), with)| {
-                Some(format!("{symbol} {:.2} instead of {:.2} {unit}", without?, with?))
+            .filter_map(|((s, without), with)| {
+                Some(format!("{s} {:.2} instead of {:.2} {unit}", without?, with?))
             })
             .collect();
         let without = without.join(", ");
@@ -342,10 +339,8 @@ impl Run<'_> {
     fn repeats(&self) -> Repeats {
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for rows in targets(self.position) {
-            let (up, down): (Vec<usize>, Vec<usize>) = rows
-                .into_iter()
-                .filter(|r| self.direction[*r] != 0.0)
-                .partition(|r| self.direction[*r] > 0.0);
+            let moving = rows.into_iter().filter(|r| self.direction[*r] != 0.0);
+            let (up, down): (Vec<_>, Vec<_>) = moving.partition(|r| self.direction[*r] > 0.0);
             groups.extend([up, down].into_iter().filter(|g| g.len() > 1));
         }
         Repeats { groups, rows: self.error.len() }
