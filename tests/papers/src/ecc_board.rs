@@ -207,7 +207,6 @@ pub fn run(
 
 impl Board {
     /// Duration of each acknowledgement, ns.
-    #[must_use]
     pub fn ack_ns(&self) -> Vec<u64> {
         let mut on = None;
         let acks = self.changes.iter().filter(|c| c.1 == "ack");
@@ -221,7 +220,6 @@ impl Board {
     /// The timing diagram of the n-th compensation, as in figures 8 and 9 of the paper.
     /// It begins before S1 rises and ends after the acknowledgement, each by half the compensation's
     /// duration. `None` if there is no such compensation.
-    #[must_use]
     pub fn svg(&self, n: usize, title: &str) -> Option<String> {
         let (at, begin) = self.changes.iter().enumerate().filter(|(_, c)| c.1 == "s1" && c.2).nth(n)?;
         let end_ns = self.changes[at..].iter().find(|c| c.1 == "ack" && c.2)?.0;
@@ -265,7 +263,6 @@ impl Board {
 
     /// The board's signals as a value change dump (IEEE 1364).
     /// They are [`SIGNALS`], all low at the start.
-    #[must_use]
     pub fn to_vcd(&self) -> String {
         let code = |n: usize| char::from(b'!' + n as u8);
         let mut text = "$timescale 1 ns $end\n$scope module ecc $end\n".to_owned();

@@ -135,7 +135,6 @@ pub struct Compared {
 
 impl Paper {
     /// The source of this name; `nistir4832` is `4832`.
-    #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
         let name = name.strip_prefix("nistir").unwrap_or(name);
         PAPERS.iter().find(|p| p.name == name)

@@ -1,7 +1,8 @@
 //! Tables 1 to 3: circles, linear displacement, tool changes.
 
 use super::{AXES, INCH_UM, column, error_of, record};
-use crate::rows::{Agreement, Rows};
+use crate::rows::Agreement::Within;
+use crate::rows::Rows;
 use rtec_model::record::{Record, Role};
 use rtec_sim::experiment::Findings;
 
@@ -44,7 +45,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    circles have no vibration, and their radius is ours (150 mm)";
         // Figures that the scan has lost are left out.
         if let Some(says) = totals[k] {
-            rows.fitted().number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0006), why);
+            rows.fitted().number(("Table 1", &what, "in"), says * 1e-4, inch, Within(0.0006), why);
         }
     }
     for (&((i, j), inches, _, reversals), record, k, way, cycle) in each() {
@@ -54,7 +55,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    hardly counter-clockwise. A reversal that grows with the speed grows both ways, as the run of the last rows shows";
         // Figures that the scan has lost are left out.
         if let Some(says) = reversals[k] {
-            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0004), why);
+            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Within(0.0004), why);
         }
     }
 }
@@ -74,7 +75,7 @@ pub(super) fn grown_reversal(rows: &mut Rows, found: &Findings) {
             ("Table 1, run with a reversal of Z of 0.0018 in", &format!("YZ {way}, 100 in/min: largest reversal error"), "in"),
             says * 1e-4,
             reversal(record, 1, cycle).max(reversal(record, 2, cycle)) / INCH_UM,
-            Agreement::Within(0.0004),
+            Within(0.0004),
             "a reversal turns the axis back by as much whichever way the circle is run, so growth with the speed cannot give both \
              columns. What acts one way round alone is the servo's, and the patent says nothing of it",
         );
@@ -139,20 +140,12 @@ pub(super) fn displacement(rows: &mut Rows, found: &Findings) -> [f64; 3] {
         let um = both.iter().flatten().map(|e| (e - first).abs()).fold(0.0, f64::max);
         let apart = both.iter().map(|[u, d]| (u - d).abs()).sum::<f64>() / both.len().max(1) as f64;
         scales[p] = um;
-        rows.given().number(
-            ("Table 2", &format!("{} axis: largest scale error", AXES[p]), "in"),
-            scale,
-            um / INCH_UM,
-            Agreement::Within(0.0003),
-            "over 95 % of the travel, from its first target; the error is put in as a straight line",
-        );
-        rows.given().number(
-            ("Table 2", &format!("{} axis: reversal error", AXES[p]), "in"),
-            reversal,
-            apart / INCH_UM,
-            Agreement::Within(0.0001),
-            "the mean over the targets",
-        );
+        let what = format!("{} axis: largest scale error", AXES[p]);
+        let why = "over 95 % of the travel, from its first target; the error is put in as a straight line";
+        rows.given().number(("Table 2", &what, "in"), scale, um / INCH_UM, Within(0.0003), why);
+        let what = format!("{} axis: reversal error", AXES[p]);
+        let why = "the mean over the targets";
+        rows.given().number(("Table 2", &what, "in"), reversal, apart / INCH_UM, Within(0.0001), why);
     }
     scales
 }
@@ -181,14 +174,10 @@ pub(super) fn tool_changes(rows: &mut Rows, found: &Findings) -> [f64; 3] {
             let gets = ours.get(run).copied().unwrap_or(0.0);
             // The others are measured from the first run.
             let rows = if run == 0 { rows.given() } else { &mut *rows };
-            rows.number(
-                ("Table 3 and figure 6", &format!("run {}, {} axis", run + 1, AXES[p]), "in"),
-                says[p] * 1e-4,
-                gets,
-                Agreement::Within(0.0006),
-                "how one holder seats once; here 1.2 µm of chance and the reversals of the way back, there a shift after the first \
-                 change as well",
-            );
+            let what = format!("run {}, {} axis", run + 1, AXES[p]);
+            let why = "how one holder seats once; here 1.2 µm of chance and the reversals of the way back, there a shift after the first \
+                change as well";
+            rows.number(("Table 3 and figure 6", &what, "in"), says[p] * 1e-4, gets, Within(0.0006), why);
         }
         largest[p] = ours.iter().map(|e| e.abs()).fold(0.0, f64::max) * INCH_UM;
     }

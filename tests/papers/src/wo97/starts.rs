@@ -38,19 +38,16 @@ pub struct StartResult {
 
 impl StartResult {
     /// The share of the tool's error that is left.
-    #[must_use]
     pub fn left(&self) -> f64 {
         self.off_um[1] / self.off_um[0]
     }
 
     /// The share of the deviation from hole 1 that is left.
-    #[must_use]
     pub fn left_from_hole_1(&self) -> f64 {
         self.from_hole_1_um[1] / self.from_hole_1_um[0]
     }
 
     /// The model said before that it cannot leave a quarter of the tool's error.
-    #[must_use]
     pub fn warned(&self) -> bool {
         self.promised_um.iter().sum::<f64>() > 0.25 * self.off_um[0]
     }
