@@ -22,7 +22,6 @@ pub struct Totals {
 
 impl Totals {
     /// Number of the sixteen phases with an insertion, and the fewest in any phase.
-    #[must_use]
     pub fn phases_seen(&self) -> (usize, u64) {
         (self.phases.iter().filter(|n| **n > 0).count(), self.phases.iter().copied().min().unwrap_or(0))
     }

@@ -197,7 +197,6 @@ impl Supervisor {
     }
 
     /// Whether the watchdog would have ended the service by now.
-    #[must_use]
     pub fn starved(&self, service: &Service) -> bool {
         service.ready && service.fed_at.elapsed() > self.watchdog
     }
@@ -205,7 +204,6 @@ impl Supervisor {
 
 impl Service {
     /// The daemon's process number.
-    #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }

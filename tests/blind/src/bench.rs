@@ -222,13 +222,11 @@ impl Bench {
     }
 
     /// Start of its travel, mm.
-    #[must_use]
     pub fn from_mm(&self) -> f64 {
         if self.centred { -self.travel_mm / 2.0 } else { 0.0 }
     }
 
     /// One run of the bench.
-    #[must_use]
     pub fn run(&self, turn: u64) -> Run {
         let mut fixed = Dice::new(self.seed);
         let mut dice = Dice::new(self.seed ^ (turn + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));

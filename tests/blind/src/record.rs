@@ -65,7 +65,6 @@ fn at_least_so_many(count: usize, of: usize, share: f64) -> f64 {
 
 impl Figure {
     /// Whether a share meets the requirement.
-    #[must_use]
     pub fn reached(&self, (yes, of): (usize, usize)) -> bool {
         let percent = 100.0 * yes as f64 / of.max(1) as f64;
         of == 0 || if self.at_least { percent >= self.asked } else { percent <= self.asked }
@@ -74,7 +73,6 @@ impl Figure {
     /// Whether chance explains the distance of a share from the requirement.
     ///
     /// It does if the required share, taken as true, gives so few (or so many) cases at least once in a thousand times.
-    #[must_use]
     pub fn within_chance(&self, (yes, of): (usize, usize)) -> bool {
         let bad = if self.at_least { of.saturating_sub(yes) } else { yes };
         let share = if self.at_least { 1.0 - self.asked / 100.0 } else { self.asked / 100.0 };
@@ -82,21 +80,18 @@ impl Figure {
     }
 
     /// The newest run as the guide quotes it: `138 of 142`.
-    #[must_use]
     pub fn counts(&self) -> String {
         format!("{} of {}", self.newest.0, self.newest.1)
     }
 
     /// The same with its share and the binomial standard error.
     /// For example `138 of 142 (97 ± 1 %)`.
-    #[must_use]
     pub fn quoted(&self) -> String {
         let percent = 100.0 * self.newest.0 as f64 / self.newest.1.max(1) as f64;
         format!("{} ({percent:.0} ± {:.0} %)", self.counts(), error(self.newest))
     }
 
     /// The requirement as the guide quotes it: `≥ 98 %`.
-    #[must_use]
     pub fn asks(&self) -> String {
         format!("{} {} %", if self.at_least { "≥" } else { "≤" }, self.asked)
     }

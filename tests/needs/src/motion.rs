@@ -14,7 +14,6 @@ pub struct Motion {
 
 impl Motion {
     /// An axis at rest between two edges.
-    #[must_use]
     pub fn new(accel_counts_s2: f64, max_speed_counts_s: f64, hysteresis_counts: f64) -> Self {
         Self {
             x: 0.5,
@@ -28,13 +27,11 @@ impl Motion {
     }
 
     /// The present time, ns.
-    #[must_use]
     pub fn now_ns(&self) -> f64 {
         self.t_ns
     }
 
     /// The present speed, counts/s.
-    #[must_use]
     pub fn speed_counts_s(&self) -> f64 {
         self.v
     }
