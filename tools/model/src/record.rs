@@ -116,10 +116,8 @@ impl Record {
                 return Err(whole(format!("unit `{}` of role `{}`", c.unit, c.role), &own));
             }
             if c.data.len() != columns[0].data.len() {
-                return Err(whole(
-                    format!("{} values in `{}`", c.data.len(), c.name),
-                    "as many in every column",
-                ));
+                let expected = "as many in every column";
+                return Err(whole(format!("{} values in `{}`", c.data.len(), c.name), expected));
             }
             for (row, &v) in c.data.iter().enumerate() {
                 if let Err((found, expected)) = check(&c.role, v, row.checked_sub(1).map(|p| c.data[p])) {

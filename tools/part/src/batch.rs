@@ -315,11 +315,8 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
                     "an error_um of {} beside measured minus nominal of {:.3} µm",
                     given[row], errors[row]
                 );
-                return Err(sheet.finding(
-                    row,
-                    found,
-                    "the same error, measured minus nominal; or one of the two alone",
-                ));
+                let expected = "the same error, measured minus nominal; or one of the two alone";
+                return Err(sheet.finding(row, found, expected));
             }
             given
         }
@@ -348,11 +345,8 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     let mut spelled: BTreeMap<String, &str> = BTreeMap::new();
     for (row, name) in features.iter().enumerate() {
         if let Some(other) = spelled.insert(name.trim().to_lowercase(), name).filter(|other| other != name) {
-            return Err(sheet.finding(
-                row,
-                format!("the feature {name:?} beside {other:?}"),
-                "one spelling of one feature",
-            ));
+            let expected = "one spelling of one feature";
+            return Err(sheet.finding(row, format!("the feature {name:?} beside {other:?}"), expected));
         }
     }
     // Angles are keys in microradians, so that a repeated angle is the same place.

@@ -150,11 +150,8 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     }
     if pieces.is_empty() && cleaned.hidden > 0 {
         let found = format!("no contour that is shown, and {}", cleaned.not_shown());
-        return Err(InputError::whole(
-            file,
-            found,
-            "entities that are visible, on layers that are on; or --layer",
-        ));
+        let expected = "entities that are visible, on layers that are on; or --layer";
+        return Err(InputError::whole(file, found, expected));
     }
     if pieces.is_empty() && cleaned.speck.is_none() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
@@ -746,13 +743,8 @@ impl Reader<'_> {
                 let k = if meets_axis(a) { b } else { a };
                 let piece = &rest[ends[k].0];
                 let found = format!("an open contour: {} ends at {}", piece.entity, self.words(ends[k].1));
-                return Err(InputError::at(
-                    self.file,
-                    piece.line,
-                    0,
-                    found,
-                    "a contour that returns to the axis",
-                ));
+                let expected = "a contour that returns to the axis";
+                return Err(InputError::at(self.file, piece.line, 0, found, expected));
             }
         }
         let mut tail = free.first().map_or(ends[0].1, |&k| ends[k].1);
@@ -769,13 +761,8 @@ impl Reader<'_> {
         }
         if let Some(left) = rest.into_iter().flatten().next() {
             let found = format!("a second contour ({} is part of it)", left.entity);
-            return Err(InputError::at(
-                self.file,
-                left.line,
-                0,
-                found,
-                "one contour, or --layer to choose it",
-            ));
+            let expected = "one contour, or --layer to choose it";
+            return Err(InputError::at(self.file, left.line, 0, found, expected));
         }
         short_pieces::close_joints(&mut chain, closed);
         Ok(Contour::new(chain, closed))

@@ -343,11 +343,8 @@ impl Effect {
             || !values.len().is_multiple_of(count)
             || (!arrays && values.len() != count)
         {
-            return Err(ValueError::new(
-                &law.name,
-                format!("{} values", values.len()),
-                format!("{count} parameters"),
-            ));
+            let expected = format!("{count} parameters");
+            return Err(ValueError::new(&law.name, format!("{} values", values.len()), expected));
         }
         let n = values.len() / count;
         for (p, of) in law.parameters.iter().zip(values.chunks(n)) {
@@ -379,11 +376,8 @@ impl Effect {
     pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), ValueError> {
         let position = self.description().parameters.iter().position(|p| p.name == name);
         let Some(i) = position.filter(|_| values.len() == self.width()) else {
-            return Err(ValueError::new(
-                name,
-                format!("{} values", values.len()),
-                "a parameter and its length",
-            ));
+            let expected = "a parameter and its length";
+            return Err(ValueError::new(name, format!("{} values", values.len()), expected));
         };
         let mut all = self.values.clone();
         let n = values.len();
