@@ -4,7 +4,7 @@
 use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
-use crate::insertion::GateDesign;
+use crate::insertion::{GateDesign, Report};
 use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;
@@ -130,7 +130,7 @@ fn corrected(
     card: &mut Polled<Lathe>,
     stand: &LatheState,
     probing: bool,
-    report: &mut impl FnMut(Event) -> bool,
+    report: &mut impl Report,
 ) -> Result<CorrectedMachine, StartError> {
     let poll_ns = stand.bench.poll_ns as u64;
     let configs = LINES.map(|lines| AxisConfig {
