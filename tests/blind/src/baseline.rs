@@ -250,7 +250,6 @@ impl Lasso<'_> {
 }
 
 /// Names that the LASSO would add.
-///
 /// The penalty is the largest within one standard error of the best, cross-validated in blocks of rows. A name counts
 /// from a tenth of the size that this penalty selects.
 pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {

@@ -44,10 +44,10 @@ pub struct Bench {
     centred: bool,
     clock: bool,
     dwell_s: f64,
-    responses: usize,
-    gaps: usize,
-    speeds: bool,
-    wet: Option<f64>,
+    pub(crate) responses: usize,
+    pub(crate) gaps: usize,
+    pub(crate) speeds: bool,
+    pub(crate) wet: Option<f64>,
     rig: Option<Heat>,
     decoys: usize,
 }
@@ -98,7 +98,6 @@ impl Heat {
     }
 
     /// Adds the sensors to a run, and the true temperatures, which are not logged.
-    ///
     /// Returns the loads of spindle and drive.
     fn on(&self, r: &mut Run, t: &[f64], dice: &mut Dice) -> Vec<f64> {
         let mut fixed = Dice::new(self.seed);
@@ -188,28 +187,6 @@ impl Bench {
     #[must_use]
     pub fn on_the_clock(mut self, responses: usize) -> Self {
         (self.clock, self.responses) = (true, responses);
-        self
-    }
-
-    /// The same with `responses` error columns.
-    #[must_use]
-    pub fn with_responses(mut self, responses: usize) -> Self {
-        self.responses = responses;
-        self
-    }
-
-    /// The same with coolant and gaps in the record.
-    /// The coolant goes on and off with a period in rows.
-    #[must_use]
-    pub fn with_coolant(mut self, period_rows: Option<f64>, gaps: usize) -> Self {
-        (self.wet, self.gaps) = (period_rows, gaps);
-        self
-    }
-
-    /// The same with more than one speed.
-    #[must_use]
-    pub fn with_speeds(mut self) -> Self {
-        self.speeds = true;
         self
     }
 

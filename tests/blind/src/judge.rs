@@ -147,7 +147,6 @@ fn alias_said(e: &Value, t: &Source) -> bool {
 const SAME_PERIOD: f64 = 2e-3;
 
 /// Parameters of found effects, and whether the truth is within their interval.
-///
 /// A value without an interval is not checked: a time, a whole number, a term that was left out. Growth by another
 /// sensor or reference is another number. So are then the constant and the straight line that go with it.
 pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {

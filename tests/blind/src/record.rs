@@ -71,7 +71,6 @@ impl Figure {
     }
 
     /// Whether chance explains the distance of a share from the requirement.
-    ///
     /// It does if the required share, taken as true, gives so few (or so many) cases at least once in a thousand times.
     pub fn within_chance(&self, (yes, of): (usize, usize)) -> bool {
         let bad = if self.at_least { of.saturating_sub(yes) } else { yes };
@@ -105,7 +104,6 @@ pub struct Quoted {
     /// The sample: cases, seeds, edges, minutes.
     pub on: &'static str,
     /// The figures with unit and error, as the pages quote them.
-    ///
     /// For a share (`17 of 19`) the number of cases gives the error.
     pub figures: &'static [&'static str],
     /// The pages that quote all or some of these figures, and no others.

@@ -242,10 +242,7 @@ impl Scene {
             self.noise.sd,
             self.noise.phi,
             self.known.iter().map(|k| k.name.as_str()).collect::<Vec<_>>(),
-            self.hidden
-                .iter()
-                .map(|h| h.toml().replace("[[effect]]\nname = ", "").replace('\n', " "))
-                .collect::<String>(),
+            self.hidden.iter().map(Source::in_words).collect::<String>(),
         );
         Ok(Case {
             seed,

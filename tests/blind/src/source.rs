@@ -157,6 +157,11 @@ impl Source {
         s + "\n"
     }
 
+    /// The source in one line.
+    pub(crate) fn in_words(&self) -> String {
+        self.toml().replace("[[effect]]\nname = ", "").replace('\n', " ")
+    }
+
     fn delta(&self, run: &Run) -> Vec<f64> {
         let a = run.named(self.word("sensor").unwrap_or(""));
         if let Some(m) = self.word("minus") {
