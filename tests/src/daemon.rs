@@ -224,7 +224,6 @@ pub struct FarSideCounts {
 }
 
 /// The card's lines as the machine sees them, for one axis.
-///
 /// A and B are bits 0 and 1 of the inputs, their inverters bits 0 and 1 of the outputs.
 pub trait Lines: Send {
     /// The inverters as the corrector has written them.
@@ -272,7 +271,6 @@ pub struct Machine {
 }
 
 /// Time between two edges.
-///
 /// It is slow, and the separation in [`CONFIG`] is long. Daemon and controller are ordinary processes here, and each
 /// must see every single change of the other.
 pub const EDGE: Duration = Duration::from_millis(120);
@@ -456,7 +454,6 @@ impl Bench {
     }
 
     /// Moves the axis, homes it and enables corrections.
-    ///
     /// A speed is known only from the second edge on. Before that, every late look is a fault.
     pub fn go(&self) {
         self.machine.move_axis(true);

@@ -28,10 +28,8 @@ impl Totals {
 }
 
 /// Passes each state of the MTC's trace with the count that is due there to `each`.
-///
 /// The count is that of the scale plus the counts of the inversions (NISTIR 4832, Design C). Inverting A adds where A =
 /// B and subtracts elsewhere; inverting B does the opposite.
-///
 /// The XOR of the two traces shows which signals are inverted, because the gates are XOR gates. A change that the gates
 /// cannot make is an error. So is one whose order within a nanosecond is unknown.
 ///

@@ -35,9 +35,7 @@ pub fn motion(edges: usize) -> Vec<TracePoint> {
 }
 
 /// Inserts ±2 counts after every `every`-th edge with a long enough pause.
-///
 /// The order of signs looks random. Returns the states at the MTC, with the count due at each.
-///
 /// It is written from the three count tables of NISTIR 4832, Design C, and not from the engine. Where A and B are
 /// equal, A first adds and B first subtracts; elsewhere the opposite. The second inversion follows `separation_ns`
 /// after the first.

@@ -242,7 +242,6 @@ pub struct Trial {
     /// The daemon's control socket.
     pub socket: PathBuf,
     /// Number of kills.
-    ///
     /// Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
     /// Seed of the random moments and totals.

@@ -39,7 +39,6 @@ pub fn skipped(why: &str) {
 }
 
 /// Whether tests that take long are to run.
-///
 /// They are with `RTEC_LONG=1` or `RTEC_REQUIRE=1`; otherwise it is noted.
 pub fn long() -> bool {
     let asked = long_asked();

@@ -37,7 +37,6 @@ impl Motion {
     }
 
     /// One short step with `throttle` times the full acceleration (−1 to 1).
-    ///
     /// Returns the edge within it, if any: the time in ns at which the motion crosses the threshold, and the direction.
     pub fn step(&mut self, throttle: f64) -> Option<(u64, i64)> {
         let dt_s = (0.1 / (self.v.abs() + 1.0)).clamp(1e-7, 1e-5);
@@ -62,7 +61,6 @@ impl Motion {
 }
 
 /// First time at which vt + at²/2 = d, s.
-///
 /// Of the two forms of the root it uses the one without a difference of near numbers.
 fn first_s(v: f64, a: f64, d: f64) -> f64 {
     let root = (v * v + 2.0 * a * d).max(0.0).sqrt();

@@ -141,7 +141,6 @@ impl Paper {
     }
 
     /// Runs everything that the source gives a figure of.
-    ///
     /// `progress` is told what is under way.
     ///
     /// # Errors

@@ -20,7 +20,6 @@ pub enum Basis {
     #[default]
     Compared,
     /// The figure is set in the machine's file or the program.
-    ///
     /// Or it is arithmetic of such figures. Agreement shows that nothing was lost on the way, and no more.
     Given,
     /// Parameters of the machine were chosen so that it comes out.
@@ -94,7 +93,6 @@ impl Agreement {
     }
 
     /// Zero or the other sign would agree as well.
-    ///
     /// A source's zero is compared all the same.
     fn cannot_tell(self, says: f64) -> bool {
         matches!(self, Self::Within(apart) if says != 0.0 && apart >= says.abs())
@@ -151,7 +149,6 @@ impl Rows {
     }
 
     /// Compares a number.
-    ///
     /// `why` is shown where the two differ. A figure within its own tolerance of zero is only counted.
     pub(crate) fn number(
         &mut self,

@@ -116,7 +116,6 @@ impl Transform {
     }
 
     /// The point that this transform moves to `point_mm`, by Cramer's rule.
-    ///
     /// `None` for a singular matrix, which no transform near the identity has.
     fn undo(&self, point_mm: [f64; 3]) -> Option<[f64; 3]> {
         let p = [0, 1, 2].map(|row| point_mm[row] - self.shift_mm[row]);
@@ -178,7 +177,6 @@ impl Chain {
     }
 
     /// Error of the tool point in the frame of the work, µm (machine x, y, z).
-    ///
     /// The two functions look up axis positions (mm) and temperature differences (K). Allocates nothing.
     pub fn error_um(
         &self,
@@ -314,7 +312,6 @@ impl Chain {
 
     /// Adds the chain's errors to a record's responses, row by row.
     /// Responses are the errors x, y and z, or the radial one of a circle.
-    ///
     /// The position of an axis that the record does not log is zero ([`Chain::taken_as_zero`]).
     ///
     /// # Errors

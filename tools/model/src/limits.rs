@@ -75,7 +75,6 @@ const DISCONNECTED: [Disconnected; 25] = [
 ];
 
 /// Why this reading is a code of a disconnected sensor and not a temperature.
-///
 /// `true`: certain. `false`: a machine can have this temperature too (85 °C, 0 °C), and the neighbouring rows
 /// decide.
 pub fn disconnected(degc: f64) -> Option<(&'static str, bool)> {

@@ -223,7 +223,6 @@ impl Record {
     }
 
     /// Checks that the logged axes that move are those of the circle's plane.
-    ///
     /// If an axis of the plane is not logged, its positions follow from the angle, unless another axis moves
     /// in its place.
     fn logs_plane(&self, circle: &Circle) -> Result<(), (String, &'static str)> {
@@ -248,7 +247,6 @@ impl Record {
     }
 
     /// The logged positions run about the centre that is stated.
-    ///
     /// A row's place less its bar gives a centre of its own. The stated one is among these, or near them.
     fn is_about(&self, circle: &Circle, angle: &[f64]) -> Result<(), (String, &'static str)> {
         let shares = [f64::cos as fn(f64) -> f64, f64::sin];
@@ -268,7 +266,6 @@ impl Record {
     }
 
     /// Share of an axis' error in the radial error at every row: cos θ or sin θ.
-    ///
     /// `None` for an axis that is not in the plane of the record's circle.
     pub(crate) fn share(&self, axis: &Axis) -> Option<&[f64]> {
         let (circle, derived) = self.circle.as_ref()?;

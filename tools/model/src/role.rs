@@ -37,7 +37,6 @@ impl fmt::Display for Axis {
 }
 
 /// The role of a column.
-///
 /// Errors and forces are responses; all other roles are inputs that these may depend on.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {

@@ -157,7 +157,6 @@ pub struct Batch {
     /// The offered changes in words, with the person concerned.
     pub offers: Vec<String>,
     /// Step in which the errors are written, µm, if the parts scatter by less.
-    ///
     /// The interval of a mean includes its rounding. A mean below half a step is not systematic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,

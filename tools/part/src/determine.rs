@@ -243,7 +243,6 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 }
 
 /// The errors of the feature that was probed.
-///
 /// Messages go to `say`.
 ///
 /// # Errors

@@ -425,7 +425,6 @@ fn of_binary(file: &Path, all: &[u8]) -> Result<Vec<Group>, InputError> {
 }
 
 /// A drawing of lines as text, in mm, R2000: from X, Y to X, Y on a layer.
-///
 /// The same lines give the same bytes.
 pub(crate) fn written(lines: &[([f64; 2], [f64; 2], &str)]) -> String {
     let mut layers: Vec<&str> = lines.iter().map(|(.., layer)| *layer).collect();

@@ -380,7 +380,6 @@ impl Probed {
 
     /// Part errors of a feature probed with a tip of radius `tip_mm`.
     /// Points beyond noise are left out of the fit ([`fit::beyond_noise`]).
-    ///
     /// The tip touches where its surface is normal to the part's, whatever the direction of approach. The
     /// approach only shows the side. So the shape is fitted to the tip's centres and moved by the tip's
     /// radius.
@@ -572,7 +571,6 @@ impl Probed {
     }
 
     /// +1: probed from outside (against the normal), −1: from inside.
-    ///
     /// Without approaches it is outside. For a face that cannot be assumed, because its normal's sign would
     /// depend on its tilt.
     fn side(&self, fitted: &FittedShape) -> Result<f64, InputError> {

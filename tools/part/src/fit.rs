@@ -475,7 +475,6 @@ impl Sums {
 }
 
 /// Indices of the points that are farther from the shape than noise explains.
-///
 /// The half of the points nearest to the robust shape belongs to the surface. The others join it, the nearest
 /// first. The deviation of the next one from the fit of those before it follows Student's law. From the first
 /// significant one on, all are left out (Rosner, Technometrics 25, 1983). White noise loses a point in one to
@@ -566,7 +565,6 @@ const BIWEIGHT: f64 = 4.685;
 const CANDIDATE_POINTS: usize = 24;
 
 /// An MM-estimate of the shape.
-///
 /// Candidates are all shapes through as few points as determine one. The one with the smallest median
 /// absolute deviation gives start and scale. Iterated reweighting with Tukey's biweight at that scale
 /// follows.

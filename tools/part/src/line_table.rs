@@ -92,7 +92,6 @@ impl LineTable {
     }
 
     /// The table as CSV, with the columns of [`crate::table::csv`].
-    ///
     /// `lead_mm` is the distance before each position at which its totals are sent. The cut runs towards
     /// larger places, or with `backwards` towards smaller ones.
     pub fn csv(&self, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {

@@ -91,7 +91,6 @@ const fn parameter(
 }
 
 /// All parameters, with the numbers of the report's template.
-///
 /// `$21` is replaced by the moves. Lengths are in the program's unit.
 pub const PARAMETERS: [Parameter; 22] = [
     parameter(1, "part", "0101", "two digits of the part and two of its version"),
@@ -220,7 +219,6 @@ impl Parameters {
 
 impl Controller {
     /// A built-in dialect.
-    ///
     /// `None` if there is none of this name.
     ///
     /// # Errors
@@ -361,7 +359,6 @@ impl ProbingProgram<'_> {
     }
 
     /// The moves, one block each.
-    ///
     /// The first move goes along Z alone, then along X alone, which keeps it farthest from the part.
     fn moves(&self, block: &mut u32) -> String {
         let d = &self.controller.dialect;

@@ -78,7 +78,6 @@ fn hole_by_hole(rows: &mut Rows, tests: [&[Vec<f64>; 3]; 3]) -> Result<(), Paper
 }
 
 /// Deviations of the holes of each cycle, both passes over the same holes.
-///
 /// All figures of an axis have the scale of test 1. Time is no axis here: a cycle lasts two minutes, the warm-up between two
 /// cycles ninety.
 fn passes(title: &str, inch: &[f64], of_test_1: f64) -> Chart {

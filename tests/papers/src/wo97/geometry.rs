@@ -64,7 +64,6 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
 pub(super) const GROWN_UM: f64 = 18e-4 * INCH_UM;
 
 /// The circles of a machine whose reversal of Z has grown to [`GROWN_UM`].
-///
 /// They show what a reversal that grows with the speed does.
 pub(super) fn grown_reversal(rows: &mut Rows, found: &Findings) {
     let Ok(record) = record(found, "ballbar-yz-100") else { return };

@@ -13,7 +13,6 @@ fn gauges<'f>(found: &'f Findings, name: &str) -> &'f [Gauged] {
 }
 
 /// Tables 4 and 5 by phase, and how heating compares with cooling.
-///
 /// Gives the drift of the wet three hours, µm.
 pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
     let mut three_hours = [[0.0; 3]; 2];

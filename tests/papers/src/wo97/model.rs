@@ -107,7 +107,6 @@ fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperE
 }
 
 /// The fit of the patent's runs, all wet: spindle cycle, warm-up with speeds and cool-down, a shift, a production cycle.
-///
 /// It is `rtecctl model fit --no-speed` of the example's records, beside the example's geometry.
 fn fitted(run: &Run<'_>, wet: &Record) -> Result<Fit, PaperError> {
     let (runs, production) = (run.experiment("wet-runs", None)?, run.experiment("production-cycle", None)?);

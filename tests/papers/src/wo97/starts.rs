@@ -57,7 +57,6 @@ impl StartResult {
 const SPREAD: f64 = 0.3;
 
 /// Another machining centre of the same build.
-///
 /// Each parameter of its errors and each of its thermal properties has a factor of its own.
 /// A value out of the bounds of its law is drawn again.
 fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError> {
@@ -82,7 +81,6 @@ fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError
 }
 
 /// Drills from each of [`STARTS`] with a drawn machine.
-///
 /// It is characterised, and the model is fitted on its wet runs alone.
 /// `machine` is the seed of the drawn parameters and of all noise; 0 is the patent's own machine.
 ///

@@ -130,7 +130,6 @@ pub trait Law: fmt::Debug + Send + Sync {
     }
 
     /// The coefficients that belong to the effect's parameters.
-    ///
     /// By default these are its linear parameters in order.
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
         let mut at = 0;
@@ -252,7 +251,6 @@ pub struct Effect {
     /// Each parameter has as many as the effect has knots (1 for scalars).
     values: Vec<f64>,
     /// Values per parameter: 1, or the number of knots.
-    ///
     /// It is stored because a law asks for it at every instant.
     width: usize,
 }
@@ -480,7 +478,6 @@ impl Effect {
     }
 
     /// Responses of a record on which the effect acts: role and component.
-    ///
     /// The component is 0 or 1 of a pair, or 2 for the projection of both on the radial error of a circle.
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
         if self.description().probing == Probing::Only && record.kind != Kind::Probing {

@@ -72,7 +72,6 @@ impl Machine {
     }
 
     /// Adds laws to its dictionary and returns the text of the whole dictionary.
-    ///
     /// The caller writes that text, which includes the model's earlier own laws, to `file` beside the model.
     /// From now on the model names that file.
     ///
@@ -210,7 +209,6 @@ impl Machine {
     }
 
     /// The file's text for another folder, checked by reading it back.
-    ///
     /// `beside`: names and texts of files that will be written beside it and do not exist yet.
     ///
     /// # Errors
