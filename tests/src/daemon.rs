@@ -234,20 +234,6 @@ pub trait Lines: Send {
     fn show_mtc(&mut self, _mtc: State) {}
 }
 
-impl Lines for Box<dyn Lines> {
-    fn outputs(&mut self) -> u64 {
-        (**self).outputs()
-    }
-
-    fn show(&mut self, scale: State) {
-        (**self).show(scale);
-    }
-
-    fn show_mtc(&mut self, mtc: State) {
-        (**self).show_mtc(mtc);
-    }
-}
-
 /// Shared memory with the registers of the profile `shared-memory`.
 impl Lines for Registers {
     fn outputs(&mut self) -> u64 {
@@ -409,12 +395,12 @@ impl Default for Bench {
 impl Bench {
     /// A bench with `more` appended to [`CONFIG`].
     pub fn with(more: &str) -> Self {
-        Self::on(&format!("{}{more}", CONFIG.replace("CARD", "card")), |file| Box::new(shared_memory(file)))
+        Self::on(&format!("{}{more}", CONFIG.replace("CARD", "card")), shared_memory)
     }
 
     /// A bench with another configuration and another machine's side.
     /// `card` makes that side from the path of the file of registers.
-    pub fn on(config: &str, card: impl FnOnce(&Path) -> Box<dyn Lines>) -> Self {
+    pub fn on<L: Lines + 'static>(config: &str, card: impl FnOnce(&Path) -> L) -> Self {
         let directory = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let file = directory.path().join("card");
         let made = std::fs::File::create(&file).and_then(|f| f.set_len(4096));
