@@ -145,7 +145,7 @@ fn corrected(
         ..AxisConfig::default()
     });
     let lines = MachineLines { probe: MachineLines::standard().probe, ..MachineLines::default() };
-    let origins = [0, 1].map(|n| card.attended.machine().origin_counts(n));
+    let origins = [0, 1].map(|n| card.attended.machine().axes[n].origin);
     let mut corrected = CorrectedMachine::new(stand.design, card, &configs, lines, &origins, report)?;
     if probing {
         corrected.take(Request::Probe(true), card, report)?;

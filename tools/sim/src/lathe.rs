@@ -368,7 +368,7 @@ impl Lathe {
         let angle_rad = (self.on_scale() - self.centre).angle_rad();
         self.errors.act(self.t_s(), &mut self.machine, &[0.0; AXES], angle_rad);
         let (_, probe_um) = self.errors.radial_um();
-        self.machine.set_probe_reach_mm(self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3);
+        self.machine.probe_reach_mm = self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3;
     }
 
     /// Cycle start: loads the program, which runs from its first block.
@@ -412,8 +412,8 @@ impl Attended for Lathe {
 
     fn tick(&mut self) {
         self.errors.heat.advance(self.t_s(), self.machine.rpm(), false);
-        if self.block != self.machine.blocks_begun() {
-            self.block = self.machine.blocks_begun();
+        if self.block != self.machine.begun {
+            self.block = self.machine.begun;
             self.touch_mm = self.bench.probe_sd_um * 1e-3 * self.noise.normal();
         }
         self.act();

@@ -226,7 +226,7 @@ impl Sim {
         set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
         machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
-        let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.origin_counts(n)).collect();
+        let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.axes[n].origin).collect();
         let lines = machine.machine_lines();
         let corrected =
             CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
@@ -274,7 +274,7 @@ impl Sim {
 
     /// Sets the temperature of the hall, at once, °C.
     pub fn heat_hall(&mut self, degc: f64) {
-        self.errors.heat.set_hall(degc);
+        self.errors.heat.ambient_degc = degc;
     }
 
     /// Reasons why axes do not follow the model now; empty if all follow.
@@ -403,14 +403,14 @@ impl Sim {
             rpm: m.rpm(),
             coolant: m.coolant(),
         };
-        for n in 0..m.axis_count() {
+        for n in 0..m.axes.len() {
             let p = m.place(n);
             now.position_mm[p] = m.position_mm(n);
             now.counted_mm[p] = m.counted_mm(n);
             now.velocity_mm_s[p] = m.velocity_mm_s(n);
             now.acceleration_mm_s2[p] = m.acceleration_mm_s2(n);
             now.direction[p] = m.direction(n);
-            now.force_n[p] = m.force_n(n);
+            now.force_n[p] = m.axes[n].force_n;
             now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * m.count_um(n);
         }
         now
