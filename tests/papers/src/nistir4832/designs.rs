@@ -7,7 +7,7 @@ use crate::rows::Rows;
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchRun, constant, insert_at_rest};
+use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant, insert_at_rest};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{safe_at, served_at_rest};
 use rtec_sim::ecc::Pll;
@@ -136,17 +136,10 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
 
 /// The state tables of Design C, line by line.
 pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
-    let states = |start: u8, totals: &[(u64, i64)], edges: u64, config: AxisConfig| {
-        let edges = constant(100_000_000, 1000.0, edges, 1);
-        let run = BenchRun {
-            config,
-            start: State::from_bits(start),
-            edges: &edges,
-            totals,
-            keep_log: true,
-            ..BenchRun::new(AnyDesign::C, computer)
-        };
-        run.run().map(|seen| {
+    let states = |start: u8, totals: &[(u64, i64)], edges: &[Edge], config: AxisConfig| {
+        let start = State::from_bits(start);
+        let new = BenchRun::new(AnyDesign::C, computer);
+        BenchRun { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
             let mut table: Vec<String> = Vec::new();
             for (_, _, out, count) in &seen.log {
                 let line = format!("{}{}:{count}", u8::from(out.a()), u8::from(out.b()));
@@ -157,47 +150,30 @@ pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), Paper
             (table.join(" "), seen)
         })
     };
+    let forwards = |counts| constant(100_000_000, 1000.0, counts, 1);
     let rest = insert_at_rest(AxisConfig::default());
-    let plain = states(0, &[], 4, AxisConfig::default()).ok_or_else(|| cannot("a plain motion"))?;
+    let plain =
+        states(0, &[], &forwards(4), AxisConfig::default()).ok_or_else(|| cannot("a plain motion"))?;
     rows.words(("Design A, state table", "A B : count, forwards"), "00:0 10:1 11:2 01:3 00:4", &plain.0, "");
-    let add = states(0, &[(1_000_000, 2)], 4, rest).ok_or_else(|| cannot("an insertion at rest"))?;
+    let add =
+        states(0, &[(1_000_000, 2)], &forwards(4), rest).ok_or_else(|| cannot("an insertion at rest"))?;
     let what = "at 0,0 invert A, then B: two counts added";
     let why = "the report's table counts on from 2: the same seven states";
     rows.words(("Design C, second table", what), "00:0 10:1 11:2 01:3 00:4 10:5 11:6", &add.0, why);
-    let later = at_one_zero(computer).ok_or_else(|| cannot("an insertion"))?;
+    // The axis goes one count, stands, is corrected by −2 at 1,0, and goes on.
+    let stops = [vec![(10_000_000, 1)], forwards(3)].concat();
+    let later = states(0, &[(20_000_000, -2)], &stops, rest).ok_or_else(|| cannot("an insertion"))?;
     let says = "00:0 10:1 00:0 01:-1 00:0 10:1 11:2";
-    rows.words(("Design C, third table", "at 1,0 invert A, then B: two counts subtracted"), says, &later, "");
+    let gets = later.0;
+    rows.words(("Design C, third table", "at 1,0 invert A, then B: two counts subtracted"), says, &gets, "");
     let mut right = 0;
     for start in 0..4 {
         for total in [2, -2] {
-            let seen = states(start, &[(1_000_000, total)], 8, rest).map(|s| s.1);
+            let seen = states(start, &[(1_000_000, total)], &forwards(8), rest).map(|s| s.1);
             right += usize::from(seen.is_some_and(|s| s.mtc - s.scale == total && s.illegal == 0));
         }
     }
     let what = "the algorithm, A and B alike or not, adding or subtracting: right in";
     rows.number(("Design C", what, "of 8"), 8.0, right as f64, Within(0.0), "");
     Ok(())
-}
-
-/// The third table: the axis goes one count, stands, is corrected by −2 at 1,0, and goes on.
-fn at_one_zero(computer: &Computer) -> Option<String> {
-    let mut edges = vec![(10_000_000_u64, 1_i64)];
-    edges.extend(constant(100_000_000, 1000.0, 3, 1));
-    let totals = [(20_000_000, -2)];
-    let config = insert_at_rest(AxisConfig::default());
-    let run = BenchRun {
-        config,
-        edges: &edges,
-        totals: &totals,
-        keep_log: true,
-        ..BenchRun::new(AnyDesign::C, computer)
-    };
-    let mut table: Vec<String> = Vec::new();
-    for (_, _, out, count) in &run.run()?.log {
-        let line = format!("{}{}:{count}", u8::from(out.a()), u8::from(out.b()));
-        if table.last() != Some(&line) {
-            table.push(line);
-        }
-    }
-    Some(table.join(" "))
 }
