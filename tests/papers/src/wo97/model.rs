@@ -99,7 +99,7 @@ fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperE
     };
     for (p, (response, modelled)) in model.predict(wet)?.columns.into_iter().enumerate() {
         let chart = Chart::new(&format!("Growth of {response}"), "time (min)", "growth (µm)")
-            .with(Series::new("measured", Style::Dots, from_start(&error_of(wet, p))))
+            .with(Series::new("measured", Style::Dots, from_start(error_of(wet, p))))
             .with(Series::new("modelled", Style::Line, from_start(&modelled)));
         rows.figures.push((format!("figure-18{}.svg", ["a", "b", "c"][p.min(2)]), chart.svg(900, 420)?));
     }
