@@ -2,6 +2,7 @@
 //! They move tool and probe alike.
 
 use crate::axis::Friction;
+use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
 use crate::noise::Noise;
@@ -80,7 +81,7 @@ pub(crate) fn frame<'a>(
 pub(crate) struct Errors {
     pub heat: Heat,
     truth: Live,
-    channels: Vec<f64>,
+    pub channels: Vec<f64>,
     noise: Noise,
 }
 
@@ -94,8 +95,15 @@ impl Errors {
         &self.truth.layout().channels
     }
 
-    pub(crate) fn channels(&self) -> &[f64] {
-        &self.channels
+    /// The present readings on a machine under these loads.
+    pub(crate) fn readings(&self, machine: &SimMachine, load_n: [f64; AXES]) -> Readings<'_> {
+        Readings {
+            degc: self.heat.readings_degc(),
+            channels: &self.channels,
+            rpm: machine.rpm(),
+            coolant: machine.coolant(),
+            load_n,
+        }
     }
 
     /// Advances the channels by one second.

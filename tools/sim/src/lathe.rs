@@ -344,13 +344,7 @@ impl Lathe {
 
     /// The sensors' present readings.
     pub(crate) fn readings(&self) -> Readings<'_> {
-        Readings {
-            degc: self.errors.heat.readings_degc(),
-            channels: self.errors.channels(),
-            rpm: self.machine.rpm(),
-            coolant: self.machine.coolant(),
-            load_n: [0.0; AXES],
-        }
+        self.errors.readings(&self.machine, [0.0; AXES])
     }
 
     /// Time since the machine was switched on, s.

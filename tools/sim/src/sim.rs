@@ -1,7 +1,7 @@
 //! The machine with the unchanged engine in its feedback, and a corrector.
 
 use crate::axis::AxisSpec;
-use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
+use crate::control::{Control, REST_NS, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
@@ -264,7 +264,7 @@ impl Sim {
 
     /// Values of the logged channels.
     pub fn channels(&self) -> &[f64] {
-        self.errors.channels()
+        &self.errors.channels
     }
 
     /// Readings of the temperature sensors, °C, ordered as [`crate::heat::SENSORS`].
@@ -364,13 +364,7 @@ impl Sim {
         }
         self.act();
         let Some(control) = &mut self.control else { return Ok(()) };
-        let now = Readings {
-            degc: self.errors.heat.readings_degc(),
-            channels: self.errors.channels(),
-            rpm: self.machine.rpm(),
-            coolant: self.machine.coolant(),
-            load_n: self.load_n,
-        };
+        let now = self.errors.readings(&self.machine, self.load_n);
         let mut report = |e: Event| keep(&mut self.events, e);
         for request in control.requests(t_s, &self.corrected.status(), now) {
             self.corrected.take(request, &mut self.machine, &mut report)?;
