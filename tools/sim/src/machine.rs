@@ -408,16 +408,10 @@ impl SimMachine {
             Block::Arc { to, plane: (i, j), centre, clockwise, feed_mm_s } => {
                 let start_rad = libm::atan2(from[j] - centre.1, from[i] - centre.0);
                 let end_rad = libm::atan2(to[j] - centre.1, to[i] - centre.0);
-                let turn = 2.0 * std::f64::consts::PI;
+                let way = if clockwise { -1.0 } else { 1.0 };
                 let mut sweep_rad = end_rad - start_rad;
-                if clockwise {
-                    while sweep_rad > -1e-9 {
-                        sweep_rad -= turn;
-                    }
-                } else {
-                    while sweep_rad < 1e-9 {
-                        sweep_rad += turn;
-                    }
+                while way * sweep_rad < 1e-9 {
+                    sweep_rad += way * std::f64::consts::TAU;
                 }
                 let radius_mm = libm::hypot(from[i] - centre.0, from[j] - centre.1);
                 let k = AXES - i - j;
