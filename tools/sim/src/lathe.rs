@@ -268,14 +268,15 @@ pub struct Lathe {
     held: bool,
     cutting: std::ops::RangeInclusive<usize>,
     block: usize,
-    cuts: Arc<Mutex<Vec<Cut>>>,
+    /// The cuts so far; a user of the shared list takes them from it.
+    pub(crate) cuts: Arc<Mutex<Vec<Cut>>>,
     last_cut: Option<Zx>,
     /// The tip's centre by the scales (part coordinates) and the sensors at each trip.
-    trips: Vec<(Zx, Vec<f64>)>,
+    pub(crate) trips: Vec<(Zx, Vec<f64>)>,
     noise: Noise,
     touch_mm: f64,
     /// The sensors while the machine warmed up: time since its start, s, and °C.
-    past: Vec<(f64, Vec<f64>)>,
+    pub(crate) past: Vec<(f64, Vec<f64>)>,
 }
 
 impl Lathe {
@@ -337,11 +338,6 @@ impl Lathe {
         self.act();
     }
 
-    /// Readings of the sensors since the machine was switched on.
-    pub(crate) fn past(&self) -> &[(f64, Vec<f64>)] {
-        &self.past
-    }
-
     /// The sensors' present readings.
     pub(crate) fn readings(&self) -> Readings<'_> {
         self.errors.readings(&self.machine, [0.0; AXES])
@@ -373,16 +369,6 @@ impl Lathe {
     /// Whether the program has ended.
     pub(crate) fn finished(&self) -> bool {
         self.waiting.is_none() && self.machine.finished()
-    }
-
-    /// The cuts so far; a user of the shared list takes them from it.
-    pub(crate) fn cuts(&self) -> &Arc<Mutex<Vec<Cut>>> {
-        &self.cuts
-    }
-
-    /// The tip's centre and the sensors' readings at each trip.
-    pub(crate) fn trips(&self) -> &[(Zx, Vec<f64>)] {
-        &self.trips
     }
 
     fn cut(&mut self) {
