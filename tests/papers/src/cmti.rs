@@ -5,7 +5,7 @@ use crate::ecc_board::{Board, Order, run as run_board};
 use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant};
+use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::described::Described;
 use rtec_sim::designs::safe_range;
@@ -226,15 +226,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     // Doubling at all: the right number, whatever the phase.
     let counts = |xor_hz: f64| {
         let edges = constant(1_000_000, xor_hz / 2.0, 6000, 1);
-        let totals = [(edges[2000].0, 12)];
-        let run = BenchRun {
-            edges: &edges,
-            totals: &totals,
-            pll: circuit.pll,
-            seed,
-            ..BenchRun::new(AnyDesign::Ecc, &dsp)
-        };
-        run.run().is_some_and(|s| s.completed == 12 && s.error_counts() == 0 && s.illegal == 0)
+        compensated(circuit, &edges, 2000, 12, seed).is_some_and(|s| s.illegal == 0)
     };
     let middle = (2.3e3_f64 * 125e3).sqrt();
     let edge = |mut good: f64, mut bad: f64| {
@@ -254,23 +246,20 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     Ok(())
 }
 
+/// A total asked at an edge of a motion, if all of it was inserted.
+fn compensated(circuit: &Circuit, edges: &[Edge], at: usize, total: i64, seed: u64) -> Option<BenchResult> {
+    let (dsp, totals) = (Computer::dsp(), [(edges[at].0, total)]);
+    let new = BenchRun::new(AnyDesign::Ecc, &dsp);
+    let seen = BenchRun { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
+    seen.filter(|s| s.completed == total && s.error_counts() == 0)
+}
+
 /// Four bits: more than fifteen pulses take another compensation.
 fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperError> {
     let place = "Section 2.2.7";
-    let dsp = Computer::dsp();
     let edges = constant(1_000_000, circuit.shown_encoder_hz, 4000, 1);
-    let compensations = |pulses: i64| {
-        let totals = [(edges[500].0, 4 * pulses)];
-        let run = BenchRun {
-            edges: &edges,
-            totals: &totals,
-            pll: circuit.pll,
-            seed,
-            ..BenchRun::new(AnyDesign::Ecc, &dsp)
-        };
-        run.run().filter(|s| s.completed == 4 * pulses && s.error_counts() == 0).map(|s| s.insertions)
-    };
-    let most = (1..40).take_while(|n| compensations(*n) == Some(1)).last().unwrap_or(0);
+    let at_once = |n: &i64| compensated(circuit, &edges, 500, 4 * n, seed).is_some_and(|s| s.insertions == 1);
+    let most = (1..40).take_while(at_once).last().unwrap_or(0);
     let what = "largest compensation value, pulses: four bits";
     let why = "the PLL of the machine file does not lock at the speed shown";
     rows.given().number((place, what, ""), 15.0, most as f64, Within(0.0), why);

@@ -90,11 +90,10 @@ impl Card for Wires<'_> {
     fn write(&mut self, _mask: u64, value: u64) -> Result<Option<u64>, CardError> {
         let lines = AxisLines::standard(0, false);
         let (from, to) = (self.mtc.decoder().state(), State::from_bits(lines.inverters(value)));
-        if from == to {
-            return Ok(Some(self.t_ns));
+        if from != to {
+            self.mtc.update(self.t_ns, to);
+            self.changed(from, to, 1);
         }
-        self.mtc.update(self.t_ns, to);
-        self.changed(from, to, 1);
         Ok(Some(self.t_ns))
     }
 
@@ -136,11 +135,7 @@ pub fn run(
         scale: Decoder::default(),
         mtc: MtcDecoder::new(State::default()),
         pulses: [0; 2],
-        names: if n == 0 {
-            [SIGNALS[0], SIGNALS[1], SIGNALS[2], SIGNALS[3]]
-        } else {
-            [SIGNALS[4], SIGNALS[5], SIGNALS[6], SIGNALS[7]]
-        },
+        names: [0, 1, 2, 3].map(|k| SIGNALS[4 * n + k]),
         changes: Vec::new(),
     });
     let [x, z] = &mut wires;

@@ -7,7 +7,7 @@ use crate::rows::{Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant};
+use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::experiment::one_metre;
 use rtec_sim::gcode::Block;
@@ -19,9 +19,11 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
     let place = "Position Feedback Signals";
     let slow = constant(1_000_000, 1000.0, 4000, 1);
     let computer = Computer::dsp();
-    let seen = BenchRun { edges: &slow, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
-        .run()
-        .ok_or_else(|| cannot("a plain motion"))?;
+    let plain = |edges: &[Edge]| {
+        let run = BenchRun { edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) };
+        run.run().ok_or_else(|| cannot("a plain motion"))
+    };
+    let seen = plain(&slow)?;
     let cycles = rising(&seen.log, |s| s.a());
     let what = "resolution against the encoder's square wave";
     rows.number((place, what, "times"), 4.0, seen.mtc as f64 / cycles as f64, Within(1e-6), "");
@@ -42,10 +44,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
     let why = "the report rounds: resolutions \"approaching\" a tenth; exactly a tenth gives this";
     rows.given().number((place, what, "kHz"), 500.0, coming.encoder_hz / 1e3, Share(0.2), why);
     for (hz, width_us) in [(100e3, 5.0), (1e6, 0.5)] {
-        let edges = constant(1_000_000, hz, 400, 1);
-        let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
-            .run()
-            .ok_or_else(|| cannot("a plain motion"))?;
+        let seen = plain(&constant(1_000_000, hz, 400, 1))?;
         let what = format!("pulse width of a square wave of {} kHz", shown(hz / 1e3));
         let gets = high_ns(&seen.log, |s| s.a()) / 1e3;
         rows.given().number((place, &what, "µs"), width_us, gets, Within(0.002), "");
@@ -203,11 +202,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         // Design B needs the faster computer; what it inserts is the same on any.
         let quick = Computer::dsp();
         let with = if design == AnyDesign::B { &quick } else { computer };
-        let edges = constant(1_000_000, 10_000.0, 4000, 1);
-        let totals = [(edges[500].0, 8)];
-        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, with) }
-            .run()
-            .ok_or_else(|| cannot("an insertion"))?;
+        let seen = insert(with, design, 10_000.0, 8)?;
         let step = (seen.mtc - seen.scale) as f64 / (seen.insertions as f64).max(1.0);
         let what = format!("correction resolution of {}", design.name());
         let why = "the insertions were not made";
