@@ -196,19 +196,12 @@ impl Chain {
         position_mm: &impl Fn(usize) -> f64,
         delta_k: &impl Fn(usize, usize) -> f64,
     ) -> [f64; 3] {
-        let ends = [
-            self.end(Branch::Work, true, position_mm, delta_k),
-            self.end(Branch::Tool, true, position_mm, delta_k),
-        ];
-        let ideal = [
-            self.end(Branch::Work, false, position_mm, delta_k),
-            self.end(Branch::Tool, false, position_mm, delta_k),
-        ];
-        let seen = |[work, tool]: [Transform; 2]| {
-            let tip = tool.apply(self.tool_mm);
-            work.undo(tip).unwrap_or(tip)
+        let seen = |with_errors: bool| {
+            let end = |branch| self.end(branch, with_errors, position_mm, delta_k);
+            let tip = end(Branch::Tool).apply(self.tool_mm);
+            end(Branch::Work).undo(tip).unwrap_or(tip)
         };
-        let (real, ideal) = (seen(ends), seen(ideal));
+        let (real, ideal) = (seen(true), seen(false));
         [0, 1, 2].map(|k| 1000.0 * (real[k] - ideal[k]))
     }
 
