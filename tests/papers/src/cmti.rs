@@ -1,9 +1,9 @@
 //! CMTI (2014): the Error Correction Circuit.
 
-use crate::PaperError;
 use crate::ecc_board::{Board, Order, run as run_board};
 use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
+use crate::{PaperError, Progress};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
@@ -81,11 +81,7 @@ fn cannot(what: &str) -> PaperError {
     PaperError::Cannot(format!("CMTI: {what} cannot be run on the circuit as described"))
 }
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let circuit = Circuit::read(described)?;
     let mut rows = Rows::default();
     progress("CMTI: control lines, subtraction and addition");

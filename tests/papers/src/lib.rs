@@ -45,8 +45,11 @@ pub struct Paper {
     run: Run,
 }
 
+/// Whoever is told of each step.
+pub type Progress<'p> = &'p mut dyn FnMut(&str);
+
 /// From a source's description, a seed, and whoever is told of progress.
-type Run = fn(&Described, u64, &mut dyn FnMut(&str)) -> Result<Rows, PaperError>;
+type Run = fn(&Described, u64, Progress<'_>) -> Result<Rows, PaperError>;
 
 /// The four sources.
 pub const PAPERS: [Paper; 4] = [
@@ -149,7 +152,7 @@ impl Paper {
         &self,
         described: &Described,
         seed: u64,
-        progress: &mut dyn FnMut(&str),
+        progress: Progress<'_>,
     ) -> Result<Compared, PaperError> {
         let Rows { list: rows, figures, tables, too_small, .. } = (self.run)(described, seed, progress)?;
         let counts = Basis::ALL.map(|basis| {

@@ -1,8 +1,8 @@
 //! NISTIR 4854: fast probing, a part-form error and its compensation.
 
-use crate::PaperError;
 use crate::rows::Agreement::{AtLeast, AtMost, Share, Within};
 use crate::rows::Rows;
+use crate::{PaperError, Progress};
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose;
 use rtec_part::cor::PointError;
@@ -74,11 +74,7 @@ impl Lathe {
 
 const INCH: f64 = 25.4;
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let lathe = Lathe::read(described)?;
     let machine = described.machine(&lathe.machine)?;
     let setup = lathe.setup(seed);
@@ -351,7 +347,7 @@ fn geometric_thermal(
     lathe: &Lathe,
     setup: &Setup,
     machine: &Machine,
-    progress: &mut dyn FnMut(&str),
+    progress: Progress<'_>,
 ) -> Result<(), PaperError> {
     let place = "Compensation of G-T Errors";
     let components: usize = machine.chain().map_or(0, |c| c.joints.iter().map(|j| j.components.len()).sum());

@@ -4,9 +4,9 @@ mod belief;
 mod designs;
 mod signals;
 
-use crate::PaperError;
 use crate::rows::Agreement::{AtMost, Within};
 use crate::rows::Rows;
+use crate::{PaperError, Progress};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
@@ -58,11 +58,7 @@ impl Timing {
 /// A look of a run: time, scale, MTC, its count.
 type Change = (u64, State, State, i64);
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let bench: Bench = described.read("4832.toml")?;
     let machine = described.machine(&bench.machine)?;
     let (computer, faster) = (bench.computer.computer(), bench.faster_computer.computer());

@@ -6,8 +6,8 @@ mod heat;
 mod model;
 mod starts;
 
-use crate::PaperError;
 use crate::rows::Rows;
+use crate::{PaperError, Progress};
 use drilling::drilling;
 use geometry::{GROWN_UM, circles, displacement, grown_reversal, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
@@ -118,11 +118,7 @@ impl<'a> Run<'a> {
     }
 }
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let run = Run::new(&truth, seed);
