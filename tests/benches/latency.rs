@@ -98,7 +98,6 @@ fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
 }
 
 /// A loop that only reads the clock, set up as the engine's thread.
-///
 /// Measures the gaps between two readings, and the delay after two waits of `separation_ns` one after the other. An
 /// insertion waits like that; each wait ends at the first reading after it.
 fn floor(wanted: Wanted, time: Duration, separation_ns: u64) -> anyhow::Result<(Snapshot, Snapshot)> {

@@ -21,7 +21,6 @@ pub struct Clients {
 
 impl Clients {
     /// Starts `n` clients on a socket.
-    #[must_use]
     pub fn start(n: usize, socket: &Path) -> Self {
         let (stop, answers) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
         let threads = (0..n)
@@ -34,7 +33,6 @@ impl Clients {
     }
 
     /// Number of answers to all clients so far.
-    #[must_use]
     pub fn answers(&self) -> u64 {
         self.answers.load(Ordering::Relaxed)
     }

@@ -19,10 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A program of this workspace, built in the profile of the running test.
 /// Without cargo, `RTEC_PROGRAMS` names the directory that holds it.
-///
-/// # Panics
-/// When it cannot be built.
-#[must_use]
 pub fn program(name: &str) -> PathBuf {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     let directory = BUILT.get_or_init(|| {
@@ -63,9 +59,6 @@ pub fn program(name: &str) -> PathBuf {
 }
 
 /// Waits until `is` returns true.
-///
-/// # Panics
-/// When it does not within the time limit.
 pub fn until(what: &str, mut is: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is() {
@@ -87,10 +80,6 @@ pub struct Daemon {
 
 impl Daemon {
     /// Starts a daemon and waits until it answers.
-    ///
-    /// # Panics
-    /// When it does not start.
-    #[must_use]
     pub fn start(socket: &Path, config: Option<&Path>) -> Self {
         let mut command = Command::new(program("rtecd"));
         command.arg("--socket").arg(socket);
@@ -101,10 +90,6 @@ impl Daemon {
     }
 
     /// A daemon on the embedded default, homed and enabled.
-    ///
-    /// # Panics
-    /// As [`Daemon::start`] and [`Daemon::expect`].
-    #[must_use]
     pub fn enabled(socket: &Path) -> Self {
         let daemon = Self::start(socket, None);
         daemon.expect(0, &["home"]);
@@ -113,19 +98,11 @@ impl Daemon {
     }
 
     /// Starts `command` as the daemon of `socket`.
-    ///
-    /// # Panics
-    /// When it does not start.
-    #[must_use]
     pub fn spawn(command: &mut Command, socket: &Path) -> Self {
         Self::spawn_for(None, command, socket)
     }
 
     /// The same, with a copy of `rtecctl` that a user of this number runs.
-    ///
-    /// # Panics
-    /// When it does not start.
-    #[must_use]
     pub fn spawn_for(speaker: Option<(PathBuf, u32)>, command: &mut Command, socket: &Path) -> Self {
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap_or_else(|e| panic!("{command:?}: {e}"));
         let log = Arc::new(Mutex::new(String::new()));
@@ -150,28 +127,21 @@ impl Daemon {
     }
 
     /// The log so far.
-    #[must_use]
     pub fn log(&self) -> String {
         self.log.lock().map(|log| log.clone()).unwrap_or_default()
     }
 
     /// The control socket.
-    #[must_use]
     pub fn socket(&self) -> &Path {
         &self.socket
     }
 
     /// The daemon's process number.
-    #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
     /// Runs `rtecctl` on it.
-    ///
-    /// # Panics
-    /// When it cannot be run.
-    #[must_use]
     pub fn user(&self, args: &[&str]) -> Output {
         let Some((rtecctl, uid)) = &self.speaker else { return user(&self.socket, args) };
         let mut command = Command::new(rtecctl);
@@ -180,11 +150,7 @@ impl Daemon {
     }
 
     /// Runs `rtecctl`, expects an exit code, and returns both outputs.
-    ///
-    /// # Panics
-    /// When the exit code differs.
     #[track_caller]
-    #[allow(clippy::must_use_candidate)]
     pub fn expect(&self, code: i32, args: &[&str]) -> String {
         let run = self.user(args);
         let text =
@@ -194,11 +160,7 @@ impl Daemon {
     }
 
     /// The status as a JSON document.
-    ///
-    /// # Panics
-    /// When there is none.
     #[track_caller]
-    #[must_use]
     pub fn status(&self) -> Value {
         let run = self.user(&["status", "--json"]);
         let found: Value = serde_json::from_slice(&run.stdout)
@@ -213,9 +175,6 @@ impl Daemon {
     }
 
     /// Stops the process until `long_enough` returns true.
-    ///
-    /// # Panics
-    /// When it does not stop, or `long_enough` stays false.
     pub fn pause(&self, long_enough: impl FnMut() -> bool) {
         self.signal("STOP");
         let stat = || std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap_or_default();
@@ -225,7 +184,6 @@ impl Daemon {
     }
 
     /// Sends a signal, waits for the end, and returns exit code and log.
-    #[allow(clippy::must_use_candidate)]
     pub fn end(mut self, signal: &str) -> (Option<i32>, String) {
         self.signal(signal);
         let code = self.child.wait().ok().and_then(|s| s.code());
@@ -244,10 +202,6 @@ impl Drop for Daemon {
 }
 
 /// Runs `rtecctl` on the daemon of a socket.
-///
-/// # Panics
-/// When it cannot be run.
-#[must_use]
 pub fn user(socket: &Path, args: &[&str]) -> Output {
     let mut command = Command::new(program("rtecctl"));
     command.args(args).arg("--socket").arg(socket);
@@ -270,7 +224,6 @@ pub struct FarSideCounts {
 }
 
 /// The card's lines as the machine sees them, for one axis.
-///
 /// A and B are bits 0 and 1 of the inputs, their inverters bits 0 and 1 of the outputs.
 pub trait Lines: Send {
     /// The inverters as the corrector has written them.
@@ -279,20 +232,6 @@ pub trait Lines: Send {
     fn show(&mut self, scale: State);
     /// Sets A' and B', on cards to which they are wired back.
     fn show_mtc(&mut self, _mtc: State) {}
-}
-
-impl Lines for Box<dyn Lines> {
-    fn outputs(&mut self) -> u64 {
-        (**self).outputs()
-    }
-
-    fn show(&mut self, scale: State) {
-        (**self).show(scale);
-    }
-
-    fn show_mtc(&mut self, mtc: State) {
-        (**self).show_mtc(mtc);
-    }
 }
 
 /// Shared memory with the registers of the profile `shared-memory`.
@@ -318,7 +257,6 @@ pub struct Machine {
 }
 
 /// Time between two edges.
-///
 /// It is slow, and the separation in [`CONFIG`] is long. Daemon and controller are ordinary processes here, and each
 /// must see every single change of the other.
 pub const EDGE: Duration = Duration::from_millis(120);
@@ -331,10 +269,6 @@ pub const CONFIG: &str = "[machine]\nname = 'bench'\n[card]\nbackend = 'mapped'\
 
 impl Machine {
     /// Makes the file of registers and starts the machine on it, at rest.
-    ///
-    /// # Panics
-    /// When the file cannot be made.
-    #[must_use]
     pub fn start(card: &Path) -> Self {
         let made = std::fs::File::create(card).and_then(|f| f.set_len(4096));
         assert!(made.is_ok(), "{made:?}");
@@ -342,13 +276,11 @@ impl Machine {
     }
 
     /// Starts the machine on a card's lines, at rest.
-    #[must_use]
     pub fn on(card: impl Lines + 'static) -> Self {
         Self::paced(card, EDGE)
     }
 
     /// The same, with this time between two edges.
-    #[must_use]
     pub fn paced(mut card: impl Lines + 'static, between: Duration) -> Self {
         let seen = Arc::new(FarSideCounts::default());
         let [moving, glitch, stop] = [(); 3].map(|()| Arc::new(AtomicBool::new(false)));
@@ -396,13 +328,11 @@ impl Machine {
     }
 
     /// The controller's count minus the scale's.
-    #[must_use]
     pub fn offset(&self) -> i64 {
         self.seen.offset.load(Ordering::Relaxed)
     }
 
     /// Illegal transitions that the controller has seen.
-    #[must_use]
     pub fn illegal(&self) -> u64 {
         self.seen.illegal.load(Ordering::Relaxed)
     }
@@ -414,13 +344,11 @@ impl Machine {
     }
 
     /// Whether both inverters of the axis are on.
-    #[must_use]
     pub fn inverted(&self) -> bool {
         self.seen.outputs.load(Ordering::Relaxed) & 3 == 3
     }
 
     /// Whether an insertion is under way: one inverter is on, the other is off.
-    #[must_use]
     pub fn halfway(&self) -> bool {
         matches!(self.seen.outputs.load(Ordering::Relaxed) & 3, 1 | 2)
     }
@@ -466,21 +394,13 @@ impl Default for Bench {
 
 impl Bench {
     /// A bench with `more` appended to [`CONFIG`].
-    ///
-    /// # Panics
-    /// When it cannot be set up.
-    #[must_use]
     pub fn with(more: &str) -> Self {
-        Self::on(&format!("{}{more}", CONFIG.replace("CARD", "card")), |file| Box::new(shared_memory(file)))
+        Self::on(&format!("{}{more}", CONFIG.replace("CARD", "card")), shared_memory)
     }
 
     /// A bench with another configuration and another machine's side.
     /// `card` makes that side from the path of the file of registers.
-    ///
-    /// # Panics
-    /// When it cannot be set up.
-    #[must_use]
-    pub fn on(config: &str, card: impl FnOnce(&Path) -> Box<dyn Lines>) -> Self {
+    pub fn on<L: Lines + 'static>(config: &str, card: impl FnOnce(&Path) -> L) -> Self {
         let directory = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let file = directory.path().join("card");
         let made = std::fs::File::create(&file).and_then(|f| f.set_len(4096));
@@ -490,13 +410,11 @@ impl Bench {
     }
 
     /// Path of a file of the bench.
-    #[must_use]
     pub fn at(&self, name: &str) -> PathBuf {
         self.directory.path().join(name)
     }
 
     /// The command that starts its daemon.
-    #[must_use]
     pub fn command(&self) -> Command {
         let mut command = Command::new(program("rtecd"));
         command.arg("--config").arg(self.at("rtec.toml")).arg("--socket").arg(self.at("s"));
@@ -504,20 +422,17 @@ impl Bench {
     }
 
     /// Starts the daemon on the bench's configuration.
-    #[must_use]
     pub fn daemon(&self) -> Daemon {
         Daemon::spawn(&mut self.command(), &self.at("s"))
     }
 
     /// Runs `rtecctl`; returns its exit code and both outputs.
-    #[must_use]
     pub fn user(&self, args: &[&str]) -> (Option<i32>, String) {
         let run = user(&self.at("s"), args);
         (run.status.code(), String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned())
     }
 
     /// The axis in the status.
-    #[must_use]
     pub fn x(&self) -> Value {
         let run = user(&self.at("s"), &["status", "--json"]);
         let status: Value = serde_json::from_slice(&run.stdout).unwrap_or_default();
@@ -525,11 +440,7 @@ impl Bench {
     }
 
     /// Moves the axis, homes it and enables corrections.
-    ///
     /// A speed is known only from the second edge on. Before that, every late look is a fault.
-    ///
-    /// # Panics
-    /// When the daemon does not do it.
     pub fn go(&self) {
         self.machine.move_axis(true);
         let place = || self.x()["position_counts"].as_i64();
@@ -543,9 +454,6 @@ impl Bench {
     }
 
     /// Waits until the scale has given `n` edges.
-    ///
-    /// # Panics
-    /// When the axis is at rest.
     pub fn edges(&self, n: u32) {
         for _ in 0..n {
             let scale = || self.machine.seen.scale.load(Ordering::Relaxed);
@@ -555,9 +463,6 @@ impl Bench {
     }
 
     /// Requests a total and waits until it is completed.
-    ///
-    /// # Panics
-    /// When it is refused, or a fault keeps it from being made.
     pub fn correct(&self, counts: i64) {
         let (code, text) = self.user(&["correct", "x", &counts.to_string(), "--large"]);
         assert_eq!(code, Some(0), "{text}");
@@ -569,9 +474,6 @@ impl Bench {
     }
 
     /// Checks that the MTC has the daemon's total and saw no illegal state.
-    ///
-    /// # Panics
-    /// When it differs.
     pub fn balances(&self) {
         until("an insertion is finished", || !self.machine.halfway());
         self.machine.look_twice();
@@ -580,9 +482,6 @@ impl Bench {
     }
 
     /// Checks that the MTC has this total, whether or not a daemon runs.
-    ///
-    /// # Panics
-    /// When it differs.
     pub fn balances_with(&self, counts: i64) {
         until("an insertion is finished", || !self.machine.halfway());
         self.machine.look_twice();
@@ -590,17 +489,12 @@ impl Bench {
     }
 
     /// Outputs of the card.
-    #[must_use]
     pub fn outputs(&self) -> u64 {
         self.machine.seen.outputs.load(Ordering::Relaxed)
     }
 }
 
 /// The registers of a shared-memory card, from the machine's side.
-///
-/// # Panics
-/// When the file cannot be mapped.
-#[must_use]
 pub fn shared_memory(file: &Path) -> Registers {
     Registers::open(file, 8, "machine").unwrap_or_else(|e| panic!("{e}"))
 }

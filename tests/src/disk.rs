@@ -12,10 +12,6 @@ pub struct SmallDisk(PathBuf);
 impl SmallDisk {
     /// Mounts a disk of `size_kb` in a new directory.
     /// Returns `None` where nothing can be mounted.
-    ///
-    /// # Panics
-    /// When the directory cannot be made.
-    #[must_use]
     pub fn mount(at: &Path, size_kb: u32) -> Option<Self> {
         std::fs::create_dir(at).unwrap_or_else(|e| panic!("{}: {e}", at.display()));
         let size = format!("size={size_kb}k");
@@ -28,18 +24,12 @@ impl SmallDisk {
     }
 
     /// Fills the disk.
-    ///
-    /// # Panics
-    /// When nothing can be written to it.
     pub fn fill(&self) {
         let mut file = File::create(self.filler()).unwrap_or_else(|e| panic!("{}: {e}", self.0.display()));
         while file.write(&[0; 1024]).is_ok_and(|n| n > 0) {}
     }
 
     /// Removes the file that filled it.
-    ///
-    /// # Panics
-    /// When it was not filled.
     pub fn free(&self) {
         std::fs::remove_file(self.filler()).unwrap_or_else(|e| panic!("{}: {e}", self.0.display()));
     }

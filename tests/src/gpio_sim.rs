@@ -74,9 +74,6 @@ impl GpioSim {
     ///
     /// # Errors
     /// When there are no such lines.
-    ///
-    /// # Panics
-    /// With fewer than four lines.
     pub fn open(directory: &Path, lines: &[u32]) -> anyhow::Result<Self> {
         let pulls = [attribute(directory, lines[0], "pull")?, attribute(directory, lines[1], "pull")?];
         let values = [attribute(directory, lines[2], "value")?, attribute(directory, lines[3], "value")?];

@@ -45,7 +45,6 @@ impl Verdict {
 
 /// Whether the programs of a judge are installed; where not, the test ends.
 /// The test then says so.
-#[must_use]
 pub fn available(programs: &[&str]) -> bool {
     let missing: Vec<_> = programs.iter().filter(|p| !Path::new("/usr/bin").join(p).exists()).collect();
     if !missing.is_empty() {

@@ -22,17 +22,14 @@ pub struct Totals {
 
 impl Totals {
     /// Number of the sixteen phases with an insertion, and the fewest in any phase.
-    #[must_use]
     pub fn phases_seen(&self) -> (usize, u64) {
         (self.phases.iter().filter(|n| **n > 0).count(), self.phases.iter().copied().min().unwrap_or(0))
     }
 }
 
 /// Passes each state of the MTC's trace with the count that is due there to `each`.
-///
 /// The count is that of the scale plus the counts of the inversions (NISTIR 4832, Design C). Inverting A adds where A =
 /// B and subtracts elsewhere; inverting B does the opposite.
-///
 /// The XOR of the two traces shows which signals are inverted, because the gates are XOR gates. A change that the gates
 /// cannot make is an error. So is one whose order within a nanosecond is unknown.
 ///

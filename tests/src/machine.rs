@@ -43,7 +43,6 @@ pub struct AxisError {
 
 impl AxisError {
     /// The error at a position, µm.
-    #[must_use]
     pub fn at(&self, p_mm: f64) -> f64 {
         let periodic = if self.periodic_um == 0.0 {
             0.0

@@ -225,7 +225,6 @@ impl Drop for Shell {
 }
 
 /// All pages below a folder, in order.
-#[must_use]
 pub fn below(folder: &Path) -> Vec<std::path::PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -241,7 +240,6 @@ pub fn below(folder: &Path) -> Vec<std::path::PathBuf> {
 }
 
 /// All failures as text, one paragraph a page.
-#[must_use]
 pub fn told(wrong: &[(String, String)]) -> String {
     wrong.iter().fold(String::new(), |mut text, (page, why)| {
         // Writing to a String does not fail.

@@ -20,7 +20,6 @@ pub enum PlantedFault {
 
 /// Motion with strokes, reversals and a dither at each end.
 /// It starts at rest in state 00.
-#[must_use]
 pub fn motion(edges: usize) -> Vec<TracePoint> {
     let mut at = TracePoint::default();
     let (mut points, mut dice) = (vec![at], Dice::new(0));
@@ -36,13 +35,10 @@ pub fn motion(edges: usize) -> Vec<TracePoint> {
 }
 
 /// Inserts ±2 counts after every `every`-th edge with a long enough pause.
-///
 /// The order of signs looks random. Returns the states at the MTC, with the count due at each.
-///
 /// It is written from the three count tables of NISTIR 4832, Design C, and not from the engine. Where A and B are
 /// equal, A first adds and B first subtracts; elsewhere the opposite. The second inversion follows `separation_ns`
 /// after the first.
-#[must_use]
 pub fn corrected(
     scale: &[TracePoint],
     every: usize,

@@ -18,10 +18,6 @@ pub struct Sensors {
 
 impl Sensors {
     /// Starts the sensors with T1 at this temperature, °C.
-    ///
-    /// # Panics
-    /// When this computer has no free port.
-    #[must_use]
     pub fn start(t1_c: f64) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap_or_else(|e| panic!("{e}"));
         let address = listener.local_addr().unwrap_or_else(|e| panic!("{e}")).to_string();
@@ -42,7 +38,6 @@ impl Sensors {
     }
 
     /// Both sensors as tables of a configuration.
-    #[must_use]
     pub fn config(&self) -> String {
         ["T1", "T2"].map(|name| {
             format!(

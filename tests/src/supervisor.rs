@@ -197,7 +197,6 @@ impl Supervisor {
     }
 
     /// Whether the watchdog would have ended the service by now.
-    #[must_use]
     pub fn starved(&self, service: &Service) -> bool {
         service.ready && service.fed_at.elapsed() > self.watchdog
     }
@@ -205,7 +204,6 @@ impl Supervisor {
 
 impl Service {
     /// The daemon's process number.
-    #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
@@ -244,7 +242,6 @@ pub struct Trial {
     /// The daemon's control socket.
     pub socket: PathBuf,
     /// Number of kills.
-    ///
     /// Every fourth kill is aimed: between the two inversions of an insertion.
     pub kills: u32,
     /// Seed of the random moments and totals.

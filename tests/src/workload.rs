@@ -131,7 +131,6 @@ impl Workload {
     }
 
     /// The engine's status.
-    #[must_use]
     pub fn status(&self) -> Status {
         self.engine.status()
     }

@@ -143,7 +143,6 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
 }
 
 /// Names that forward selection by BIC would add.
-#[must_use]
 pub fn forward_bic(records: &[Record], machine: &Machine) -> Vec<String> {
     let Problem { y, mut basis, candidates } = problem(records, machine);
     let n = y.len() as f64;
@@ -251,10 +250,8 @@ impl Lasso<'_> {
 }
 
 /// Names that the LASSO would add.
-///
 /// The penalty is the largest within one standard error of the best, cross-validated in blocks of rows. A name counts
 /// from a tenth of the size that this penalty selects.
-#[must_use]
 pub fn lasso(records: &[Record], machine: &Machine) -> Vec<String> {
     let Problem { y, basis, candidates } = problem(records, machine);
     let y = basis.rest(&y);

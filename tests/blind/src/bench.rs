@@ -44,10 +44,10 @@ pub struct Bench {
     centred: bool,
     clock: bool,
     dwell_s: f64,
-    responses: usize,
-    gaps: usize,
-    speeds: bool,
-    wet: Option<f64>,
+    pub(crate) responses: usize,
+    pub(crate) gaps: usize,
+    pub(crate) speeds: bool,
+    pub(crate) wet: Option<f64>,
     rig: Option<Heat>,
     decoys: usize,
 }
@@ -98,7 +98,6 @@ impl Heat {
     }
 
     /// Adds the sensors to a run, and the true temperatures, which are not logged.
-    ///
     /// Returns the loads of spindle and drive.
     fn on(&self, r: &mut Run, t: &[f64], dice: &mut Dice) -> Vec<f64> {
         let mut fixed = Dice::new(self.seed);
@@ -191,28 +190,6 @@ impl Bench {
         self
     }
 
-    /// The same with `responses` error columns.
-    #[must_use]
-    pub fn with_responses(mut self, responses: usize) -> Self {
-        self.responses = responses;
-        self
-    }
-
-    /// The same with coolant and gaps in the record.
-    /// The coolant goes on and off with a period in rows.
-    #[must_use]
-    pub fn with_coolant(mut self, period_rows: Option<f64>, gaps: usize) -> Self {
-        (self.wet, self.gaps) = (period_rows, gaps);
-        self
-    }
-
-    /// The same with more than one speed.
-    #[must_use]
-    pub fn with_speeds(mut self) -> Self {
-        self.speeds = true;
-        self
-    }
-
     /// The same with `targets` targets.
     #[must_use]
     pub fn with_targets(mut self, targets: usize, regular: bool) -> Self {
@@ -222,13 +199,11 @@ impl Bench {
     }
 
     /// Start of its travel, mm.
-    #[must_use]
     pub fn from_mm(&self) -> f64 {
         if self.centred { -self.travel_mm / 2.0 } else { 0.0 }
     }
 
     /// One run of the bench.
-    #[must_use]
     pub fn run(&self, turn: u64) -> Run {
         let mut fixed = Dice::new(self.seed);
         let mut dice = Dice::new(self.seed ^ (turn + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));

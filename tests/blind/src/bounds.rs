@@ -3,7 +3,6 @@
 //! within them, and every answer must be too.
 
 /// Law, parameter, lowest and highest value.
-///
 /// Only arithmetic bounds what is not listed.
 const BOUNDS: [(&str, &str, f64, f64); 36] = [
     ("offset", "um", -10_000.0, 10_000.0),
@@ -45,7 +44,6 @@ const BOUNDS: [(&str, &str, f64, f64); 36] = [
 ];
 
 /// The values of an effect that no machine can have, as text.
-///
 /// `value` returns a parameter, where the effect has it.
 pub(crate) fn beyond(name: &str, value: &dyn Fn(&str) -> Option<f64>) -> Vec<String> {
     let law = name.split('.').next().unwrap_or_default();

@@ -248,7 +248,6 @@ const PLAUSIBLE: [(&str, &str, f64, f64); 5] = [
 ];
 
 /// Makes a case and writes it into `dir`.
-///
 /// `law` chooses the effect where the case hides one.
 ///
 /// # Errors
@@ -380,10 +379,7 @@ pub fn make(seed: u64, hides: Hides, law: Option<&str>, manner: Manner, dir: &Pa
             noise.phi,
             noise.quantum.map_or(0.0, |q| q / noise.sd),
             known.iter().map(|k| k.name.as_str()).collect::<Vec<_>>(),
-            hidden
-                .iter()
-                .map(|h| h.toml().replace("[[effect]]\nname = ", "").replace('\n', " "))
-                .collect::<String>(),
+            hidden.iter().map(Source::in_words).collect::<String>(),
         );
         let truth_text: String = hidden.iter().chain(&known).map(Source::toml).collect();
         let names = hidden.iter().map(|h| &h.name).collect::<Vec<_>>();

@@ -165,26 +165,20 @@ pub fn source(dice: &mut Dice, run: &Run, law: &str, places: Places) -> Option<S
         }
         "thermal_expansion" => {
             needs(!sensors.is_empty() && varies(format!("position.{a}")))?;
-            {
-                let s = Source::new(name).p("ppm_per_K", dice.sign());
-                thermal(dice, s)?
-            }
+            let s = Source::new(name).p("ppm_per_K", dice.sign());
+            thermal(dice, s)?
         }
         "thermal_growth" => {
             needs(!sensors.is_empty())?;
             let k2 = if dice.chance(0.4) { dice.within(-0.05, 0.05) } else { 0.0 };
-            {
-                let s = Source::new(name).p("um_per_K", dice.sign()).p("um_per_K2", k2);
-                thermal(dice, s)?
-            }
+            let s = Source::new(name).p("um_per_K", dice.sign()).p("um_per_K2", k2);
+            thermal(dice, s)?
         }
         "thermal_lag" => {
             needs(!sensors.is_empty() && run.n > 80)?;
             let tau = (t1 - t0) * dice.log(0.03, 0.3);
-            {
-                let s = Source::new(name).p("um_per_K", dice.sign()).p("um_per_K2", 0.0).p("tau_s", tau);
-                thermal(dice, s)?
-            }
+            let s = Source::new(name).p("um_per_K", dice.sign()).p("um_per_K2", 0.0).p("tau_s", tau);
+            thermal(dice, s)?
         }
         "warm_up" => Source::new(name).p("um", dice.sign()).p("tau_s", (t1 - t0) * dice.log(0.04, 0.5)),
         "coolant" => {

@@ -70,7 +70,6 @@ pub struct Made {
 
 impl Class {
     /// The word that selects the class.
-    #[must_use]
     pub fn word(self) -> &'static str {
         CLASSES.iter().find(|(c, ..)| *c == self).map_or("", |(_, w, _)| w)
     }

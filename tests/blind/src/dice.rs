@@ -9,7 +9,6 @@ pub struct Dice(Xoshiro256PlusPlus);
 
 impl Dice {
     /// A generator from a seed.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed))
     }

@@ -16,9 +16,8 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let gaps = dice.int(1, 4);
     let logged = choice < 0.4;
     let responses = dice.int(1, 2);
-    let bench = Bench::new(dice, kind, rows, rig)
-        .on_the_clock(responses)
-        .with_coolant(if logged { Some(period) } else { None }, gaps);
+    let mut bench = Bench::new(dice, kind, rows, rig).on_the_clock(responses);
+    (bench.wet, bench.gaps) = (logged.then_some(period), gaps);
     let mut s = Scene::new(dice, "fast", std::slice::from_ref(&bench));
     let axis = &bench.axes[0];
     // A cycle needs at least three periods.

@@ -72,7 +72,6 @@ pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
 }
 
 /// The same, where a refusal of the files is an answer.
-#[must_use]
 pub fn answer(case: &Case) -> (Verdict, Option<String>) {
     match judge(case) {
         Ok(v) => (v, None),
@@ -104,7 +103,6 @@ pub(crate) fn centred(v: &[f64]) -> Vec<f64> {
 }
 
 /// RMS of the noise alone over the hold-outs.
-#[must_use]
 pub fn floor(scene: &Scene) -> f64 {
     let all: Vec<f64> =
         scene.noise_alone[scene.runs.len()..].iter().flatten().flat_map(|v| centred(v)).collect();
@@ -113,7 +111,6 @@ pub fn floor(scene: &Scene) -> f64 {
 
 /// Share of a gap that is closed; `None` where there is no gap.
 /// There is no gap if `before` is at most a twentieth above the noise alone.
-#[must_use]
 pub fn closed(before: f64, after: f64, floor: f64) -> Option<f64> {
     (before > 1.05 * floor).then(|| (before - after) / (before - floor))
 }
@@ -150,10 +147,8 @@ fn alias_said(e: &Value, t: &Source) -> bool {
 const SAME_PERIOD: f64 = 2e-3;
 
 /// Parameters of found effects, and whether the truth is within their interval.
-///
 /// A value without an interval is not checked: a time, a whole number, a term that was left out. Growth by another
 /// sensor or reference is another number. So are then the constant and the straight line that go with it.
-#[must_use]
 pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {
     let mut out = Vec::new();
     let effects = list(&document["effects"]);
@@ -202,7 +197,6 @@ pub fn covered(document: &Value, hidden: &[Source]) -> Vec<Covered> {
 }
 
 /// Values of an answer that no machine can have, as text.
-#[must_use]
 pub fn impossible(document: &Value) -> Vec<String> {
     let mut out = Vec::new();
     for e in list(&document["effects"]).iter().chain(list(&document["refined"])) {
@@ -224,14 +218,12 @@ pub enum Heard {
 }
 
 /// The suspicions of a document: kind, column and text.
-#[must_use]
 pub fn suspicions(document: &Value) -> Vec<String> {
     let line = |s: &Value| format!("{} {}: {}", text(&s["what"]), text(&s["column"]), text(&s["text"]));
     list(&document["suspicions"]).iter().map(line).collect()
 }
 
 /// How the answer to a case with a mistake treated it.
-#[must_use]
 pub fn heard(v: &Verdict, mistake: &crate::mistakes::Mistake, case: &Case) -> Heard {
     let said = list(&v.document["suspicions"]).iter().any(|s| {
         text(&s["what"]) == mistake.what || mistake.columns.iter().any(|c| text(&s["column"]).contains(c))

@@ -113,7 +113,6 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64, zeros: Zeros) -> Option<Scene>
 
 /// Whether each hidden effect must be found.
 /// It must be large enough in some record, and the others must not explain it.
-#[must_use]
 pub fn detectable(s: &Scene) -> Vec<bool> {
     (0..s.hidden.len())
         .map(|k| {

@@ -28,8 +28,10 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let rig = dice.chance(0.5).then(|| Heat::new(dice));
     let rows = dice.log(60.0, 300.0) as usize;
     let (targets, regular) = (dice.int(6, 16), dice.chance(0.4));
-    let bench = Bench::new(dice, kind, rows, rig).with_targets(targets, regular);
-    let bench = if plane { bench.with_responses(if choice < 0.25 { 1 } else { 2 }) } else { bench };
+    let mut bench = Bench::new(dice, kind, rows, rig).with_targets(targets, regular);
+    if plane {
+        bench.responses = if choice < 0.25 { 1 } else { 2 };
+    }
     let mut s = Scene::new(dice, "maps", std::slice::from_ref(&bench));
     let (a, b) = (&bench.axes[0], &bench.axes[1]);
     let mut maps = vec![map(dice, &s.runs, &bench, a, a)];

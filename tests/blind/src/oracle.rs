@@ -21,7 +21,6 @@ pub struct Oracle {
 const STANDS: f64 = 5.0;
 
 /// Fits the sizes of all true effects to the measured rows.
-#[must_use]
 pub fn oracle(scene: &Scene, before: Option<f64>, floor: f64) -> Oracle {
     let train = scene.runs.len();
     let y: Vec<f64> = scene.measured[..train].iter().flatten().flatten().copied().collect();

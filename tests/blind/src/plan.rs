@@ -80,7 +80,6 @@ impl Plan {
 
     /// One run of the plan.
     /// Another `turn` is another run of the same experiment.
-    #[must_use]
     pub fn run(&self, turn: u64) -> Run {
         let mut fixed = Dice::new(self.seed);
         let mut dice = Dice::new(self.seed ^ (turn + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));

@@ -65,16 +65,13 @@ fn at_least_so_many(count: usize, of: usize, share: f64) -> f64 {
 
 impl Figure {
     /// Whether a share meets the requirement.
-    #[must_use]
     pub fn reached(&self, (yes, of): (usize, usize)) -> bool {
         let percent = 100.0 * yes as f64 / of.max(1) as f64;
         of == 0 || if self.at_least { percent >= self.asked } else { percent <= self.asked }
     }
 
     /// Whether chance explains the distance of a share from the requirement.
-    ///
     /// It does if the required share, taken as true, gives so few (or so many) cases at least once in a thousand times.
-    #[must_use]
     pub fn within_chance(&self, (yes, of): (usize, usize)) -> bool {
         let bad = if self.at_least { of.saturating_sub(yes) } else { yes };
         let share = if self.at_least { 1.0 - self.asked / 100.0 } else { self.asked / 100.0 };
@@ -82,21 +79,18 @@ impl Figure {
     }
 
     /// The newest run as the guide quotes it: `138 of 142`.
-    #[must_use]
     pub fn counts(&self) -> String {
         format!("{} of {}", self.newest.0, self.newest.1)
     }
 
     /// The same with its share and the binomial standard error.
     /// For example `138 of 142 (97 ± 1 %)`.
-    #[must_use]
     pub fn quoted(&self) -> String {
         let percent = 100.0 * self.newest.0 as f64 / self.newest.1.max(1) as f64;
         format!("{} ({percent:.0} ± {:.0} %)", self.counts(), error(self.newest))
     }
 
     /// The requirement as the guide quotes it: `≥ 98 %`.
-    #[must_use]
     pub fn asks(&self) -> String {
         format!("{} {} %", if self.at_least { "≥" } else { "≤" }, self.asked)
     }
@@ -110,7 +104,6 @@ pub struct Quoted {
     /// The sample: cases, seeds, edges, minutes.
     pub on: &'static str,
     /// The figures with unit and error, as the pages quote them.
-    ///
     /// For a share (`17 of 19`) the number of cases gives the error.
     pub figures: &'static [&'static str],
     /// The pages that quote all or some of these figures, and no others.
@@ -124,6 +117,21 @@ const FIGURES: &str = "tools/guide/contributor/figures.md";
 const FIT: &str = "tools/guide/metrologist/fit.md";
 const PART: &str = "tools/guide/metrologist/part.md";
 const WO97: &str = "tools/guide/metrologist/wo97.md";
+const SOURCES: &str = "tools/guide/contributor/sources.md";
+const BUMPS: &str = "cargo test -p rtec-part --test fit";
+const LOBE: &str = "cargo test -p rtec-sim --test machines lobe";
+const RUN: &str = "rtecctl part run --seed 1";
+const ORIGINAL: &str = "rtecctl part run --design original --seed 1";
+const NISTIR4854: &str = "rtec-papers nistir4854";
+const LATENCY: &str = "cargo bench --workspace --bench latency";
+const EDGES: &str = "cargo bench --workspace --bench edge_rate";
+const HISTORIES: &str = "RTEC_HISTORIES=1000 RTEC_SEED=4007";
+const KILLS: &str = "RTEC_KILLS=1000 RTEC_SEED=2711";
+const REAL: &str = "cargo test -p rtec-fit --test fits real_data";
+const DRILLING: &str = "rtecctl simulate drilling";
+const WARM: &str = "rtecctl simulate drilling-warm";
+const TWO_STEPS: &str = "cargo test -p rtec-part --test fit two_steps";
+const SELFTEST: &str = "tools/guide/integrator/latency.md";
 const SHOP: &str = "tests/judges/shop.py --from 10401 --count 40";
 const CLEAN: &str = "rtec-blind --bare --class null --from 118000000 --count 1000";
 const ELSEWHERE: &str = "tests/judges/elsewhere.py all --count 20 --at-least";
@@ -142,71 +150,26 @@ const fn quoted(
 /// Every other figure that is quoted.
 /// It is a share of cases, or is in README's "Figures in short".
 pub const QUOTED: &[Quoted] = &[
+    quoted(LATENCY, "one self-test, quiet", &["303 ns"], &[README, FIGURES]),
+    quoted(EDGES, "10⁸ edges", &["628 000 counts/s"], &[README, FIGURES]),
+    quoted(HISTORIES, "1000 runs", &["no count lost in silence"], &[README, FIGURES]),
+    quoted(KILLS, "1000 kills", &["no jump, no illegal state"], &[README, FIGURES]),
+    quoted(REAL, "2341 minutes", &["0.67 µm RMS"], &[README, FIGURES, FIT]),
+    quoted(RUN, "seeds 1 to 20", &["0.9 to 1.8 µm"], &[README, PART]),
+    quoted(ORIGINAL, "seeds 1 to 20", &["22.5 to 23.8 µm"], &[README, PART]),
+    quoted(ORIGINAL, "seeds 1 to 20", &["2.3 to 3.2 µm", "0.82 to 0.98 µm"], &[PART]),
+    quoted(RUN, "seeds 1 to 20", &["19 of the 20", "0.33 to 0.54 µm"], &[PART]),
     quoted(
-        "cargo bench --workspace --bench latency",
-        "one self-test, quiet",
-        &["303 ns"],
-        &[README, FIGURES],
-    ),
-    quoted(
-        "cargo bench --workspace --bench edge_rate",
-        "10⁸ edges",
-        &["628 000 counts/s"],
-        &[README, FIGURES],
-    ),
-    quoted(
-        "RTEC_HISTORIES=1000 RTEC_SEED=4007",
-        "1000 runs",
-        &["no count lost in silence"],
-        &[README, FIGURES],
-    ),
-    quoted(
-        "RTEC_KILLS=1000 RTEC_SEED=2711",
-        "1000 kills",
-        &["no jump, no illegal state"],
-        &[README, FIGURES],
-    ),
-    quoted(
-        "cargo test -p rtec-fit --test fits real_data",
-        "2341 minutes",
-        &["0.67 µm RMS"],
-        &[README, FIGURES, FIT],
-    ),
-    quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["0.9 to 1.8 µm"], &[README, PART]),
-    quoted(
-        "rtecctl part run --design original --seed 1",
-        "seeds 1 to 20",
-        &["22.5 to 23.8 µm"],
-        &[README, PART],
-    ),
-    quoted(
-        "rtecctl part run --design original --seed 1",
-        "seeds 1 to 20",
-        &["2.3 to 3.2 µm", "0.82 to 0.98 µm"],
-        &[PART],
-    ),
-    quoted("rtecctl part run --seed 1", "seeds 1 to 20", &["19 of the 20", "0.33 to 0.54 µm"], &[PART]),
-    quoted(
-        "cargo test -p rtec-part --test fit",
+        BUMPS,
         "1000 random bumps",
         &["999 of 1000", "5.75 → 1.85 µm", "19.6 → 4.2 µm", "2.2 µm"],
         &[PART],
     ),
-    quoted("cargo test -p rtec-part --test fit", "900 sizes of white noise", &["847 of 900"], &[PART]),
-    quoted("cargo test -p rtec-sim --test machines lobe", "one lobe", &["11.3 µm"], &[PART]),
+    quoted(BUMPS, "900 sizes of white noise", &["847 of 900"], &[PART]),
+    quoted(LOBE, "one lobe", &["11.3 µm"], &[PART]),
     quoted("model fit", "the mill's drift runs", &["2.9 µm"], &["tools/guide/metrologist/reconcile.md"]),
-    quoted(
-        "rtec-papers nistir4854",
-        "1000 random bumps",
-        &["2.3 µm"],
-        &["tools/guide/contributor/sources.md"],
-    ),
-    quoted(
-        "rtec-papers wo97",
-        "the example's runs",
-        &["0.9 %", "2.5 µm", "1.5 µm"],
-        &["tools/guide/contributor/sources.md"],
-    ),
+    quoted(NISTIR4854, "1000 random bumps", &["2.3 µm"], &[SOURCES]),
+    quoted("rtec-papers wo97", "the example's runs", &["0.9 %", "2.5 µm", "1.5 µm"], &[SOURCES]),
     quoted("--seeds 20", "20 seeds", &["46 to 48 agree", "17 to 23 differ", "19 of 20"], &[WO97]),
     quoted(
         "cargo run --profile quick -p rtec-papers --example starts",
@@ -218,42 +181,22 @@ pub const QUOTED: &[Quoted] = &[
         "--example starts -- 121 140",
         "300 cases on 20 drawn machines",
         &["37 of 300", "2 of 37", "70 of 263", "35 of 105", "193 of 195", "259 of 300"],
-        &["tools/guide/contributor/sources.md"],
+        &[SOURCES],
     ),
     quoted("rtecctl part run", "G01 moves", &["1.5 µm", "1.1 to 2.4 µm"], &[PART]),
     quoted("bash .ci/run controller", "a whole LinuxCNC", &["0.18 µm", "39.9", "0.1 to 2.9 µm"], &[PART]),
     quoted("part load", "an example of an answer", &["12.38 µm"], &[PART]),
     quoted(
-        "rtec-papers nistir4854",
+        NISTIR4854,
         "one nose, compared by the tests of rtec-papers",
         &["0.9 µm | 21.4 µm", "10.1 µm | 2.8 µm", "0.9 µm | 2.9 µm", "1.1 µm | 3.3 µm"],
         &["tools/guide/metrologist/nistir4854.md"],
     ),
-    quoted(
-        "rtecctl simulate drilling",
-        PRINTED,
-        &["83.9, 87.7, 83.5 µm", "5.0, 18.4, 8.9 µm"],
-        &[FIGURES, WO97],
-    ),
-    quoted(
-        "rtecctl simulate drilling-warm",
-        PRINTED,
-        &["45.0, 31.3, 57.5 µm", "8.5, 8.2, 2.7 µm"],
-        &[FIGURES, WO97],
-    ),
-    quoted(
-        "cargo test -p rtec-part --test fit two_steps",
-        "1000 random bumps",
-        &["9.1 µm off, on one side 4.2 µm"],
-        &["tools/guide/contributor/sources.md"],
-    ),
-    quoted(
-        "rtecctl selftest latency",
-        "a share of all samples",
-        &["99.99 %"],
-        &["tools/guide/integrator/latency.md"],
-    ),
-    quoted("cargo test -p rtec-sim --test machines lobe", "20 places", &["18 of 20"], &[PART]),
+    quoted(DRILLING, PRINTED, &["83.9, 87.7, 83.5 µm", "5.0, 18.4, 8.9 µm"], &[FIGURES, WO97]),
+    quoted(WARM, PRINTED, &["45.0, 31.3, 57.5 µm", "8.5, 8.2, 2.7 µm"], &[FIGURES, WO97]),
+    quoted(TWO_STEPS, "1000 random bumps", &["9.1 µm off, on one side 4.2 µm"], &[SOURCES]),
+    quoted("rtecctl selftest latency", "a share of all samples", &["99.99 %"], &[SELFTEST]),
+    quoted(LOBE, "20 places", &["18 of 20"], &[PART]),
     quoted(FITS, "200 machines", &["0 of 66", "0 of 63"], &[FIGURES]),
     quoted("`model fit`; `reconcile`", "the real spindle", &["1170 of 2341"], &[FIGURES]),
     quoted(MUTANTS, "23 files", &["2205 of 2215", "16 of 18"], &[FIGURES]),

@@ -6,14 +6,12 @@ use crate::run::Run;
 use crate::source::Source;
 
 /// Values of a source over all responses of all runs, one after the other.
-#[must_use]
 pub fn column(s: &Source, runs: &[Run]) -> Vec<f64> {
     runs.iter().flat_map(|r| r.responses.iter().flat_map(|resp| s.on(r, resp)).collect::<Vec<_>>()).collect()
 }
 
 /// Columns whose sums give every size of a source.
 /// They are sine and cosine of a wave, and both terms of a parabola.
-#[must_use]
 pub fn span(s: &Source, runs: &[Run]) -> Vec<Vec<f64>> {
     let with = |pairs: &[(&str, f64)]| {
         let mut one = s.clone();
@@ -69,7 +67,6 @@ fn beside(others: &[&Source], runs: &[Run], constants: bool) -> Basis {
 
 /// Share of a source's square that the other effects do not explain.
 /// Zeros of their own records count among these effects.
-#[must_use]
 pub fn own_share(s: &Source, others: &[&Source], runs: &[Run]) -> f64 {
     let c = column(s, runs);
     let basis = beside(others, runs, false);
@@ -190,7 +187,6 @@ fn hats(values: &[f64]) -> Option<Vec<Knots>> {
 pub const TELLS: f64 = 40.0;
 
 /// The name of another law that these data cannot tell from a source, if any.
-#[must_use]
 pub fn alias(s: &Source, others: &[&Source], runs: &[Run], laws: &Laws, sd: f64) -> Option<String> {
     let c = column(s, runs);
     let base = beside(others, runs, !s.name.starts_with("offset"));
@@ -218,7 +214,6 @@ fn against(base: &Basis, columns: &[Vec<f64>], left: &[f64]) -> f64 {
 
 /// The law that explains most of a shape, and the share that it explains.
 /// Laws in `skip` are left out. With `waves`, a wave of any period over the position is tried too.
-#[must_use]
 pub fn best_law(s: &Source, others: &[&Source], runs: &[Run], waves: bool, skip: &[&str]) -> (f64, String) {
     let c = column(s, runs);
     let base = beside(others, runs, true);

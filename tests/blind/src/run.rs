@@ -53,7 +53,6 @@ impl Run {
         self.cols.iter().find(|c| c.name == name).map_or_else(|| vec![0.0; self.n], |c| c.v.clone())
     }
     /// Names of the columns of a role.
-    #[must_use]
     pub fn names(&self, role: &str) -> Vec<String> {
         self.cols.iter().filter(|c| c.role == role && c.logged).map(|c| c.name.clone()).collect()
     }

@@ -75,13 +75,11 @@ impl Scene {
     }
 
     /// The noise's standard deviation, µm or N.
-    #[must_use]
     pub fn sd(&self) -> f64 {
         self.noise.sd
     }
 
     /// Largest ratio of a source's RMS to the noise over the responses.
-    #[must_use]
     pub fn ratio(&self, s: &Source) -> f64 {
         let mut largest = 0.0_f64;
         for r in &self.runs {
@@ -143,7 +141,6 @@ impl Scene {
     }
 
     /// Whether each hidden effect can still be told from all the others.
-    #[must_use]
     pub fn all_told(&self) -> bool {
         (0..self.hidden.len()).all(|k| {
             let others: Vec<&Source> = self
@@ -245,10 +242,7 @@ impl Scene {
             self.noise.sd,
             self.noise.phi,
             self.known.iter().map(|k| k.name.as_str()).collect::<Vec<_>>(),
-            self.hidden
-                .iter()
-                .map(|h| h.toml().replace("[[effect]]\nname = ", "").replace('\n', " "))
-                .collect::<String>(),
+            self.hidden.iter().map(Source::in_words).collect::<String>(),
         );
         Ok(Case {
             seed,

@@ -35,7 +35,6 @@ pub struct Reply {
 }
 
 /// Marks a reply against what the case hides.
-#[must_use]
 pub fn mark(case: &Case, reply: &Reply) -> Mark {
     if reply.verdict == REFUSED {
         return Mark::Refused;

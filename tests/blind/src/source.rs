@@ -28,7 +28,6 @@ impl Source {
         self
     }
     /// Value of a parameter with one value; 0 where it is missing.
-    #[must_use]
     pub fn val(&self, key: &str) -> f64 {
         self.num.iter().find(|(k, _)| *k == key).map_or(0.0, |(_, v)| *v)
     }
@@ -140,7 +139,6 @@ impl Source {
         }
     }
     /// The source as `[[effect]]` of a model.
-    #[must_use]
     pub fn toml(&self) -> String {
         let mut s = format!("[[effect]]\nname = \"{}\"\n", self.name);
         for (k, v) in &self.text {
@@ -159,6 +157,11 @@ impl Source {
         s + "\n"
     }
 
+    /// The source in one line.
+    pub(crate) fn in_words(&self) -> String {
+        self.toml().replace("[[effect]]\nname = ", "").replace('\n', " ")
+    }
+
     fn delta(&self, run: &Run) -> Vec<f64> {
         let a = run.named(self.word("sensor").unwrap_or(""));
         if let Some(m) = self.word("minus") {
@@ -170,7 +173,6 @@ impl Source {
     }
 
     /// Error that this source adds to one response over a run.
-    #[must_use]
     pub fn on(&self, run: &Run, response: &str) -> Vec<f64> {
         let n = run.n;
         let zero = vec![0.0; n];

@@ -29,9 +29,7 @@ pub(crate) fn scene(dice: &mut Dice, choice: f64) -> Option<Scene> {
     let responses = dice.int(1, 2);
     let (targets, regular) = (dice.int(10, 40), dice.chance(0.4));
     let mut bench = Bench::new(dice, kind, rows, rig).with_targets(targets, regular).on_the_clock(responses);
-    if speeds {
-        bench = bench.with_speeds();
-    }
+    bench.speeds |= speeds;
     let mut s = Scene::new(dice, "strangers", std::slice::from_ref(&bench));
     let axis = &bench.axes[0];
     if dice.chance(0.3) {

@@ -10,13 +10,11 @@ use serde_json::{Value, json};
 use std::fmt::Write as _;
 
 /// Whether a mark counts as right.
-#[must_use]
 pub fn right(m: Mark) -> bool {
     matches!(m, Mark::Exact | Mark::Group)
 }
 
 /// Whether a mark is a wrong name.
-#[must_use]
 pub fn wrong(m: Mark) -> bool {
     matches!(m, Mark::Wrong | Mark::WrongGroup)
 }
@@ -155,7 +153,6 @@ fn taken(outcomes: &[Outcome]) -> Vec<(&'static str, &'static str, [Share; 4])> 
 }
 
 /// The tables as markdown.
-#[must_use]
 pub fn markdown(outcomes: &[Outcome], baselines: bool) -> String {
     let mut text = String::new();
     let rows = rows(outcomes, baselines);
@@ -204,7 +201,6 @@ pub fn markdown(outcomes: &[Outcome], baselines: bool) -> String {
 }
 
 /// The same as one JSON document.
-#[must_use]
 pub fn json(outcomes: &[Outcome], baselines: bool) -> Value {
     let classes: Vec<Value> = rows(outcomes, baselines)
         .iter()

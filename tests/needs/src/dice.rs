@@ -9,7 +9,6 @@ pub struct Dice(SplitMix64);
 
 impl Dice {
     /// A generator from a seed.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(SplitMix64::seed_from_u64(seed))
     }

@@ -8,6 +8,11 @@
 //!
 //! It also has shared parts of tests: random numbers ([`dice`]), and an axis that moves ([`motion`]).
 
+#![allow(
+    clippy::missing_panics_doc,
+    reason = "they panic where they cannot do their work, and the test fails"
+)]
+
 pub mod dice;
 pub mod motion;
 
@@ -16,19 +21,11 @@ use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 
 /// Number of random cases: `n` times `RTEC_CASES` (default 1).
-///
-/// # Panics
-/// When `RTEC_CASES` is no number.
-#[must_use]
 pub fn cases(n: u64) -> u64 {
     n * asked("RTEC_CASES", 1)
 }
 
 /// The number in an environment variable, else `otherwise`.
-///
-/// # Panics
-/// When the variable is no number.
-#[must_use]
 pub fn asked(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |text| {
         text.parse().unwrap_or_else(|_| panic!("{variable}: found {text:?}, expected a number"))
@@ -36,18 +33,13 @@ pub fn asked(variable: &str, otherwise: u64) -> u64 {
 }
 
 /// Notes that a test could not run, and why. The test must end after it.
-///
-/// # Panics
-/// When `RTEC_REQUIRE` is set, because then nothing may be left out.
 pub fn skipped(why: &str) {
     assert!(std::env::var_os("RTEC_REQUIRE").is_none(), "RTEC_REQUIRE is set, but: {why}");
     left_out(why);
 }
 
 /// Whether tests that take long are to run.
-///
 /// They are with `RTEC_LONG=1` or `RTEC_REQUIRE=1`; otherwise it is noted.
-#[must_use]
 pub fn long() -> bool {
     let asked = long_asked();
     if !asked {
@@ -62,9 +54,6 @@ fn long_asked() -> bool {
 
 /// Repetitions of a check with other numbers, in a short run the first one.
 /// `RTEC_LONG=1` or `RTEC_REQUIRE=1` runs them all; otherwise it is noted.
-///
-/// # Panics
-/// When it cannot be noted that some are left out.
 pub fn repetitions<T>(all: impl IntoIterator<Item = T>) -> std::vec::IntoIter<T> {
     let mut all: Vec<T> = all.into_iter().collect();
     if !long_asked() {
@@ -77,10 +66,6 @@ pub fn repetitions<T>(all: impl IntoIterator<Item = T>) -> std::vec::IntoIter<T>
 
 /// A number of random cases, in a short run a sixteenth of it.
 /// `RTEC_LONG=1` or `RTEC_REQUIRE=1` runs them all; otherwise it is noted.
-///
-/// # Panics
-/// When it cannot be noted that some are left out.
-#[must_use]
 pub fn fewer(all: u64) -> u64 {
     if long_asked() {
         return all;
@@ -96,7 +81,6 @@ fn left_out(why: &str) {
 }
 
 /// Writes the note; `None` where it could not be written.
-#[must_use]
 pub fn note(why: &str) -> Option<()> {
     let test = std::thread::current().name().unwrap_or("main").to_owned();
     let file = notes()?;
@@ -108,10 +92,6 @@ pub fn note(why: &str) -> Option<()> {
 
 /// A file or folder of the measured data, which are not part of the project.
 /// Returns `None`, and notes it, where it is missing.
-///
-/// # Panics
-/// When `RTEC_REQUIRE` is set and the other data are there, so that this one was forgotten.
-#[must_use]
 pub fn shared(file: &str) -> Option<PathBuf> {
     let found = data(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), file);
     match &found {
@@ -131,9 +111,6 @@ fn data(folder: &Path, file: &str) -> Result<PathBuf, (String, bool)> {
 }
 
 /// Compares a text with its golden file; `RTEC_BLESS=1` writes the file.
-///
-/// # Panics
-/// At the first line that differs, or when the file cannot be written.
 #[track_caller]
 pub fn golden(file: &Path, made: &str) {
     if std::env::var_os("RTEC_BLESS").is_some() {
@@ -149,7 +126,6 @@ pub fn golden(file: &Path, made: &str) {
 }
 
 /// Whether a program of a Debian package is installed; notes where it is not.
-#[must_use]
 pub fn installed(program: &str, package: &str) -> bool {
     let there = ["/usr/bin", "/usr/sbin"].iter().any(|folder| Path::new(folder).join(program).exists());
     if !there {
@@ -159,7 +135,6 @@ pub fn installed(program: &str, package: &str) -> bool {
 }
 
 /// Whether Debian's own Python has a module; notes where it has not.
-#[must_use]
 pub fn python(module: &str, package: &str) -> bool {
     let found = std::process::Command::new(PYTHON).args(["-c", &format!("import {module}")]).output();
     let there = found.is_ok_and(|out| out.status.success());
@@ -181,7 +156,6 @@ fn notes() -> Option<PathBuf> {
 
 /// Returns the notes of this run, sorted by reason, and removes them.
 /// A note is a reason and a test. Notes of older runs are removed too.
-#[must_use]
 pub fn take_notes() -> Vec<(String, String)> {
     let Some(file) = notes() else { return Vec::new() };
     let text = std::fs::read_to_string(&file).unwrap_or_default();

@@ -14,7 +14,6 @@ pub struct Motion {
 
 impl Motion {
     /// An axis at rest between two edges.
-    #[must_use]
     pub fn new(accel_counts_s2: f64, max_speed_counts_s: f64, hysteresis_counts: f64) -> Self {
         Self {
             x: 0.5,
@@ -28,19 +27,16 @@ impl Motion {
     }
 
     /// The present time, ns.
-    #[must_use]
     pub fn now_ns(&self) -> f64 {
         self.t_ns
     }
 
     /// The present speed, counts/s.
-    #[must_use]
     pub fn speed_counts_s(&self) -> f64 {
         self.v
     }
 
     /// One short step with `throttle` times the full acceleration (−1 to 1).
-    ///
     /// Returns the edge within it, if any: the time in ns at which the motion crosses the threshold, and the direction.
     pub fn step(&mut self, throttle: f64) -> Option<(u64, i64)> {
         let dt_s = (0.1 / (self.v.abs() + 1.0)).clamp(1e-7, 1e-5);
@@ -65,7 +61,6 @@ impl Motion {
 }
 
 /// First time at which vt + at²/2 = d, s.
-///
 /// Of the two forms of the root it uses the one without a difference of near numbers.
 fn first_s(v: f64, a: f64, d: f64) -> f64 {
     let root = (v * v + 2.0 * a * d).max(0.0).sqrt();

@@ -1,10 +1,11 @@
 //! CMTI (2014): the Error Correction Circuit.
 
-use crate::PaperError;
 use crate::ecc_board::{Board, Order, run as run_board};
-use crate::rows::{Agreement, Rows, shown};
+use crate::rows::Agreement::{Share, Within};
+use crate::rows::{Rows, shown};
+use crate::{PaperError, Progress};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant};
+use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::described::Described;
 use rtec_sim::designs::safe_range;
@@ -80,11 +81,7 @@ fn cannot(what: &str) -> PaperError {
     PaperError::Cannot(format!("CMTI: {what} cannot be run on the circuit as described"))
 }
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let circuit = Circuit::read(described)?;
     let mut rows = Rows::default();
     progress("CMTI: control lines, subtraction and addition");
@@ -141,13 +138,9 @@ fn table_1(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
     ] {
         let (board, _) = both(circuit, &[Order { x: true, s1, s0, value: circuit.shown_pulses }], seed)?;
         let came = board.mtc_minus_scale[0] as f64;
-        rows.number(
-            ("Table 1", &format!("S1 = {}, S0 = {}: {says}", u8::from(s1), u8::from(s0)), "counts"),
-            per_pulse * pulses,
-            came,
-            Agreement::Within(0.0),
-            "the PLL of the machine file does not lock at the speed shown",
-        );
+        let what = format!("S1 = {}, S0 = {}: {says}", u8::from(s1), u8::from(s0));
+        let why = "the PLL of the machine file does not lock at the speed shown";
+        rows.number(("Table 1", &what, "counts"), per_pulse * pulses, came, Within(0.0), why);
     }
     Ok(())
 }
@@ -155,39 +148,22 @@ fn table_1(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
 /// X/Z, the acknowledgement, and what the other axis saw of it.
 fn lines(rows: &mut Rows, board: &Board) {
     let place = "Section 2";
-    rows.given().words(
-        (place, "X/Z: 1 for the X axis, 0 for Z, as the orders were given"),
-        "1 1 0",
-        &board
-            .changes
-            .iter()
-            .filter(|c| c.1 == "xz")
-            .map(|c| u8::from(c.2).to_string())
-            .collect::<Vec<_>>()
-            .join(" "),
-        "",
-    );
-    rows.number(
-        (place, "counts on X of one subtraction and one addition", ""),
-        0.0,
-        board.mtc_minus_scale[0] as f64,
-        Agreement::Within(0.0),
-        "",
-    );
-    rows.words(
-        (place, "acknowledgements from the X board and the Z board"),
-        "2 and 1",
-        &format!("{} and {}", board.acknowledged[0], board.acknowledged[1]),
-        "",
-    );
+    let what = "X/Z: 1 for the X axis, 0 for Z, as the orders were given";
+    let gets = board
+        .changes
+        .iter()
+        .filter(|c| c.1 == "xz")
+        .map(|c| u8::from(c.2).to_string())
+        .collect::<Vec<_>>()
+        .join(" ");
+    rows.given().words((place, what), "1 1 0", &gets, "");
+    let gets = board.mtc_minus_scale[0] as f64;
+    rows.number((place, "counts on X of one subtraction and one addition", ""), 0.0, gets, Within(0.0), "");
+    let gets = format!("{} and {}", board.acknowledged[0], board.acknowledged[1]);
+    rows.words((place, "acknowledgements from the X board and the Z board"), "2 and 1", &gets, "");
     let on = |name: &str, is: bool| board.changes.iter().filter(|c| c.1 == name && c.2 == is).count();
-    rows.number(
-        ("Section 2.3", "acknowledgement pulses in the trace of three compensations", ""),
-        3.0,
-        on("ack", true) as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "acknowledgement pulses in the trace of three compensations";
+    rows.number(("Section 2.3", what, ""), 3.0, on("ack", true) as f64, Within(0.0), "");
 }
 
 fn shown_pulses(rows: &mut Rows, board: &Board) {
@@ -195,13 +171,8 @@ fn shown_pulses(rows: &mut Rows, board: &Board) {
     let other = "the machine file shows another number of pulses";
     // The first order subtracts on X, the third adds on Z alone.
     let [scale, mtc] = board.pulses[1];
-    rows.number(
-        (place, "pulses added for a value of 3", ""),
-        3.0,
-        mtc as f64 - scale as f64,
-        Agreement::Within(0.0),
-        other,
-    );
+    let gets = mtc as f64 - scale as f64;
+    rows.number((place, "pulses added for a value of 3", ""), 3.0, gets, Within(0.0), other);
     let mut before = 0;
     let mut blocked = 0;
     // Rising edges of the scale's A while the MTC's stays low: up to the first acknowledgement.
@@ -212,27 +183,13 @@ fn shown_pulses(rows: &mut Rows, board: &Board) {
             _ => {}
         }
     }
-    rows.number(
-        (place, "pulses subtracted for a value of 3", ""),
-        3.0,
-        f64::from(before - blocked),
-        Agreement::Within(0.0),
-        other,
-    );
-    rows.number(
-        (place, "the 90° between A and B, largest deviation", "°"),
-        0.0,
-        board.worst_phase_mdeg as f64 / 1e3,
-        Agreement::Within(0.5),
-        "the PLL of the machine file is not clean at the speed shown",
-    );
-    rows.number(
-        (place, "illegal states at the controller", ""),
-        0.0,
-        (board.illegal[0] + board.illegal[1]) as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let gets = f64::from(before - blocked);
+    rows.number((place, "pulses subtracted for a value of 3", ""), 3.0, gets, Within(0.0), other);
+    let why = "the PLL of the machine file is not clean at the speed shown";
+    let gets = board.worst_phase_mdeg as f64 / 1e3;
+    rows.number((place, "the 90° between A and B, largest deviation", "°"), 0.0, gets, Within(0.5), why);
+    let gets = (board.illegal[0] + board.illegal[1]) as f64;
+    rows.number((place, "illegal states at the controller", ""), 0.0, gets, Within(0.0), "");
 }
 
 fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperError> {
@@ -249,46 +206,23 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         xor += u64::from(w[0].1.a() == w[0].1.b() && w[1].1.a() != w[1].1.b());
     }
     let about = "the paper says \"about\" and rounds 83.3 kHz down to 80";
-    rows.given().number(
-        (place, "encoder at 10 m/min, 2500 pulses a turn of 5 mm", "kHz"),
-        80.0,
-        a as f64 / 100.0,
-        Agreement::Share(0.05),
-        about,
-    );
-    rows.given().number(
-        (place, "XOR of A and B at that speed", "kHz"),
-        160.0,
-        xor as f64 / 100.0,
-        Agreement::Share(0.05),
-        about,
-    );
+    let what = "encoder at 10 m/min, 2500 pulses a turn of 5 mm";
+    rows.given().number((place, what, "kHz"), 80.0, a as f64 / 100.0, Share(0.05), about);
+    let gets = xor as f64 / 100.0;
+    rows.given().number((place, "XOR of A and B at that speed", "kHz"), 160.0, gets, Share(0.05), about);
     let dsp = Computer::dsp();
     let config = AxisConfig::default();
     let (low, high) = safe_range(AnyDesign::Ecc, &dsp, config, circuit.pll, seed);
     let put_in = "what the paper measured of its PLL is put into the model; here it is found again from what reaches the \
                   controller, by bisection";
-    rows.given().number(
-        (place, "doubling is perfect from (XOR)", "kHz"),
-        2.3,
-        2.0 * low / 1e3,
-        Agreement::Share(0.01),
-        put_in,
-    );
-    rows.given().number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Agreement::Share(0.01), put_in);
+    let gets = 2.0 * low / 1e3;
+    rows.given().number((place, "doubling is perfect from (XOR)", "kHz"), 2.3, gets, Share(0.01), put_in);
+    rows.given().number((place, "to (XOR)", "kHz"), 125.0, 2.0 * high / 1e3, Share(0.01), put_in);
     let edge_of_range = "put in as the loop's lock range, and found again by bisection: beyond it the controller asks for no addition";
     // Doubling at all: the right number, whatever the phase.
     let counts = |xor_hz: f64| {
         let edges = constant(1_000_000, xor_hz / 2.0, 6000, 1);
-        let totals = [(edges[2000].0, 12)];
-        let run = BenchRun {
-            edges: &edges,
-            totals: &totals,
-            pll: circuit.pll,
-            seed,
-            ..BenchRun::new(AnyDesign::Ecc, &dsp)
-        };
-        run.run().is_some_and(|s| s.completed == 12 && s.error_counts() == 0 && s.illegal == 0)
+        compensated(circuit, &edges, 2000, 12, seed).is_some_and(|s| s.illegal == 0)
     };
     let middle = (2.3e3_f64 * 125e3).sqrt();
     let edge = |mut good: f64, mut bad: f64| {
@@ -301,47 +235,30 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
         }
         good
     };
-    rows.given().number(
-        (place, "it begins to double at (XOR)", "kHz"),
-        0.7,
-        edge(middle, 100.0) / 1e3,
-        Agreement::Share(0.2),
-        edge_of_range,
-    );
-    rows.given().number(
-        (place, "it goes on to (XOR)", "kHz"),
-        160.0,
-        edge(middle, 1e6) / 1e3,
-        Agreement::Share(0.05),
-        edge_of_range,
-    );
+    let gets = edge(middle, 100.0) / 1e3;
+    rows.given().number((place, "it begins to double at (XOR)", "kHz"), 0.7, gets, Share(0.2), edge_of_range);
+    let gets = edge(middle, 1e6) / 1e3;
+    rows.given().number((place, "it goes on to (XOR)", "kHz"), 160.0, gets, Share(0.05), edge_of_range);
     Ok(())
+}
+
+/// A total asked at an edge of a motion, if all of it was inserted.
+fn compensated(circuit: &Circuit, edges: &[Edge], at: usize, total: i64, seed: u64) -> Option<BenchResult> {
+    let (dsp, totals) = (Computer::dsp(), [(edges[at].0, total)]);
+    let new = BenchRun::new(AnyDesign::Ecc, &dsp);
+    let seen = BenchRun { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
+    seen.filter(|s| s.completed == total && s.error_counts() == 0)
 }
 
 /// Four bits: more than fifteen pulses take another compensation.
 fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperError> {
     let place = "Section 2.2.7";
-    let dsp = Computer::dsp();
     let edges = constant(1_000_000, circuit.shown_encoder_hz, 4000, 1);
-    let compensations = |pulses: i64| {
-        let totals = [(edges[500].0, 4 * pulses)];
-        let run = BenchRun {
-            edges: &edges,
-            totals: &totals,
-            pll: circuit.pll,
-            seed,
-            ..BenchRun::new(AnyDesign::Ecc, &dsp)
-        };
-        run.run().filter(|s| s.completed == 4 * pulses && s.error_counts() == 0).map(|s| s.insertions)
-    };
-    let most = (1..40).take_while(|n| compensations(*n) == Some(1)).last().unwrap_or(0);
-    rows.given().number(
-        (place, "largest compensation value, pulses: four bits", ""),
-        15.0,
-        most as f64,
-        Agreement::Within(0.0),
-        "the PLL of the machine file does not lock at the speed shown",
-    );
+    let at_once = |n: &i64| compensated(circuit, &edges, 500, 4 * n, seed).is_some_and(|s| s.insertions == 1);
+    let most = (1..40).take_while(at_once).last().unwrap_or(0);
+    let what = "largest compensation value, pulses: four bits";
+    let why = "the PLL of the machine file does not lock at the speed shown";
+    rows.given().number((place, what, ""), 15.0, most as f64, Within(0.0), why);
     let (board, _) = both(circuit, &[Order { x: true, s1: true, s0: true, value: MAX_PULSES as u8 }], seed)?;
     // While it compensates, pulses of the MTC from the beginning of S1 to the acknowledgement.
     let began = board.changes.iter().position(|c| c.1 == "s1" && c.2).unwrap_or(0);
@@ -349,12 +266,8 @@ fn fifteen(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), PaperErr
     let during = board.changes.get(began..ended).unwrap_or_default();
     let scale = during.iter().filter(|c| c.1 == "x_a" && c.2).count() as f64;
     let mtc = during.iter().filter(|c| c.1 == "x_a_mtc" && c.2).count() as f64;
-    rows.number(
-        (place, "pulses passed while 15 are added, twice the value: the full adder's sum", ""),
-        30.0,
-        mtc - (scale - 15.0).max(0.0),
-        Agreement::Within(1.0),
-        "counted from S1, which comes up to a cycle before the first split pulse",
-    );
+    let what = "pulses passed while 15 are added, twice the value: the full adder's sum";
+    let why = "counted from S1, which comes up to a cycle before the first split pulse";
+    rows.number((place, what, ""), 30.0, mtc - (scale - 15.0).max(0.0), Within(1.0), why);
     Ok(())
 }

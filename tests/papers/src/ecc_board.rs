@@ -90,11 +90,10 @@ impl Card for Wires<'_> {
     fn write(&mut self, _mask: u64, value: u64) -> Result<Option<u64>, CardError> {
         let lines = AxisLines::standard(0, false);
         let (from, to) = (self.mtc.decoder().state(), State::from_bits(lines.inverters(value)));
-        if from == to {
-            return Ok(Some(self.t_ns));
+        if from != to {
+            self.mtc.update(self.t_ns, to);
+            self.changed(from, to, 1);
         }
-        self.mtc.update(self.t_ns, to);
-        self.changed(from, to, 1);
         Ok(Some(self.t_ns))
     }
 
@@ -136,11 +135,7 @@ pub fn run(
         scale: Decoder::default(),
         mtc: MtcDecoder::new(State::default()),
         pulses: [0; 2],
-        names: if n == 0 {
-            [SIGNALS[0], SIGNALS[1], SIGNALS[2], SIGNALS[3]]
-        } else {
-            [SIGNALS[4], SIGNALS[5], SIGNALS[6], SIGNALS[7]]
-        },
+        names: [0, 1, 2, 3].map(|k| SIGNALS[4 * n + k]),
         changes: Vec::new(),
     });
     let [x, z] = &mut wires;
@@ -207,7 +202,6 @@ pub fn run(
 
 impl Board {
     /// Duration of each acknowledgement, ns.
-    #[must_use]
     pub fn ack_ns(&self) -> Vec<u64> {
         let mut on = None;
         let acks = self.changes.iter().filter(|c| c.1 == "ack");
@@ -221,7 +215,6 @@ impl Board {
     /// The timing diagram of the n-th compensation, as in figures 8 and 9 of the paper.
     /// It begins before S1 rises and ends after the acknowledgement, each by half the compensation's
     /// duration. `None` if there is no such compensation.
-    #[must_use]
     pub fn svg(&self, n: usize, title: &str) -> Option<String> {
         let (at, begin) = self.changes.iter().enumerate().filter(|(_, c)| c.1 == "s1" && c.2).nth(n)?;
         let end_ns = self.changes[at..].iter().find(|c| c.1 == "ack" && c.2)?.0;
@@ -265,7 +258,6 @@ impl Board {
 
     /// The board's signals as a value change dump (IEEE 1364).
     /// They are [`SIGNALS`], all low at the start.
-    #[must_use]
     pub fn to_vcd(&self) -> String {
         let code = |n: usize| char::from(b'!' + n as u8);
         let mut text = "$timescale 1 ns $end\n$scope module ecc $end\n".to_owned();

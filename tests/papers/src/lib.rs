@@ -45,8 +45,11 @@ pub struct Paper {
     run: Run,
 }
 
+/// Whoever is told of each step.
+pub type Progress<'p> = &'p mut dyn FnMut(&str);
+
 /// From a source's description, a seed, and whoever is told of progress.
-type Run = fn(&Described, u64, &mut dyn FnMut(&str)) -> Result<Rows, PaperError>;
+type Run = fn(&Described, u64, Progress<'_>) -> Result<Rows, PaperError>;
 
 /// The four sources.
 pub const PAPERS: [Paper; 4] = [
@@ -135,14 +138,12 @@ pub struct Compared {
 
 impl Paper {
     /// The source of this name; `nistir4832` is `4832`.
-    #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
         let name = name.strip_prefix("nistir").unwrap_or(name);
         PAPERS.iter().find(|p| p.name == name)
     }
 
     /// Runs everything that the source gives a figure of.
-    ///
     /// `progress` is told what is under way.
     ///
     /// # Errors
@@ -151,7 +152,7 @@ impl Paper {
         &self,
         described: &Described,
         seed: u64,
-        progress: &mut dyn FnMut(&str),
+        progress: Progress<'_>,
     ) -> Result<Compared, PaperError> {
         let Rows { list: rows, figures, tables, too_small, .. } = (self.run)(described, seed, progress)?;
         let counts = Basis::ALL.map(|basis| {

@@ -114,7 +114,6 @@ fn input_error(error: PaperError) -> anyhow::Error {
 }
 
 /// A source as a table: place, what, paper, we.
-///
 /// A row that differs has the number of its reason. The reason follows the first such row of a place.
 fn table(c: &Compared, differ: bool) -> String {
     let [compared, fitted, given] = c.counts;

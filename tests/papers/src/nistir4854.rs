@@ -1,7 +1,8 @@
 //! NISTIR 4854: fast probing, a part-form error and its compensation.
 
-use crate::PaperError;
-use crate::rows::{Agreement, Rows};
+use crate::rows::Agreement::{AtLeast, AtMost, Share, Within};
+use crate::rows::Rows;
+use crate::{PaperError, Progress};
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose;
 use rtec_part::cor::PointError;
@@ -73,11 +74,7 @@ impl Lathe {
 
 const INCH: f64 = 25.4;
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let lathe = Lathe::read(described)?;
     let machine = described.machine(&lathe.machine)?;
     let setup = lathe.setup(seed);
@@ -104,8 +101,8 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
     let setup = lathe.setup(seed);
     let from = "from the acceleration and deceleration of the machine file, which were read out of this very sentence";
     let (off, over) = (setup.motion.stand_off_mm(), setup.motion.over_travel_mm());
-    rows.fitted().number((place, "stand-off", "mm"), 5.0, off, Agreement::Within(0.05), from);
-    rows.fitted().number((place, "over-travel", "mm"), 2.5, over, Agreement::Within(0.05), from);
+    rows.fitted().number((place, "stand-off", "mm"), 5.0, off, Within(0.05), from);
+    rows.fitted().number((place, "over-travel", "mm"), 2.5, over, Within(0.05), from);
     let bench = &lathe.bench;
     let axis = AxisSpec {
         count_um: bench.count_um,
@@ -129,103 +126,45 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
         }
         last = now.position_mm[2];
     }
-    rows.fitted().number(
-        (place, "of the touch at constant velocity (within 1 %)", "mm"),
-        2.0,
-        constant_mm,
-        Agreement::Within(0.5),
-        "\"about\"; the servo settles to 1 % of the velocity a little after the ramp",
-    );
+    let what = "of the touch at constant velocity (within 1 %)";
+    let why = "\"about\"; the servo settles to 1 % of the velocity a little after the ramp";
+    rows.fitted().number((place, what, "mm"), 2.0, constant_mm, Within(0.5), why);
     Ok(())
 }
 
 fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
     let [fast, slow] = &o.probing;
     let place = "The RTEC";
-    rows.given().number(
-        (place, "a capture 25 µs late at 2.5 m/min costs the position resolution", "µm"),
-        1.0,
-        fast.late_25us_um,
-        Agreement::Within(0.05),
-        "41.7 mm/s times 25 µs",
-    );
-    rows.number(
-        (place, "captured within the position resolution, largest of 20 trips", "µm"),
-        lathe.bench.count_um,
-        fast.capture_worst_um,
-        Agreement::AtMost,
-        "positions are interpolated between two counts",
-    );
-    rows.given().number(
-        (
-            place,
-            "a controller that looks once in milliseconds does not allow fast probing: 1 ms late costs more",
-            "µm",
-        ),
-        1.0,
-        fast.late_1ms_um,
-        Agreement::AtLeast,
-        "41.7 mm/s times 1 ms",
-    );
+    let what = "a capture 25 µs late at 2.5 m/min costs the position resolution";
+    rows.given().number((place, what, "µm"), 1.0, fast.late_25us_um, Within(0.05), "41.7 mm/s times 25 µs");
+    let what = "captured within the position resolution, largest of 20 trips";
+    let why = "positions are interpolated between two counts";
+    rows.number((place, what, "µm"), lathe.bench.count_um, fast.capture_worst_um, AtMost, why);
+    let what =
+        "a controller that looks once in milliseconds does not allow fast probing: 1 ms late costs more";
+    rows.given().number((place, what, "µm"), 1.0, fast.late_1ms_um, AtLeast, "41.7 mm/s times 1 ms");
     let place = "The RTEC; Introduction of 4832";
-    rows.given().number(
-        (place, "faster than commonly used: 10 to 20 times in feed", "times"),
-        20.0,
-        fast.feed_mm_min / slow.feed_mm_min,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "faster than commonly used: 10 to 20 times in feed";
+    rows.given().number((place, what, "times"), 20.0, fast.feed_mm_min / slow.feed_mm_min, Within(0.0), "");
 }
 
 fn form(rows: &mut Rows, o: &TurningOutcome) {
     let place = "Part-Form Error; figure 5";
     let seeds = "one cut of one tool there, one of other noise here";
     let semi = &o.semi_finish;
-    rows.fitted().number(
-        (place, "height of the bump", "µm"),
-        23.0,
-        semi.bump_um,
-        Agreement::Within(1.5),
-        seeds,
-    );
-    rows.fitted().number(
-        (place, "largest error bar", "µm"),
-        21.4,
-        semi.largest_um,
-        Agreement::Within(1.0),
-        seeds,
-    );
+    rows.fitted().number((place, "height of the bump", "µm"), 23.0, semi.bump_um, Within(1.5), seeds);
+    rows.fitted().number((place, "largest error bar", "µm"), 21.4, semi.largest_um, Within(1.0), seeds);
     let report = &o.reports[0].1;
-    rows.given().number(
-        (place, "points probed", ""),
-        20.0,
-        report.errors.len() as f64,
-        Agreement::Within(0.0),
-        "the machine file has another number",
-    );
+    let why = "the machine file has another number";
+    rows.given().number((place, "points probed", ""), 20.0, report.errors.len() as f64, Within(0.0), why);
     let on_bump = report.errors.iter().filter(|e| e.error_um > 0.5).count();
-    rows.number(
-        (place, "points on the bump, about", ""),
-        6.0,
-        on_bump as f64,
-        Agreement::Within(1.0),
-        "read off figure 5 there; points above 0.5 µm here",
-    );
+    let why = "read off figure 5 there; points above 0.5 µm here";
+    rows.number((place, "points on the bump, about", ""), 6.0, on_bump as f64, Within(1.0), why);
     let place = "Part Error Calculations";
-    rows.number(
-        (place, "SD of the circle fit, all points", "µm"),
-        5.6,
-        semi.sd_before_um,
-        Agreement::Within(0.7),
-        "the shape of the bump beyond its height and points is not given",
-    );
-    rows.number(
-        (place, "SD of the second fit", "µm"),
-        1.7,
-        semi.sd_after_um,
-        Agreement::Within(1.0),
-        "the probe here repeats better than 1.7 µm, and the flanks of the bump are left out",
-    );
+    let why = "the shape of the bump beyond its height and points is not given";
+    rows.number((place, "SD of the circle fit, all points", "µm"), 5.6, semi.sd_before_um, Within(0.7), why);
+    let why = "the probe here repeats better than 1.7 µm, and the flanks of the bump are left out";
+    rows.number((place, "SD of the second fit", "µm"), 1.7, semi.sd_after_um, Within(1.0), why);
     corrected(rows, o);
 }
 
@@ -233,71 +172,32 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
 fn corrected(rows: &mut Rows, o: &TurningOutcome) {
     let report = &o.reports[0].1;
     let place = "Compensating for the Part-Form Error";
-    rows.given().number(
-        (place, "one correction", "µm"),
-        4.0,
-        o.increment_um,
-        Agreement::Within(0.0),
-        "the machine file has another design or count",
-    );
-    rows.fitted().number(
-        (place, "corrections for the largest error", ""),
-        5.0,
-        o.corrections as f64,
-        Agreement::Within(0.0),
-        "21.4 µm in steps of 4 µm, rounded",
-    );
+    let why = "the machine file has another design or count";
+    rows.given().number((place, "one correction", "µm"), 4.0, o.increment_um, Within(0.0), why);
+    let what = "corrections for the largest error";
+    let gets = o.corrections as f64;
+    rows.fitted().number((place, what, ""), 5.0, gets, Within(0.0), "21.4 µm in steps of 4 µm, rounded");
     let place = "Figure 6";
-    rows.number(
-        (place, "longest error bar after the finish cut", "µm"),
-        4.0,
-        o.finish.largest_um,
-        Agreement::AtMost,
-        "ours may be less: half a correction is the least",
-    );
-    rows.number(
-        (place, "SD of the circle fit", "µm"),
-        2.0,
-        o.finish.sd_before_um,
-        Agreement::AtMost,
-        "less noise of probe and cut than the report's",
-    );
-    rows.number(
-        (place, "the components of the errors are below the correction resolution", "µm"),
-        o.increment_um,
-        component(&o.reports[1].1),
-        Agreement::AtMost,
-        "",
-    );
-    rows.holds(
-        ("Section 2", "the MTC's count less the scales' is what was inserted"),
-        "it must be",
-        if o.balanced() { "it is" } else { "it is not" },
-        o.balanced(),
-        "counted by the simulated controller's own decoders",
-    );
-    rows.given().number(
-        ("CAD Error Display", "a 4 µm error is drawn as", "mm"),
-        1.0,
-        4e-3 * MAGNIFICATION,
-        Agreement::Within(1e-9),
-        "",
-    );
+    let what = "longest error bar after the finish cut";
+    let gets = o.finish.largest_um;
+    rows.number((place, what, "µm"), 4.0, gets, AtMost, "ours may be less: half a correction is the least");
+    let why = "less noise of probe and cut than the report's";
+    rows.number((place, "SD of the circle fit", "µm"), 2.0, o.finish.sd_before_um, AtMost, why);
+    let what = "the components of the errors are below the correction resolution";
+    rows.number((place, what, "µm"), o.increment_um, component(&o.reports[1].1), AtMost, "");
+    let why = "counted by the simulated controller's own decoders";
+    let what = "the MTC's count less the scales' is what was inserted";
+    let gets = if o.balanced() { "it is" } else { "it is not" };
+    rows.holds(("Section 2", what), "it must be", gets, o.balanced(), why);
+    let gets = 4e-3 * MAGNIFICATION;
+    rows.given().number(("CAD Error Display", "a 4 µm error is drawn as", "mm"), 1.0, gets, Within(1e-9), "");
     let place = "The Determination of Part-Form Errors";
-    rows.given().number(
-        (place, "radius of the nose", "mm"),
-        38.1,
-        report_radius(&o.reports[1].1),
-        Agreement::Within(0.01),
-        "as fitted to what was probed",
-    );
-    rows.given().number(
-        (place, "the semi-finish cut is larger in radius by", "mm"),
-        0.254,
-        report_radius(report) - report_radius(&o.reports[1].1),
-        Agreement::Within(0.005),
-        "between the two fitted radii",
-    );
+    let what = "radius of the nose";
+    let gets = report_radius(&o.reports[1].1);
+    rows.given().number((place, what, "mm"), 38.1, gets, Within(0.01), "as fitted to what was probed");
+    let what = "the semi-finish cut is larger in radius by";
+    let gets = report_radius(report) - report_radius(&o.reports[1].1);
+    rows.given().number((place, what, "mm"), 0.254, gets, Within(0.005), "between the two fitted radii");
 }
 
 fn report_radius(report: &ErrorReport) -> f64 {
@@ -328,35 +228,21 @@ fn rewritten(lathe: &Lathe, setup: &Setup) -> usize {
 
 fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
     let place = "Compensating for the Part-Form Error";
-    rows.number(
-        (place, "G01 lines that stay within about 1.5 µm of the arc", ""),
-        90.0,
-        plain as f64,
-        Agreement::Share(0.05),
-        "of the path of the nose's centre, and coordinates of four decimals",
-    );
-    rows.number(
-        (place, "the same with the errors in them", ""),
-        90.0,
-        o.program_lines as f64,
-        Agreement::Share(0.05),
-        "shorter where the errors bend",
-    );
-    rows.given().number(
-        ("Implementing Corrections", "bits for the longest axis", "bits"),
-        20.0,
-        bits(lathe.longest_axis_mm * 1e3 / lathe.bench.count_um),
-        Agreement::Within(0.0),
-        "the machine file has another axis",
-    );
+    let what = "G01 lines that stay within about 1.5 µm of the arc";
+    let why = "of the path of the nose's centre, and coordinates of four decimals";
+    rows.number((place, what, ""), 90.0, plain as f64, Share(0.05), why);
+    let what = "the same with the errors in them";
+    let gets = o.program_lines as f64;
+    rows.number((place, what, ""), 90.0, gets, Share(0.05), "shorter where the errors bend");
+    let why = "the machine file has another axis";
+    let what = "bits for the longest axis";
+    let gets = bits(lathe.longest_axis_mm * 1e3 / lathe.bench.count_um);
+    rows.given().number(("Implementing Corrections", what, "bits"), 20.0, gets, Within(0.0), why);
     let most = f64::from((1_u32 << (lathe.correction_bits - 1)) - 1);
-    rows.given().number(
-        ("Implementing Corrections", "range of the \"Correction Requested\" byte, ±", "µm"),
-        127.0,
-        most * o.increment_um,
-        Agreement::Within(0.0),
-        "the report prints ±127 µm; ±127 corrections of 4 µm are ±508 µm, as NISTIR 4832 has it",
-    );
+    let why = "the report prints ±127 µm; ±127 corrections of 4 µm are ±508 µm, as NISTIR 4832 has it";
+    let what = "range of the \"Correction Requested\" byte, ±";
+    let gets = most * o.increment_um;
+    rows.given().number(("Implementing Corrections", what, "µm"), 127.0, gets, Within(0.0), why);
 }
 
 fn bits(counts: f64) -> f64 {
@@ -430,13 +316,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     ] {
         let got = of(point, role);
         for (k, axis) in ["Z", "X"].iter().enumerate() {
-            rows.number(
-                (place, &format!("{what}, {axis}"), "in"),
-                says[k],
-                got[k],
-                Agreement::Within(2e-6),
-                why,
-            );
+            rows.number((place, &format!("{what}, {axis}"), "in"), says[k], got[k], Within(2e-6), why);
         }
     }
     let place = "Requirements of NC Probing Code";
@@ -446,35 +326,18 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     };
     parameters.set("part", &lathe.part_number).map_err(bad)?;
     parameters.set("segment", "2").map_err(bad)?;
-    rows.words(
-        (place, "file of the first probing segment of version 4 of part 63"),
-        "pt6304s2.dnc",
-        &parameters.file_name(),
-        "the machine file has another part",
-    );
+    let what = "file of the first probing segment of version 4 of part 63";
+    rows.words((place, what), "pt6304s2.dnc", &parameters.file_name(), "the machine file has another part");
     let longest = (60..80).take_while(|n| parameters.clone().set("note_1", &"x".repeat(*n)).is_ok()).last();
-    rows.given().number(
-        ("Operating Procedure", "longest line of general comments", "characters"),
-        66.0,
-        longest.unwrap_or(0) as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "longest line of general comments";
+    let gets = longest.unwrap_or(0) as f64;
+    rows.given().number(("Operating Procedure", what, "characters"), 66.0, gets, Within(0.0), "");
     let controller = Controller::built_in("report").transpose()?;
     let template = controller.map(|c| c.template).unwrap_or_default();
     let says = ["N0010", "N0150", "T00", "G92 X", "M14", "M02", "(END, PROG)"];
     let there = says.iter().filter(|w| template.contains(**w)).count();
-    rows.given().number(
-        (
-            "Figure 8",
-            "words of template.prb that are in ours: N0010, N0150, T00, G92 X, M14, M02, (END, PROG)",
-            "of 7",
-        ),
-        says.len() as f64,
-        there as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "words of template.prb that are in ours: N0010, N0150, T00, G92 X, M14, M02, (END, PROG)";
+    rows.given().number(("Figure 8", what, "of 7"), says.len() as f64, there as f64, Within(0.0), "");
     Ok(())
 }
 
@@ -484,40 +347,24 @@ fn geometric_thermal(
     lathe: &Lathe,
     setup: &Setup,
     machine: &Machine,
-    progress: &mut dyn FnMut(&str),
+    progress: Progress<'_>,
 ) -> Result<(), PaperError> {
     let place = "Compensation of G-T Errors";
     let components: usize = machine.chain().map_or(0, |c| c.joints.iter().map(|j| j.components.len()).sum());
-    rows.given().number(
-        (place, "error components of the two-axis machine", ""),
-        11.0,
-        components as f64,
-        Agreement::Within(0.0),
-        "the machine file has another chain",
-    );
-    rows.given().number(
-        (place, "a new correction about every", "ms"),
-        50.0,
-        lathe.bench.control_ms,
-        Agreement::Within(0.0),
-        "the machine file has another period",
-    );
-    rows.given().number(
-        (place, "the tool moves in that time less than", "mm"),
-        1.0,
-        lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3,
-        Agreement::AtMost,
-        "at the feed of the finish cut",
-    );
+    let what = "error components of the two-axis machine";
+    let gets = components as f64;
+    rows.given().number((place, what, ""), 11.0, gets, Within(0.0), "the machine file has another chain");
+    let what = "a new correction about every";
+    let gets = lathe.bench.control_ms;
+    rows.given().number((place, what, "ms"), 50.0, gets, Within(0.0), "the machine file has another period");
+    let what = "the tool moves in that time less than";
+    let gets = lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3;
+    rows.given().number((place, what, "mm"), 1.0, gets, AtMost, "at the feed of the finish cut");
     let known =
         Setup { machine: machine.clone(), model: Some(machine.clone()), begin_s: 3600.0, ..setup.clone() };
     let o = known.run(&mut |step| progress(&format!("NISTIR 4854, G-T: {step}")))?;
-    rows.number(
-        (place, "nose cut on that machine an hour after switching on: longest error bar", "µm"),
-        4.0,
-        o.finish.largest_um,
-        Agreement::AtMost,
-        "model and table together, probing corrected off line",
-    );
+    let what = "nose cut on that machine an hour after switching on: longest error bar";
+    let why = "model and table together, probing corrected off line";
+    rows.number((place, what, "µm"), 4.0, o.finish.largest_um, AtMost, why);
     Ok(())
 }

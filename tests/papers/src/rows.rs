@@ -20,7 +20,6 @@ pub enum Basis {
     #[default]
     Compared,
     /// The figure is set in the machine's file or the program.
-    ///
     /// Or it is arithmetic of such figures. Agreement shows that nothing was lost on the way, and no more.
     Given,
     /// Parameters of the machine were chosen so that it comes out.
@@ -32,7 +31,6 @@ impl Basis {
     pub const ALL: [Self; 3] = [Self::Compared, Self::Fitted, Self::Given];
 
     /// As a table marks it; empty for a figure that is compared.
-    #[must_use]
     pub fn mark(self) -> &'static str {
         match self {
             Self::Compared => "",
@@ -95,7 +93,6 @@ impl Agreement {
     }
 
     /// Zero or the other sign would agree as well.
-    ///
     /// A source's zero is compared all the same.
     fn cannot_tell(self, says: f64) -> bool {
         matches!(self, Self::Within(apart) if says != 0.0 && apart >= says.abs())
@@ -152,7 +149,6 @@ impl Rows {
     }
 
     /// Compares a number.
-    ///
     /// `why` is shown where the two differ. A figure within its own tolerance of zero is only counted.
     pub(crate) fn number(
         &mut self,
@@ -220,6 +216,7 @@ impl Rows {
 
 #[cfg(test)]
 mod tests {
+    use super::Agreement::{AtLeast, AtMost, Share, Within};
     use super::*;
 
     #[test]
@@ -229,23 +226,19 @@ mod tests {
         {
             assert_eq!(shown(v), text);
         }
-        assert!(Agreement::Within(0.5).met(8.0, 8.333) && !Agreement::Within(0.1).met(8.0, 8.333));
-        assert!(Agreement::Share(0.05).met(30.0, 29.167) && !Agreement::Share(0.01).met(30.0, 29.167));
-        assert!(
-            Agreement::AtMost.met(4.0, 2.9)
-                && !Agreement::AtMost.met(4.0, 4.1)
-                && Agreement::AtLeast.met(10.0, 14.0)
-        );
+        assert!(Within(0.5).met(8.0, 8.333) && !Within(0.1).met(8.0, 8.333));
+        assert!(Share(0.05).met(30.0, 29.167) && !Share(0.01).met(30.0, 29.167));
+        assert!(AtMost.met(4.0, 2.9) && !AtMost.met(4.0, 4.1) && AtLeast.met(10.0, 14.0));
         let mut rows = Rows::default();
-        rows.number(("t", "w", ""), 1.0, 1.0, Agreement::Within(0.0), "never shown");
-        rows.number(("t", "w", ""), 1.0, 2.0, Agreement::Within(0.0), "shown");
+        rows.number(("t", "w", ""), 1.0, 1.0, Within(0.0), "never shown");
+        rows.number(("t", "w", ""), 1.0, 2.0, Within(0.0), "shown");
         assert_eq!((rows.list[0].why.as_str(), rows.list[0].verdict), ("", Verdict::Agrees));
         // As far off as the figure is large: zero and the other sign would agree too.
-        rows.number(("t", "w", "in"), 0.0002, -0.0001, Agreement::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0002, -0.0001, Within(0.0003), "");
         assert_eq!((rows.list.len(), rows.too_small), (2, 1));
-        rows.number(("t", "w", "in"), 0.0002, 0.0009, Agreement::Within(0.0003), "");
-        rows.number(("t", "w", "in"), 0.0004, 0.0003, Agreement::Within(0.0003), "");
-        rows.number(("t", "w", "in"), 0.0, 0.0001, Agreement::Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0002, 0.0009, Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0004, 0.0003, Within(0.0003), "");
+        rows.number(("t", "w", "in"), 0.0, 0.0001, Within(0.0003), "");
         let verdicts: Vec<Verdict> = rows.list[2..].iter().map(|r| r.verdict).collect();
         assert_eq!(verdicts, [Verdict::Differs, Verdict::Agrees, Verdict::Agrees]);
         assert_eq!((rows.list[1].why.as_str(), rows.list[1].verdict), ("shown", Verdict::Differs));
@@ -255,11 +248,11 @@ mod tests {
     fn a_mark_is_of_one_row_alone() {
         let mut rows = Rows::default();
         // Too small to be listed, and marked all the same.
-        rows.given().number(("t", "w", "in"), 0.0002, -0.0001, Agreement::Within(0.0003), "");
+        rows.given().number(("t", "w", "in"), 0.0002, -0.0001, Within(0.0003), "");
         rows.words(("t", "w"), "a", "a", "");
         rows.fitted().words(("t", "w"), "a", "a", "");
-        rows.given().number(("t", "w", ""), 1.0, 1.0, Agreement::Within(0.0), "");
-        rows.number(("t", "w", ""), 1.0, 1.0, Agreement::Within(0.0), "");
+        rows.given().number(("t", "w", ""), 1.0, 1.0, Within(0.0), "");
+        rows.number(("t", "w", ""), 1.0, 1.0, Within(0.0), "");
         let marks: Vec<&str> = rows.list.iter().map(|r| r.basis.mark()).collect();
         assert_eq!(marks, ["", "fitted", "given", ""]);
     }

@@ -38,7 +38,6 @@ impl Spread {
     }
 
     /// How many rows agree and differ, and the rows that vary.
-    #[must_use]
     pub fn table(&self) -> String {
         let mut text = String::new();
         for (k, basis) in Basis::ALL.into_iter().enumerate() {

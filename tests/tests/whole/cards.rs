@@ -91,7 +91,7 @@ fn a_counter_card_counts_for_us_and_its_flags_are_latched() {
         // Just below the counter's wrap.
         let mut counter = Counter { words, state: State::default(), count: 0xff00, burst, wrong };
         counter.set();
-        Box::new(counter)
+        counter
     });
     let words = Registers::open(&bench.at("card"), 24, "test").unwrap();
     let daemon = bench.daemon();

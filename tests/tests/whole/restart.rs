@@ -267,7 +267,7 @@ fn a_controller_that_restarts_has_to_be_homed() {
     let config = config.replace("name = 'bench'", "name = 'bench'\nmtc_off = 'hold'");
     let ready = Arc::new(AtomicBool::new(true));
     let line = Arc::clone(&ready);
-    let bench = Bench::on(&config, |file| Box::new(WithReady { card: shared_memory(file), ready: line }));
+    let bench = Bench::on(&config, |file| WithReady { card: shared_memory(file), ready: line });
     let daemon = bench.daemon();
     bench.go();
     bench.correct(6);

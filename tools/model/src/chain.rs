@@ -116,7 +116,6 @@ impl Transform {
     }
 
     /// The point that this transform moves to `point_mm`, by Cramer's rule.
-    ///
     /// `None` for a singular matrix, which no transform near the identity has.
     fn undo(&self, point_mm: [f64; 3]) -> Option<[f64; 3]> {
         let p = [0, 1, 2].map(|row| point_mm[row] - self.shift_mm[row]);
@@ -178,7 +177,6 @@ impl Chain {
     }
 
     /// Error of the tool point in the frame of the work, µm (machine x, y, z).
-    ///
     /// The two functions look up axis positions (mm) and temperature differences (K). Allocates nothing.
     pub fn error_um(
         &self,
@@ -198,19 +196,12 @@ impl Chain {
         position_mm: &impl Fn(usize) -> f64,
         delta_k: &impl Fn(usize, usize) -> f64,
     ) -> [f64; 3] {
-        let ends = [
-            self.end(Branch::Work, true, position_mm, delta_k),
-            self.end(Branch::Tool, true, position_mm, delta_k),
-        ];
-        let ideal = [
-            self.end(Branch::Work, false, position_mm, delta_k),
-            self.end(Branch::Tool, false, position_mm, delta_k),
-        ];
-        let seen = |[work, tool]: [Transform; 2]| {
-            let tip = tool.apply(self.tool_mm);
-            work.undo(tip).unwrap_or(tip)
+        let seen = |with_errors: bool| {
+            let end = |branch| self.end(branch, with_errors, position_mm, delta_k);
+            let tip = end(Branch::Tool).apply(self.tool_mm);
+            end(Branch::Work).undo(tip).unwrap_or(tip)
         };
-        let (real, ideal) = (seen(ends), seen(ideal));
+        let (real, ideal) = (seen(true), seen(false));
         [0, 1, 2].map(|k| 1000.0 * (real[k] - ideal[k]))
     }
 
@@ -314,7 +305,6 @@ impl Chain {
 
     /// Adds the chain's errors to a record's responses, row by row.
     /// Responses are the errors x, y and z, or the radial one of a circle.
-    ///
     /// The position of an axis that the record does not log is zero ([`Chain::taken_as_zero`]).
     ///
     /// # Errors

@@ -34,7 +34,6 @@ const AT_REST: f64 = 1e-9;
 
 impl Circle {
     /// Computes the columns of the two axes that the record does not log.
-    ///
     /// Velocities need the time.
     pub(crate) fn derive(&self, angle: &[f64], time_s: Option<&[f64]>, logged: &[Column]) -> Derived {
         let share = [angle.iter().map(|a| a.cos()).collect(), angle.iter().map(|a| a.sin()).collect()];

@@ -1,34 +1,4 @@
-//! The possible values of each role.
-//! Also the readings of a temperature input without a working sensor.
-
-use crate::role::Role;
-
-/// The range of values that a column of this role may hold, in the role's unit.
-/// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
-/// unlikely values are the concern of `rtec_measure::plausible`.
-pub fn possible(role: &Role) -> [f64; 2] {
-    let size = match role {
-        // Three hundred thousand years in seconds: an epoch in ms passes and is questioned, one in ns does
-        // not.
-        Role::Time => 1e13,
-        // A kilometre: the largest gantries have some fifty metres.
-        Role::Position(_) | Role::Velocity(_) => 1e6,
-        Role::Acceleration(_)
-        | Role::Load(_)
-        | Role::Force(_)
-        | Role::Cycle
-        // A position in µm in place of an error is read, and questioned.
-        | Role::Error(_)
-        | Role::AngleError(..) => 1e9,
-        // An unconnected input may give its raw reading, a number of 16 bit.
-        Role::Temperature => 1e5,
-        Role::SpindleSpeed | Role::Angle => 1e7,
-        Role::Direction(_) | Role::Coolant => 1e3,
-        // Any unit: counters of 64 bit and pressures in Pa included.
-        Role::Channel => 1e30,
-    };
-    [-size, size]
-}
+//! The readings of a temperature input without a working sensor.
 
 /// The reading of a temperature input whose sensor is off, open or shorted, °C.
 struct Disconnected {
@@ -75,7 +45,6 @@ const DISCONNECTED: [Disconnected; 25] = [
 ];
 
 /// Why this reading is a code of a disconnected sensor and not a temperature.
-///
 /// `true`: certain. `false`: a machine can have this temperature too (85 °C, 0 °C), and the neighbouring rows
 /// decide.
 pub fn disconnected(degc: f64) -> Option<(&'static str, bool)> {

@@ -71,7 +71,6 @@ pub struct Frame<'a> {
     /// Whether the machine is probing, so that effects of the probe act.
     pub probing: bool,
     /// Per axis of the layout: whether its thermal state is held.
-    ///
     /// Empty if none is held.
     pub held: &'a [bool],
 }
@@ -99,7 +98,6 @@ struct Places {
 struct Reading {
     places: Places,
     /// The inputs, filled at every instant.
-    ///
     /// While one of a thermal effect's axes is held, its time and ΔT do not change.
     now: Input,
 }
@@ -170,7 +168,6 @@ pub struct Live {
 
 impl Live {
     /// Prepares a machine's effects and chain for evaluation.
-    ///
     /// The zero of a set-up is left out, because it belongs to the gauges and not to the machine.
     ///
     /// # Errors
@@ -180,7 +177,6 @@ impl Live {
     }
 
     /// As [`Live::of`], without the effects over the angle of a circle.
-    ///
     /// A machine at work has no such angle.
     ///
     /// # Errors
@@ -297,7 +293,6 @@ impl Live {
     }
 
     /// Evaluates all effects at an instant.
-    ///
     /// The time must not decrease from call to call, because lags and reversals follow it.
     ///
     /// # Panics

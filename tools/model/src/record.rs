@@ -3,7 +3,6 @@
 //! In a file it is a run record (guide, "Run records"), which `rtec-measure` reads and writes.
 
 use crate::circle::{Circle, Derived};
-use crate::limits;
 use rtec_files::InputError;
 use rtec_files::text::{open_regular, unreadable};
 use sha2::{Digest, Sha256};
@@ -116,10 +115,8 @@ impl Record {
                 return Err(whole(format!("unit `{}` of role `{}`", c.unit, c.role), &own));
             }
             if c.data.len() != columns[0].data.len() {
-                return Err(whole(
-                    format!("{} values in `{}`", c.data.len(), c.name),
-                    "as many in every column",
-                ));
+                let expected = "as many in every column";
+                return Err(whole(format!("{} values in `{}`", c.data.len(), c.name), expected));
             }
             for (row, &v) in c.data.iter().enumerate() {
                 if let Err((found, expected)) = check(&c.role, v, row.checked_sub(1).map(|p| c.data[p])) {
@@ -225,7 +222,6 @@ impl Record {
     }
 
     /// Checks that the logged axes that move are those of the circle's plane.
-    ///
     /// If an axis of the plane is not logged, its positions follow from the angle, unless another axis moves
     /// in its place.
     fn logs_plane(&self, circle: &Circle) -> Result<(), (String, &'static str)> {
@@ -250,7 +246,6 @@ impl Record {
     }
 
     /// The logged positions run about the centre that is stated.
-    ///
     /// A row's place less its bar gives a centre of its own. The stated one is among these, or near them.
     fn is_about(&self, circle: &Circle, angle: &[f64]) -> Result<(), (String, &'static str)> {
         let shares = [f64::cos as fn(f64) -> f64, f64::sin];
@@ -270,7 +265,6 @@ impl Record {
     }
 
     /// Share of an axis' error in the radial error at every row: cos θ or sin θ.
-    ///
     /// `None` for an axis that is not in the plane of the record's circle.
     pub(crate) fn share(&self, axis: &Axis) -> Option<&[f64]> {
         let (circle, derived) = self.circle.as_ref()?;
@@ -448,44 +442,22 @@ pub fn check(role: &Role, v: f64, previous: Option<f64>) -> Result<(), (String, 
     if !v.is_finite() {
         return Err((format!("`{v}`"), "a finite number"));
     }
-    let [low, high] = limits::possible(role);
+    let ([low, high], expected) = role.possible();
     if v < low || v > high {
-        return Err((format!("`{v:e}`"), possible_text(role)));
+        return Err((format!("`{v:e}`"), expected));
     }
     match role {
         Role::Time if previous.is_some_and(|p| v < p) => {
             Err((format!("time {v} after {}", previous.unwrap_or(v)), "time that never decreases"))
         }
-        Role::Direction(_) if ![-1.0, 0.0, 1.0].contains(&v) => {
-            Err((format!("`{v}`"), "a direction: +1, -1 (or 0)"))
-        }
+        Role::Direction(_) if ![-1.0, 0.0, 1.0].contains(&v) => Err((format!("`{v}`"), expected)),
         _ => Ok(()),
     }
 }
 
 /// The allowed range of this role, if [`check`] checks only the range.
 pub fn range_alone(role: &Role) -> Option<[f64; 2]> {
-    (!matches!(role, Role::Time | Role::Direction(_))).then(|| limits::possible(role))
-}
-
-/// [`limits::possible`] in words.
-fn possible_text(role: &Role) -> &'static str {
-    match role {
-        Role::Time => "a time within ±1e13 s",
-        Role::Position(_) => "a position in mm, within ±1e6 (is it in µm?)",
-        Role::Direction(_) => "a direction: +1, -1 (or 0)",
-        Role::Velocity(_) => "a velocity within ±1e6 mm/s",
-        Role::Acceleration(_) => "an acceleration within ±1e9 mm/s²",
-        Role::Cycle => "a repeat's number within ±1e9",
-        Role::Temperature => "a temperature within ±1e5 degC",
-        Role::SpindleSpeed => "a spindle speed within ±1e7 rpm",
-        Role::Coolant => "coolant: 0 or 1",
-        Role::Load(_) | Role::Force(_) => "a force within ±1e9 N",
-        Role::Angle => "an angle within ±1e7 rad",
-        Role::Channel => "a value within ±1e30",
-        Role::Error(_) => "an error within ±1e9 µm",
-        Role::AngleError(..) => "a tilt within ±1e9",
-    }
+    (!matches!(role, Role::Time | Role::Direction(_))).then(|| role.possible().0)
 }
 
 /// The SHA-256 of a file of any length, in the form of [`Record::sha256`].

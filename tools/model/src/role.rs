@@ -37,7 +37,6 @@ impl fmt::Display for Axis {
 }
 
 /// The role of a column.
-///
 /// Errors and forces are responses; all other roles are inputs that these may depend on.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
@@ -75,6 +74,39 @@ pub enum Role {
     AngleError(Axis, Axis),
 }
 
+/// All that holds for every column of a role.
+struct Facts {
+    /// Its name in a sidecar, before the axis.
+    name: &'static str,
+    unit: Option<&'static str>,
+    /// The largest possible value of either sign, in the unit.
+    most: f64,
+    /// What a message expects of a value.
+    expected: &'static str,
+}
+
+/// The roles that belong to no axis.
+const PLAIN: [Role; 7] = [
+    Role::Time,
+    Role::Cycle,
+    Role::Temperature,
+    Role::SpindleSpeed,
+    Role::Coolant,
+    Role::Angle,
+    Role::Channel,
+];
+
+/// The roles that belong to one axis.
+const OF_AXIS: [fn(Axis) -> Role; 7] = [
+    Role::Position,
+    Role::Direction,
+    Role::Velocity,
+    Role::Acceleration,
+    Role::Load,
+    Role::Error,
+    Role::Force,
+];
+
 impl Role {
     /// The role of this name (`time`, `position.y`, …).
     pub fn parse(text: &str) -> Option<Self> {
@@ -82,45 +114,55 @@ impl Role {
             let (moving, about) = both.split_once('.')?;
             return Some(Self::AngleError(Axis::new(moving)?, Axis::new(about)?));
         }
-        let (head, axis) = match text.split_once('.') {
-            Some((head, axis)) => (head, Some(Axis::new(axis)?)),
-            None => (text, None),
+        let Some((name, axis)) = text.split_once('.') else {
+            return PLAIN.into_iter().find(|role| role.facts().name == text);
         };
-        Some(match (head, axis) {
-            ("time", None) => Self::Time,
-            ("cycle", None) => Self::Cycle,
-            ("temperature", None) => Self::Temperature,
-            ("spindle_speed", None) => Self::SpindleSpeed,
-            ("coolant", None) => Self::Coolant,
-            ("angle", None) => Self::Angle,
-            ("channel", None) => Self::Channel,
-            ("position", Some(a)) => Self::Position(a),
-            ("direction", Some(a)) => Self::Direction(a),
-            ("velocity", Some(a)) => Self::Velocity(a),
-            ("acceleration", Some(a)) => Self::Acceleration(a),
-            ("load", Some(a)) => Self::Load(a),
-            ("error", Some(a)) => Self::Error(a),
-            ("force", Some(a)) => Self::Force(a),
-            _ => return None,
-        })
+        let axis = Axis::new(axis)?;
+        OF_AXIS.iter().map(|of| of(axis.clone())).find(|role| role.facts().name == name)
+    }
+
+    /// All that holds for every column of this role.
+    fn facts(&self) -> Facts {
+        let facts = |name, unit, most, expected| Facts { name, unit, most, expected };
+        match self {
+            // Three hundred thousand years: an epoch in ms passes and is questioned, one in ns does not.
+            Self::Time => facts("time", Some("s"), 1e13, "a time within ±1e13 s"),
+            // A kilometre: the largest gantries have some fifty metres.
+            Self::Position(_) => {
+                facts("position", Some("mm"), 1e6, "a position in mm, within ±1e6 (is it in µm?)")
+            }
+            Self::Direction(_) => facts("direction", Some("1"), 1e3, "a direction: +1, -1 (or 0)"),
+            Self::Velocity(_) => facts("velocity", Some("mm/s"), 1e6, "a velocity within ±1e6 mm/s"),
+            Self::Acceleration(_) => {
+                facts("acceleration", Some("mm/s2"), 1e9, "an acceleration within ±1e9 mm/s²")
+            }
+            Self::Cycle => facts("cycle", Some("1"), 1e9, "a repeat's number within ±1e9"),
+            // An unconnected input may give its raw reading, a number of 16 bit.
+            Self::Temperature => facts("temperature", Some("degC"), 1e5, "a temperature within ±1e5 degC"),
+            Self::SpindleSpeed => facts("spindle_speed", Some("rpm"), 1e7, "a spindle speed within ±1e7 rpm"),
+            Self::Coolant => facts("coolant", Some("1"), 1e3, "coolant: 0 or 1"),
+            Self::Load(_) => facts("load", Some("N"), 1e9, "a force within ±1e9 N"),
+            Self::Angle => facts("angle", Some("rad"), 1e7, "an angle within ±1e7 rad"),
+            // Any unit: counters of 64 bit and pressures in Pa included.
+            Self::Channel => facts("channel", None, 1e30, "a value within ±1e30"),
+            // A position in µm in place of an error is read, and questioned.
+            Self::Error(_) => facts("error", Some("um"), 1e9, "an error within ±1e9 µm"),
+            Self::Force(_) => facts("force", Some("N"), 1e9, "a force within ±1e9 N"),
+            Self::AngleError(..) => facts("angle_error", Some("urad"), 1e9, "a tilt within ±1e9"),
+        }
     }
 
     /// The unit of this role; `None` if any unit is allowed (a channel).
     pub fn unit(&self) -> Option<&'static str> {
-        Some(match self {
-            Self::Time => "s",
-            Self::Position(_) => "mm",
-            Self::Direction(_) | Self::Cycle | Self::Coolant => "1",
-            Self::Velocity(_) => "mm/s",
-            Self::Acceleration(_) => "mm/s2",
-            Self::Temperature => "degC",
-            Self::SpindleSpeed => "rpm",
-            Self::Load(_) | Self::Force(_) => "N",
-            Self::Angle => "rad",
-            Self::Error(_) => "um",
-            Self::AngleError(..) => "urad",
-            Self::Channel => return None,
-        })
+        self.facts().unit
+    }
+
+    /// The range of values that a column of this role may hold, in its unit, and the same in words.
+    /// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
+    /// unlikely values are the concern of `rtec_measure::plausible`.
+    pub(crate) fn possible(&self) -> ([f64; 2], &'static str) {
+        let Facts { most, expected, .. } = self.facts();
+        ([-most, most], expected)
     }
 
     /// Whether a column of this role may have this unit.
@@ -172,26 +214,13 @@ impl Role {
 
 impl fmt::Display for Role {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let head = match self {
-            Self::Time => "time",
-            Self::Position(_) => "position",
-            Self::Direction(_) => "direction",
-            Self::Velocity(_) => "velocity",
-            Self::Acceleration(_) => "acceleration",
-            Self::Cycle => "cycle",
-            Self::Temperature => "temperature",
-            Self::SpindleSpeed => "spindle_speed",
-            Self::Coolant => "coolant",
-            Self::Load(_) => "load",
-            Self::Angle => "angle",
-            Self::Channel => "channel",
-            Self::Error(_) => "error",
-            Self::Force(_) => "force",
-            Self::AngleError(moving, about) => return write!(f, "angle_error.{moving}.{about}"),
-        };
+        let name = self.facts().name;
+        if let Self::AngleError(moving, about) = self {
+            return write!(f, "{name}.{moving}.{about}");
+        }
         match self.axis() {
-            Some(axis) => write!(f, "{head}.{axis}"),
-            None => f.write_str(head),
+            Some(axis) => write!(f, "{name}.{axis}"),
+            None => f.write_str(name),
         }
     }
 }

@@ -157,7 +157,6 @@ pub struct Batch {
     /// The offered changes in words, with the person concerned.
     pub offers: Vec<String>,
     /// Step in which the errors are written, µm, if the parts scatter by less.
-    ///
     /// The interval of a mean includes its rounding. A mean below half a step is not systematic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_um: Option<f64>,
@@ -231,10 +230,7 @@ fn judge(
                 line: sheet.line(s.rows[*k]),
                 error_um: s.errors_um[*k],
             };
-            let step = step(&s.kept(), step_um).map(|step| {
-                let part = parts[s.rows[step.place]].clone();
-                BatchStep { part, um: step.um, sd_about_um: step.sd_about_um, p_value: step.p_value }
-            });
+            let step = step(&s.kept(), step_um, |k| parts[s.rows[k]].clone());
             PlaceStatistics { left_out: s.wild.iter().map(reading).collect(), step, ..statistics(s, seen) }
         })
         .collect();
@@ -315,11 +311,8 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
                     "an error_um of {} beside measured minus nominal of {:.3} µm",
                     given[row], errors[row]
                 );
-                return Err(sheet.finding(
-                    row,
-                    found,
-                    "the same error, measured minus nominal; or one of the two alone",
-                ));
+                let expected = "the same error, measured minus nominal; or one of the two alone";
+                return Err(sheet.finding(row, found, expected));
             }
             given
         }
@@ -348,41 +341,34 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
     let mut spelled: BTreeMap<String, &str> = BTreeMap::new();
     for (row, name) in features.iter().enumerate() {
         if let Some(other) = spelled.insert(name.trim().to_lowercase(), name).filter(|other| other != name) {
-            return Err(sheet.finding(
-                row,
-                format!("the feature {name:?} beside {other:?}"),
-                "one spelling of one feature",
-            ));
+            let expected = "one spelling of one feature";
+            return Err(sheet.finding(row, format!("the feature {name:?} beside {other:?}"), expected));
         }
     }
     // Angles are keys in microradians, so that a repeated angle is the same place.
-    let mut groups: BTreeMap<(String, i64), (Series, Vec<String>)> = BTreeMap::new();
+    let mut groups: BTreeMap<(String, i64), Series> = BTreeMap::new();
     for row in 0..sheet.len() {
         let angle_rad = angles.as_ref().map(|a| a[row]);
         let key = (features[row].clone(), angle_rad.map_or(0, |a| (a * 1e6).round() as i64));
-        let (series, seen) = groups.entry(key).or_insert_with(|| {
-            let (feature, nothing) = (features[row].clone(), Vec::new);
-            (
-                Series { feature, angle_rad, errors_um: nothing(), rows: Vec::new(), wild: Vec::new() },
-                Vec::new(),
-            )
+        let series = groups.entry(key).or_insert_with(|| {
+            let (feature, errors_um) = (features[row].clone(), Vec::new());
+            Series { feature, angle_rad, errors_um, rows: Vec::new(), wild: Vec::new() }
         });
-        if seen.contains(&parts[row]) {
+        if series.rows.iter().any(|other| parts[*other] == parts[row]) {
             let found = format!("part {} measured twice at {}", parts[row], features[row]);
             return Err(sheet.finding(row, found, "every place once on each part"));
         }
-        seen.push(parts[row].clone());
         series.errors_um.push(errors[row]);
         series.rows.push(row);
     }
-    if let Some((few, _)) = groups.values().find(|(s, _)| s.errors_um.len() < 3) {
+    if let Some(few) = groups.values().find(|s| s.errors_um.len() < 3) {
         let found = format!("{} parts for {}", few.errors_um.len(), few.feature);
         return Err(InputError::whole(file, found, "at least 3 parts to tell system from chance"));
     }
     if groups.is_empty() {
         return Err(InputError::whole(file, "no measurement", "a batch of at least 3 parts"));
     }
-    Ok(groups.into_values().map(|(s, _)| s).collect())
+    Ok(groups.into_values().collect())
 }
 
 /// Smallest error that a measuring machine or probe can resolve, µm.
@@ -512,20 +498,11 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     single
 }
 
-/// A step of a series.
-struct SeriesStep {
-    /// Index of the first error after it.
-    place: usize,
-    um: f64,
-    sd_about_um: f64,
-    /// Probability by chance, for a single place of the batch.
-    p_value: f64,
-}
-
 /// The step between two parts that explains errors better than a line.
 /// Its place was searched for, which costs one parameter more than a line has (Schwarz's criterion), and a
 /// test for each place. `step_um` is the gauge's: readings between two of its steps scatter by half of one.
-fn step(points: &[(usize, f64)], step_um: f64) -> Option<SeriesStep> {
+/// The probability is for a single place of the batch; `part` names the part of a reading.
+fn step(points: &[(usize, f64)], step_um: f64, part: impl Fn(usize) -> String) -> Option<BatchStep> {
     const SIDE: usize = 2;
     let (n, line) = (points.len(), Line::through(points));
     let mean = |points: &[(usize, f64)]| points.iter().map(|(_, um)| um).sum::<f64>() / points.len() as f64;
@@ -547,7 +524,7 @@ fn step(points: &[(usize, f64)], step_um: f64) -> Option<SeriesStep> {
     let sd_about_um = (left / (count - 2.0)).sqrt();
     let of_mean = sd_about_um.max(0.5 * step_um) * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
     let p_value = (sought * two_sided(um / of_mean, n - 2)).min(1.0);
-    Some(SeriesStep { place: points[at].0, um, sd_about_um, p_value })
+    Some(BatchStep { part: part(points[at].0), um, sd_about_um, p_value })
 }
 
 fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {

@@ -447,7 +447,6 @@ impl Contour {
     }
 
     /// The place of the contour nearest to a point.
-    ///
     /// `None` for a contour without features.
     pub fn nearest(&self, p: Zx) -> Option<SurfacePlace> {
         let (_, n, foot) = self.surface.nearest(p, f64::INFINITY)?;

@@ -17,7 +17,6 @@ pub struct PointError {
     /// Along an arc it continues past ±π.
     pub angle_rad: f64,
     /// Deviation along that normal, in µm.
-    ///
     /// Positive: the surface is further out than nominal, so there is too much material. In a hollow arc,
     /// whose normal points into the part, there is too little.
     pub error_um: f64,
@@ -61,7 +60,6 @@ pub struct LineError {
     /// Direction of the surface normal from the part's +Z axis, in rad.
     pub angle_rad: f64,
     /// Deviation along that normal, in µm.
-    ///
     /// Positive: the surface is further out than nominal, so there is too much material. In a hollow arc,
     /// whose normal points into the part, there is too little.
     pub error_um: f64,
@@ -73,7 +71,6 @@ pub struct LineError {
 
 impl FeatureErrors {
     /// Reads an `error.cor`: an arc has two numbers per line, a straight feature five.
-    ///
     /// Blanks or a comma separate them. A spreadsheet's file is accepted too: semicolons or tabs, decimal
     /// commas, quotes, a line `sep=`. `#` starts a comment.
     ///
@@ -189,7 +186,6 @@ impl Row {
 }
 
 /// The lines with words.
-///
 /// A comma separates words, or is the decimal mark if the separator is another: semicolons, tabs, or blanks.
 /// With blanks, commas are decimal marks if they are within words and no word has a point.
 fn rows(text: &str) -> Vec<Row> {

@@ -243,7 +243,6 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 }
 
 /// The errors of the feature that was probed.
-///
 /// Messages go to `say`.
 ///
 /// # Errors
@@ -322,11 +321,8 @@ pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<Error
         };
         say(Said::Warning(format!("{off_um:+.0} µm from nominal{like}")));
         if args.with_size {
-            return Err(usage(
-                "--with-size",
-                format!("a size error of {off_um:+.0} µm"),
-                "one that a finish cut takes out, within 500 µm",
-            ));
+            let expected = "one that a finish cut takes out, within 500 µm";
+            return Err(usage("--with-size", format!("a size error of {off_um:+.0} µm"), expected));
         }
     }
     if let Some((own, robust)) = sizes_differ(&report) {

@@ -88,25 +88,12 @@ fn load(file: &Path) -> Result<Drawing, InputError> {
     })
 }
 
-/// Whether an entity is text, a dimension or a hatch.
-/// These are not part of a contour.
+/// Text, dimensions and hatches, which are not part of a contour.
+const ANNOTATIONS: &str =
+    "TEXT MTEXT RTEXT ATTDEF ATTRIB POINT LEADER MULTILEADER TOLERANCE ACAD_TABLE HATCH VIEWPORT";
+
 fn is_annotation(kind: &str) -> bool {
-    kind.ends_with("DIMENSION")
-        || matches!(
-            kind,
-            "TEXT"
-                | "MTEXT"
-                | "RTEXT"
-                | "ATTDEF"
-                | "ATTRIB"
-                | "POINT"
-                | "LEADER"
-                | "MULTILEADER"
-                | "TOLERANCE"
-                | "ACAD_TABLE"
-                | "HATCH"
-                | "VIEWPORT"
-        )
+    kind.ends_with("DIMENSION") || ANNOTATIONS.split(' ').any(|annotation| annotation == kind)
 }
 
 /// Whether an entity only resembles a contour.
@@ -150,11 +137,8 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
     }
     if pieces.is_empty() && cleaned.hidden > 0 {
         let found = format!("no contour that is shown, and {}", cleaned.not_shown());
-        return Err(InputError::whole(
-            file,
-            found,
-            "entities that are visible, on layers that are on; or --layer",
-        ));
+        let expected = "entities that are visible, on layers that are on; or --layer";
+        return Err(InputError::whole(file, found, expected));
     }
     if pieces.is_empty() && cleaned.speck.is_none() {
         let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
@@ -253,57 +237,47 @@ impl Cleaned {
 
     /// The sentences for the user; empty if nothing was changed.
     fn said(&self, file: &Path, tolerance_mm: f64) -> Vec<String> {
-        let within = rtec_files::text::short(tolerance_mm);
-        let parts = [
+        let [within, flat] = [tolerance_mm, tolerance_mm * FLAT].map(rtec_files::text::short);
+        let vertices = if self.vertices == 1 { "vertex" } else { "vertices" };
+        let straight = |n: usize, what: &str| {
+            let curves = several(n, what);
+            format!("took {curves} as straight: within {flat} mm of the chord, a hundredth of the tolerance")
+        };
+        let aids: Vec<String> = self.aids.iter().map(|(kind, n)| several(*n, kind)).collect();
+        let sentences = [
             (
                 self.vertices,
-                format!("{} within {within} mm of the one before", several(self.vertices, "vertex")),
+                format!("left out {} {vertices} within {within} mm of the one before", self.vertices),
             ),
-            (self.specks, format!("{} no longer than {within} mm", several(self.specks, "piece"))),
+            (self.specks, format!("left out {} no longer than {within} mm", several(self.specks, "piece"))),
             (
                 self.no_sweeps,
                 format!(
-                    "{} from an angle to the same angle (a whole circle is one from 0 to 360 degrees)",
+                    "left out {} from an angle to the same angle (a whole circle is one from 0 to 360 degrees)",
                     several(self.no_sweeps, "arc")
                 ),
             ),
+            (self.arcs, straight(self.arcs, "arc")),
+            (self.curves, straight(self.curves, "curve")),
+            (
+                self.circles,
+                format!(
+                    "took {} as a circle: round within {flat} mm, a hundredth of the tolerance",
+                    several(self.circles, "ellipse")
+                ),
+            ),
+            (self.hidden, format!("left out {}", self.not_shown())),
+            (aids.len(), format!("passed over {}: no contour", aids.join(", "))),
+            (
+                self.frames,
+                format!(
+                    "of {} the fitted curve was taken, not its control points",
+                    several(self.frames, "polyline")
+                ),
+            ),
         ];
-        let mut out: Vec<String> = parts
-            .into_iter()
-            .filter(|(n, _)| *n > 0)
-            .map(|(_, text)| format!("{}: left out {}", file.display(), text.replace("vertexs", "vertices")))
-            .collect();
-        for (n, what) in [(self.arcs, "arc"), (self.curves, "curve")].into_iter().filter(|(n, _)| *n > 0) {
-            out.push(format!(
-                "{}: took {} as straight: within {} mm of the chord, a hundredth of the tolerance",
-                file.display(),
-                several(n, what),
-                rtec_files::text::short(tolerance_mm * FLAT)
-            ));
-        }
-        if self.circles > 0 {
-            out.push(format!(
-                "{}: took {} as a circle: round within {} mm, a hundredth of the tolerance",
-                file.display(),
-                several(self.circles, "ellipse"),
-                rtec_files::text::short(tolerance_mm * FLAT)
-            ));
-        }
-        if self.hidden > 0 {
-            out.push(format!("{}: left out {}", file.display(), self.not_shown()));
-        }
-        if !self.aids.is_empty() {
-            let aids: Vec<String> = self.aids.iter().map(|(kind, n)| several(*n, kind)).collect();
-            out.push(format!("{}: passed over {}: no contour", file.display(), aids.join(", ")));
-        }
-        if self.frames > 0 {
-            out.push(format!(
-                "{}: of {} the fitted curve was taken, not its control points",
-                file.display(),
-                several(self.frames, "polyline")
-            ));
-        }
-        out
+        let told = sentences.into_iter().filter(|(n, _)| *n > 0);
+        told.map(|(_, text)| format!("{}: {text}", file.display())).collect()
     }
 }
 
@@ -746,13 +720,8 @@ impl Reader<'_> {
                 let k = if meets_axis(a) { b } else { a };
                 let piece = &rest[ends[k].0];
                 let found = format!("an open contour: {} ends at {}", piece.entity, self.words(ends[k].1));
-                return Err(InputError::at(
-                    self.file,
-                    piece.line,
-                    0,
-                    found,
-                    "a contour that returns to the axis",
-                ));
+                let expected = "a contour that returns to the axis";
+                return Err(InputError::at(self.file, piece.line, 0, found, expected));
             }
         }
         let mut tail = free.first().map_or(ends[0].1, |&k| ends[k].1);
@@ -769,13 +738,8 @@ impl Reader<'_> {
         }
         if let Some(left) = rest.into_iter().flatten().next() {
             let found = format!("a second contour ({} is part of it)", left.entity);
-            return Err(InputError::at(
-                self.file,
-                left.line,
-                0,
-                found,
-                "one contour, or --layer to choose it",
-            ));
+            let expected = "one contour, or --layer to choose it";
+            return Err(InputError::at(self.file, left.line, 0, found, expected));
         }
         short_pieces::close_joints(&mut chain, closed);
         Ok(Contour::new(chain, closed))

@@ -162,23 +162,13 @@ impl Drawing {
             let section = after.first().filter(|g| g.code == 2);
             let (true, Some(section)) = ((first.code, &*first.value) == (0, "SECTION"), section) else {
                 let found = format!("group {} '{}'", first.code, first.value);
-                return Err(InputError::at(
-                    file,
-                    first.line,
-                    0,
-                    found,
-                    "a DXF drawing: 0 SECTION and 2 NAME, or 0 EOF",
-                ));
+                let expected = "a DXF drawing: 0 SECTION and 2 NAME, or 0 EOF";
+                return Err(InputError::at(file, first.line, 0, found, expected));
             };
             let Some(end) = after.iter().position(|g| (g.code, &*g.value) == (0, "ENDSEC")) else {
                 let found = format!("the end of the file within the section {}", section.value);
-                return Err(InputError::at(
-                    file,
-                    section.line,
-                    0,
-                    found,
-                    "a DXF drawing: 0 ENDSEC after each section",
-                ));
+                let expected = "a DXF drawing: 0 ENDSEC after each section";
+                return Err(InputError::at(file, section.line, 0, found, expected));
             };
             let content = &after[1..end];
             match &*section.value {
@@ -301,13 +291,8 @@ fn of_text(file: &Path, bytes: &[u8]) -> Result<Vec<Group>, InputError> {
         }
         let Ok(number) = code.parse::<i32>() else {
             let found = format!("'{}'", code.chars().take(40).collect::<String>());
-            return Err(InputError::at(
-                file,
-                i + 1,
-                0,
-                found,
-                "a DXF drawing: a group code, which is a whole number",
-            ));
+            let expected = "a DXF drawing: a group code, which is a whole number";
+            return Err(InputError::at(file, i + 1, 0, found, expected));
         };
         let Some((i, value)) = lines.next() else {
             let found = format!("the end of the file after the group code {number}");
@@ -426,11 +411,8 @@ fn of_binary(file: &Path, all: &[u8]) -> Result<Vec<Group>, InputError> {
             }
             _ => {
                 let found = format!("group code {code} at byte {at}");
-                return Err(InputError::whole(
-                    file,
-                    found,
-                    "a DXF drawing: a group code of the DXF reference",
-                ));
+                let expected = "a DXF drawing: a group code of the DXF reference";
+                return Err(InputError::whole(file, found, expected));
             }
         };
         let is_end = (code, &*value) == (0, "EOF");
@@ -443,7 +425,6 @@ fn of_binary(file: &Path, all: &[u8]) -> Result<Vec<Group>, InputError> {
 }
 
 /// A drawing of lines as text, in mm, R2000: from X, Y to X, Y on a layer.
-///
 /// The same lines give the same bytes.
 pub(crate) fn written(lines: &[([f64; 2], [f64; 2], &str)]) -> String {
     let mut layers: Vec<&str> = lines.iter().map(|(.., layer)| *layer).collect();

@@ -343,13 +343,10 @@ impl Probed {
             fit::least_squares(shape, points, None)
                 .map(|f| fit::sd(&fit::deviations_um(&f, points), |_| true))
         };
-        let as_input = |e: FitError| {
-            InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
-        };
         if points.len() < 4 {
-            return Err(as_input(FitError::TooFew { found: points.len(), needed: 4 }));
+            return Err(self.undetermined(FitError::TooFew { found: points.len(), needed: 4 }));
         }
-        let line_um = spread(FitShape::Line).map_err(as_input)?;
+        let line_um = spread(FitShape::Line).map_err(|e| self.undetermined(e))?;
         let length_mm = points.iter().map(|p| (*p - points[0]).norm()).fold(0.0, f64::max);
         let bowed = match fit::least_squares(FitShape::Circle, points, None) {
             Ok(FittedShape::Circle { radius_mm, .. }) => !expected && radius_mm > BOWED * length_mm,
@@ -380,7 +377,6 @@ impl Probed {
 
     /// Part errors of a feature probed with a tip of radius `tip_mm`.
     /// Points beyond noise are left out of the fit ([`fit::beyond_noise`]).
-    ///
     /// The tip touches where its surface is normal to the part's, whatever the direction of approach. The
     /// approach only shows the side. So the shape is fitted to the tip's centres and moved by the tip's
     /// radius.
@@ -420,9 +416,7 @@ impl Probed {
             Nominal::Circle { .. } => FitShape::Circle,
             Nominal::Line { .. } => FitShape::Line,
         };
-        let as_input = |e: FitError| {
-            InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
-        };
+        let as_input = |e| self.undetermined(e);
         let points = &self.tip_centre;
         let mut robust = fit::robust(shape, points).map_err(as_input)?;
         let plain = fit::least_squares(shape, points, None).map_err(as_input)?;
@@ -443,16 +437,13 @@ impl Probed {
         let mut errors: Vec<PointError> = points
             .iter()
             .zip(&two.errors_um)
-            .map(|(&p, &error_um)| {
-                let along = |through: Zx, n: Zx| (p - through).dot(Zx::new(n.x, -n.z));
-                PointError {
-                    angle_rad: two.fitted.normal_at(p).angle_rad(),
-                    error_um,
-                    along_mm: match two.fitted {
-                        FittedShape::Line { through, normal } => Some(along(through, normal)),
-                        FittedShape::Circle { .. } => None,
-                    },
-                }
+            .map(|(&p, &error_um)| PointError {
+                angle_rad: two.fitted.normal_at(p).angle_rad(),
+                error_um,
+                along_mm: match two.fitted {
+                    FittedShape::Line { through, normal } => Some((p - through).dot(normal.along())),
+                    FittedShape::Circle { .. } => None,
+                },
             })
             .collect();
         if shape == FitShape::Circle {
@@ -460,12 +451,12 @@ impl Probed {
         }
         let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
         let inclination_deg = inclination_deg(&surface);
-        let (size_error_um, inclination_error_deg) = match nominal {
-            Nominal::Circle { radius_mm: r } => (radius_mm.map(|f| (f - r) * 1e3), None),
-            Nominal::Line { taper_deg } => {
-                (None, inclination_deg.zip(taper_deg).map(|(f, t)| (f - t + 90.0).rem_euclid(180.0) - 90.0))
-            }
+        let (nominal_mm, taper_deg) = match nominal {
+            Nominal::Circle { radius_mm } => (Some(radius_mm), None),
+            Nominal::Line { taper_deg } => (None, taper_deg),
         };
+        let off_um = |radius_mm: Option<f64>| radius_mm.zip(nominal_mm).map(|(f, r)| (f - r) * 1e3);
+        let off_deg = |(f, t): (f64, f64)| (f - t + 90.0).rem_euclid(180.0) - 90.0;
         let (robust_centre, robust_radius) = place(&robust_surface);
         let kept: Vec<Zx> =
             (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
@@ -478,22 +469,20 @@ impl Probed {
             }
         };
         let known = standard_errors(&two.fitted, &kept);
-        let (plain_centre, plain_radius) =
-            (place(&moved(&two.plain, 0.0)).0, place(&moved(&two.plain, -tip)).1);
         Ok(ErrorReport {
             feature: if shape == FitShape::Circle { "circle" } else { "line" },
             points: points.len(),
             tip_mm,
             centre_mm,
             radius_mm,
-            size_error_um,
+            size_error_um: off_um(radius_mm),
             inclination_deg,
-            inclination_error_deg,
+            inclination_error_deg: inclination_deg.zip(taper_deg).map(off_deg),
             centre_standard_error_um: known.map(|k| k.centre_um),
             size_standard_error_um: known.map(|k| k.size_um),
             inclination_standard_error_deg: known.and_then(|k| k.inclination_rad).map(f64::to_degrees),
-            plain_centre_mm: plain_centre,
-            plain_radius_mm: plain_radius,
+            plain_centre_mm: place(&moved(&two.plain, 0.0)).0,
+            plain_radius_mm: place(&moved(&two.plain, -tip)).1,
             plain_size_standard_error_um: standard_errors(&two.plain, points).map(|k| k.size_um),
             step_um,
             repeats,
@@ -504,10 +493,7 @@ impl Probed {
             robust: RobustSummary {
                 centre_mm: robust_centre,
                 radius_mm: robust_radius,
-                size_error_um: match nominal {
-                    Nominal::Circle { radius_mm: r } => robust_radius.map(|f| (f - r) * 1e3),
-                    Nominal::Line { .. } => None,
-                },
+                size_error_um: off_um(robust_radius),
                 scale_um: robust.scale_um,
                 down_weighted: (0..points.len()).filter(|&i| robust.weights[i] < 0.5).collect(),
                 errors_um: robust.errors_um,
@@ -516,6 +502,10 @@ impl Probed {
             hollow: shape == FitShape::Circle && side < 0.0,
             outline: surface,
         })
+    }
+
+    fn undetermined(&self, e: FitError) -> InputError {
+        InputError::whole(self.sheet.file(), e.to_string(), "points that determine the feature")
     }
 
     /// Uncertainty of one point, µm, and the step if it is included.
@@ -572,7 +562,6 @@ impl Probed {
     }
 
     /// +1: probed from outside (against the normal), −1: from inside.
-    ///
     /// Without approaches it is outside. For a face that cannot be assumed, because its normal's sign would
     /// depend on its tilt.
     fn side(&self, fitted: &FittedShape) -> Result<f64, InputError> {
@@ -716,7 +705,7 @@ impl ErrorReport {
                 sorted.sort_by(|a, b| a.along_mm.unwrap_or(0.0).total_cmp(&b.along_mm.unwrap_or(0.0)));
                 sorted.iter().fold(String::new(), |mut text, e| {
                     let along = e.along_mm.unwrap_or(0.0);
-                    let p = through + Zx::new(normal.x, -normal.z) * along;
+                    let p = through + normal.along() * along;
                     let error_um = e.error_um + size_um;
                     let _ =
                         writeln!(text, "{:.6} {error_um:.3} {along:.5} {:.5} {:.5}", e.angle_rad, p.z, p.x);
@@ -766,8 +755,7 @@ impl ErrorReport {
                     (centre + n * radius_mm, n)
                 }
                 FittedShape::Line { through, normal } => {
-                    let along = Zx::new(normal.x, -normal.z) * e.along_mm.unwrap_or(0.0);
-                    (through + along, normal)
+                    (through + normal.along() * e.along_mm.unwrap_or(0.0), normal)
                 }
             })
             .collect();

@@ -35,6 +35,11 @@ impl Zx {
         self.z * other.z + self.x * other.x
     }
 
+    /// Direction of a line with this normal.
+    pub(crate) const fn along(self) -> Self {
+        Self::new(self.x, -self.z)
+    }
+
     /// Angle from the +Z axis, in rad.
     pub fn angle_rad(self) -> f64 {
         self.x.atan2(self.z)
@@ -311,7 +316,7 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
             })
         }
         FittedShape::Line { through, normal } => {
-            let along = |p: Zx| (p - through).dot(Zx::new(normal.x, -normal.z));
+            let along = |p: Zx| (p - through).dot(normal.along());
             let mean = points.iter().map(|&p| along(p)).sum::<f64>() / n;
             let spread = points.iter().map(|&p| (along(p) - mean).powi(2)).sum::<f64>();
             (spread > 0.0).then(|| StandardErrors {
@@ -475,7 +480,6 @@ impl Sums {
 }
 
 /// Indices of the points that are farther from the shape than noise explains.
-///
 /// The half of the points nearest to the robust shape belongs to the surface. The others join it, the nearest
 /// first. The deviation of the next one from the fit of those before it follows Student's law. From the first
 /// significant one on, all are left out (Rosner, Technometrics 25, 1983). White noise loses a point in one to
@@ -491,7 +495,7 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
             (3, points.iter().map(|p| [normal(p).z, normal(p).x]).collect())
         }
         FittedShape::Line { through, normal } => {
-            let along = |p: &Zx| (*p - through).dot(Zx::new(normal.x, -normal.z));
+            let along = |p: &Zx| (*p - through).dot(normal.along());
             (2, points.iter().map(|p| [along(p), 0.0]).collect())
         }
     };
@@ -522,7 +526,7 @@ pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
     let key: Vec<f64> = match *fitted {
         FittedShape::Circle { centre, .. } => points.iter().map(|&p| (p - centre).angle_rad()).collect(),
         FittedShape::Line { through, normal } => {
-            points.iter().map(|&p| (p - through).dot(Zx::new(normal.x, -normal.z))).collect()
+            points.iter().map(|&p| (p - through).dot(normal.along())).collect()
         }
     };
     let mut order: Vec<usize> = (0..points.len()).collect();
@@ -566,7 +570,6 @@ const BIWEIGHT: f64 = 4.685;
 const CANDIDATE_POINTS: usize = 24;
 
 /// An MM-estimate of the shape.
-///
 /// Candidates are all shapes through as few points as determine one. The one with the smallest median
 /// absolute deviation gives start and scale. Iterated reweighting with Tukey's biweight at that scale
 /// follows.

@@ -22,8 +22,7 @@ impl LineTable {
     fn directions(&self) -> (Zx, Zx) {
         let n = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| Zx::at_angle(e.angle_rad));
         let way = self.errors.last().zip(self.errors.first()).map(|(b, a)| b.place - a.place);
-        // Across the normal, in the direction of increasing places.
-        let along = Zx::new(n.x, -n.z);
+        let along = n.along();
         (n, along * way.map_or(1.0, |w| w.dot(along).signum()))
     }
 
@@ -92,7 +91,6 @@ impl LineTable {
     }
 
     /// The table as CSV, with the columns of [`crate::table::csv`].
-    ///
     /// `lead_mm` is the distance before each position at which its totals are sent. The cut runs towards
     /// larger places, or with `backwards` towards smaller ones.
     pub fn csv(&self, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {

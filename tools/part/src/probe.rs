@@ -77,7 +77,6 @@ pub struct Captured {
 }
 
 /// Assigns each trip to its gauging point.
-///
 /// `expected` are the tip's centres at the nominal part. Positions are converted to part coordinates by
 /// `count_um` and the machine's `origin`.
 ///
@@ -144,10 +143,8 @@ pub fn probed_csv(trips: &[Trip], approach: &[Zx], sensors: &[&str], degc: &[Vec
 }
 
 /// The session as a run record of the machine (`probing.run.toml`).
-///
 /// It has axis positions, directions and temperatures, and the distance of each trip beyond the nominal part
 /// along its touch. `origin` is the machine's position at the part's zero.
-///
 /// `None` for a session without a trip.
 pub fn run_record(
     trips: &[Trip],

@@ -91,7 +91,6 @@ const fn parameter(
 }
 
 /// All parameters, with the numbers of the report's template.
-///
 /// `$21` is replaced by the moves. Lengths are in the program's unit.
 pub const PARAMETERS: [Parameter; 22] = [
     parameter(1, "part", "0101", "two digits of the part and two of its version"),
@@ -159,23 +158,16 @@ impl Parameters {
             return Err((format!("'{name}'"), format!("one of {}", names.join(", "))));
         };
         let digits = |n: usize| value.len() == n && value.bytes().all(|b| b.is_ascii_digit());
-        let fits = match p.number {
-            1 => digits(4),
-            2 => matches!(value, "2" | "4" | "6" | "8"),
-            4 | 15 | 20 => (1..=2).any(digits),
-            3 | 5 | 6 | 16..=18 => {
-                value.chars().count() <= MAX_TEXT && !value.contains(['(', ')', '\n', '\r', '$', '@', '%'])
-            }
-            _ => value.parse().is_ok_and(|v: f64| v.is_finite()),
+        let is_text =
+            || value.chars().count() <= MAX_TEXT && !value.contains(['(', ')', '\n', '\r', '$', '@', '%']);
+        let (fits, expected) = match p.number {
+            1 => (digits(4), "four digits: part and version"),
+            2 => (matches!(value, "2" | "4" | "6" | "8"), "an even digit, 2 to 8"),
+            4 | 15 | 20 => ((1..=2).any(digits), "one or two digits"),
+            3 | 5 | 6 | 16..=18 => (is_text(), "at most 66 characters without ( ) $ @ %"),
+            _ => (value.parse().is_ok_and(|v: f64| v.is_finite()), "a finite number"),
         };
         if !fits {
-            let expected = match p.number {
-                1 => "four digits: part and version",
-                2 => "an even digit, 2 to 8",
-                4 | 15 | 20 => "one or two digits",
-                3 | 5 | 6 | 16..=18 => "at most 66 characters without ( ) $ @ %",
-                _ => "a finite number",
-            };
             return Err((format!("{name} = '{value}'"), expected.to_owned()));
         }
         self.0.insert(p.number, value.to_owned());
@@ -220,7 +212,6 @@ impl Parameters {
 
 impl Controller {
     /// A built-in dialect.
-    ///
     /// `None` if there is none of this name.
     ///
     /// # Errors
@@ -361,7 +352,6 @@ impl ProbingProgram<'_> {
     }
 
     /// The moves, one block each.
-    ///
     /// The first move goes along Z alone, then along X alone, which keeps it farthest from the part.
     fn moves(&self, block: &mut u32) -> String {
         let d = &self.controller.dialect;

@@ -44,7 +44,7 @@ fn way_mm(fitted: &FittedShape, from: Zx, to: Zx) -> f64 {
             let turn = (to - centre).angle_rad() - (from - centre).angle_rad();
             turn.rem_euclid(std::f64::consts::TAU) * radius_mm
         }
-        FittedShape::Line { normal, .. } => (to - from).dot(Zx::new(normal.x, -normal.z)),
+        FittedShape::Line { normal, .. } => (to - from).dot(normal.along()),
     }
 }
 

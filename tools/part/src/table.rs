@@ -25,7 +25,6 @@ impl AxisCounts {
     }
 
     /// Requested total that removes an error.
-    ///
     /// An axis stops short by the additional counts that the MTC sees. So too much material needs counts of
     /// its own sign.
     pub fn requested(&self, error_um: f64) -> i64 {
@@ -46,7 +45,6 @@ pub struct FinishCut {
     /// Radius of the finished surface.
     pub radius_mm: f64,
     /// Radius of the tool's nose: its centre runs on the larger arc.
-    ///
     /// Negative in a hollow arc, where it runs inside.
     pub nose_mm: f64,
     /// Machine position at which the nose's centre is at the part's origin.
@@ -158,7 +156,6 @@ impl FinishTable {
     }
 
     /// Components of the error, µm, at the machine position reached in `lead_s`.
-    ///
     /// The velocity is in mm/s. The error is evaluated ahead, so that the counts are inserted when the tool
     /// cuts there. The geometric-thermal model is added before the sum is converted to counts.
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
@@ -190,7 +187,6 @@ impl FinishTable {
     }
 
     /// The same compensation as end points of straight moves for the NC program.
-    ///
     /// Each move stays within `off_mm` of the corrected path, with coordinates rounded to `decimals`. Points
     /// are in part coordinates; the first is where the cut starts.
     pub fn straight_moves(&self, off_mm: f64, decimals: i32) -> Vec<Zx> {

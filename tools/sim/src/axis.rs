@@ -25,8 +25,6 @@ pub struct AxisSpec {
     pub decel_mm_s2: f64,
     /// Jerk, mm/s³.
     pub jerk_mm_s3: f64,
-    /// Lead of the screw, mm.
-    pub lead_mm: f64,
     /// Play between screw and table, µm. The scale is on the table.
     pub backlash_um: f64,
     /// Moved mass, including the motor's inertia, kg.
@@ -67,7 +65,6 @@ impl AxisSpec {
             accel_mm_s2: 1000.0,
             decel_mm_s2: 1000.0,
             jerk_mm_s3: 20_000.0,
-            lead_mm: 10.0,
             backlash_um: 2.0,
             mass_kg: 300.0,
             coulomb_n: 60.0,

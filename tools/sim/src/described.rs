@@ -54,7 +54,6 @@ pub struct Described {
 
 impl Described {
     /// The descriptions of a folder, or the program's.
-    #[must_use]
     pub fn of(folder: Option<PathBuf>) -> Self {
         Self { folder, ..Self::default() }
     }

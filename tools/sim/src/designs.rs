@@ -243,16 +243,15 @@ pub fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig
 
 /// Stops the computer at many moments, including every stage of the insertions.
 fn death(run: &BenchRun<'_>) -> Death {
-    let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else {
-        return Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
-    };
+    let mut death =
+        Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
+    let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else { return death };
+    death.worst_follows = 1.0;
     // Just after changes of A' and B', and moments spread over the motion.
     let changes: Vec<u64> = whole.log.windows(2).filter(|w| w[0].1 == w[1].1).map(|w| w[1].0).collect();
     let end_ns = run.edges.last().map_or(0, |e| e.0);
     let spread: Vec<u64> = (1..60).map(|n| end_ns * n / 66).collect();
     let chosen = changes.iter().step_by(changes.len().div_ceil(60).max(1)).map(|t| t + 1);
-    let mut death =
-        Death { best_follows: 0.0, worst_follows: 1.0, worst_count_error: 0, share_harmless: 0.0 };
     let mut harmless = 0;
     let stop = |die_ns: u64| -> Option<(f64, i64)> {
         // Judged by the longest travel that follows: the way back would undo the error of a mirrored count.

@@ -164,7 +164,7 @@ impl Duty {
             let found = format!("effect {} reads {}", m.effect, m.what);
             InputError::whole(file, found, "axes z and x, sensors T1 to T20")
         })?;
-        let places = Arc::clone(lathe.cuts());
+        let places = Arc::clone(&lathe.cuts);
         let wires = MachineWires::new([(lathe, lines.to_vec())], machine_lines);
         let file = self.workpiece.clone();
         Ok((wires, Cuts { places, part, bench: self.bench.clone(), seed: self.seed, file }))

@@ -14,7 +14,7 @@
 //!
 //! The PLL is a behavioural model of the paper's measurements, not of its parts.
 
-use crate::insertion::CorrectedAxis;
+use crate::insertion::{CardResult, CorrectedAxis, Report};
 use crate::noise::Noise;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
@@ -121,9 +121,8 @@ pub struct Ecc {
     passing: Passing,
     /// The compensation under way, pulses with sign.
     asked: i64,
-    requested: i64,
-    completed: i64,
-    insertions: u64,
+    /// Totals and figures; [`Ecc::axis`] adds the rest.
+    status: AxisStatus,
     look_ns: u64,
     last_edge_ns: Option<u64>,
     /// Output of the direction detector: whether the motion is positive.
@@ -139,7 +138,6 @@ pub struct Ecc {
     last_tick_ns: u64,
     noise: Noise,
     worst_phase_deg: f64,
-    acknowledged: u64,
     begun_ns: u64,
     /// Shortest and longest time per pulse, ns.
     pulse_ns: Option<(u64, u64)>,
@@ -152,7 +150,6 @@ pub struct Ecc {
     /// It requests only if the axis can neither leave the PLL's clean range nor reverse before the
     /// compensation is over.
     accel_counts_s2: Option<f64>,
-    waited: u64,
 }
 
 impl Ecc {
@@ -171,9 +168,7 @@ impl Ecc {
             out: Decoder::new(state),
             passing: Passing::Encoder,
             asked: 0,
-            requested: 0,
-            completed: 0,
-            insertions: 0,
+            status: AxisStatus::default(),
             look_ns: sample.t_ns,
             last_edge_ns: None,
             positive: true,
@@ -185,14 +180,12 @@ impl Ecc {
             last_tick_ns: 0,
             noise: Noise::new(seed, 0xECC),
             worst_phase_deg: 0.0,
-            acknowledged: 0,
             begun_ns: 0,
             pulse_ns: None,
             control: ControlLines { selected: true, ..ControlLines::default() },
             lines_log: Vec::new(),
             by_hand: false,
             accel_counts_s2: None,
-            waited: 0,
         };
         ecc.send(state, card)?;
         Ok(ecc)
@@ -242,7 +235,7 @@ impl Ecc {
 
     /// Number of acknowledgements, that is of completed compensations.
     pub fn acknowledged(&self) -> u64 {
-        self.acknowledged
+        self.status.insertions
     }
 
     /// Largest deviation from 90° between two edges of a split pulse, degrees of phase.
@@ -256,7 +249,7 @@ impl Ecc {
         self.pulse_ns
     }
 
-    fn send<C: Card>(&mut self, state: State, card: &mut C) -> Result<(), CardError> {
+    fn send<C: Card>(&mut self, state: State, card: &mut C) -> CardResult {
         let lines = &self.lines;
         let mask = 1 << lines.invert_a | 1 << lines.invert_b;
         card.write(mask, u64::from(state.a()) << lines.invert_a | u64::from(state.b()) << lines.invert_b)?;
@@ -265,7 +258,7 @@ impl Ecc {
     }
 
     /// Handles a tick of the phase shifter: one count in the encoder's direction.
-    fn tick<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
+    fn tick<C: Card>(&mut self, card: &mut C) -> CardResult {
         if let Passing::Split { left } = &mut self.passing {
             *left -= 1;
             let done = *left == 0;
@@ -281,7 +274,7 @@ impl Ecc {
 
     /// Sends one of the ticks due, never two at the same instant.
     /// The others follow as fast as the VCO can.
-    fn catch_up<C: Card>(&mut self, edge_ns: u64, card: &mut C) -> Result<(), CardError> {
+    fn catch_up<C: Card>(&mut self, edge_ns: u64, card: &mut C) -> CardResult {
         self.behind -= 1;
         self.tick(card)?;
         if matches!(self.passing, Passing::Split { .. }) {
@@ -296,15 +289,14 @@ impl Ecc {
 
     /// Switches the multiplexer back to the encoder.
     /// The controller books its request as completed in any case.
-    fn acknowledge<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
+    fn acknowledge<C: Card>(&mut self, card: &mut C) -> CardResult {
         self.passing = Passing::Encoder;
         (self.tick_ns, self.behind) = (None, 0);
-        self.completed += 4 * self.asked;
+        self.status.completed += 4 * self.asked;
         let took = (self.look_ns - self.begun_ns) / self.asked.unsigned_abs().max(1);
         self.pulse_ns = Some(self.pulse_ns.map_or((took, took), |(lo, hi)| (lo.min(took), hi.max(took))));
         self.asked = 0;
-        self.insertions += 1;
-        self.acknowledged += 1;
+        self.status.insertions += 1;
         // The controller clears S1 when it sees the pulse.
         self.put(self.look_ns, ControlLines { ack: true, ..self.control });
         let off = ControlLines { s1: false, s0: false, value: 0, ack: false, ..self.control };
@@ -344,7 +336,7 @@ impl Ecc {
         (0.25e9 / limit) as u64
     }
 
-    fn edge<C: Card>(&mut self, state: State, edge_ns: u64, card: &mut C) -> Result<(), CardError> {
+    fn edge<C: Card>(&mut self, state: State, edge_ns: u64, card: &mut C) -> CardResult {
         let before = self.scale.state();
         let Some(step) = self.scale.update(state) else { return self.send(state, card) };
         let period_ns = self.last_edge_ns.map_or(f64::INFINITY, |last| (edge_ns - last).max(1) as f64);
@@ -414,14 +406,14 @@ impl Ecc {
             let ControlLines { s1, s0, value, .. } = self.control;
             i64::from(s1) * i64::from(value) * if s0 { sign } else { -sign }
         } else {
-            ((self.requested - self.completed) / 4).clamp(-MAX_PULSES, MAX_PULSES)
+            ((self.status.requested - self.status.completed) / 4).clamp(-MAX_PULSES, MAX_PULSES)
         };
         // More counts in the direction of motion are added pulses; fewer are blocked ones.
         let adds = pulses * sign > 0;
         // Lines set by hand act directly on the circuit, without a guard.
         let sure =
             if pulses == 0 || self.by_hand { pulses.abs() } else { self.sure_pulses(adds).min(pulses.abs()) };
-        self.waited += u64::from(sure < pulses.abs());
+        self.status.waited_for_gate += u64::from(sure < pulses.abs());
         if sure == 0 {
             return;
         }
@@ -440,12 +432,7 @@ impl Ecc {
 }
 
 impl CorrectedAxis for Ecc {
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        _report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, _report: &mut impl Report) -> CardResult {
         let splitting = matches!(self.passing, Passing::Split { .. });
         // If the input falls below the lock range, the VCO runs at its lowest frequency.
         let loses_ns = self.last_edge_ns.map_or(u64::MAX, |t| t + (0.5e9 / self.pll.lock_from_hz) as u64);
@@ -480,13 +467,13 @@ impl CorrectedAxis for Ecc {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+        report: &mut impl Report,
+    ) -> CardResult {
         if total_counts.abs() > 1000 {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
             report(Event { t_ns: self.look_ns, axis: Some(0), kind });
         } else {
-            self.requested = total_counts;
+            self.status.requested = total_counts;
         }
         Ok(())
     }
@@ -495,14 +482,10 @@ impl CorrectedAxis for Ecc {
         AxisStatus {
             position_counts: self.scale.count(),
             mtc_minus_scale: self.out.count() - self.scale.count(),
-            requested: self.requested,
-            completed: self.completed,
-            in_effect: self.completed,
+            in_effect: self.status.completed,
             homed: true,
-            insertions: self.insertions,
-            waited_for_gate: self.waited,
             illegal: self.scale.illegal(),
-            ..AxisStatus::default()
+            ..self.status
         }
     }
 

@@ -2,6 +2,7 @@
 //! They move tool and probe alike.
 
 use crate::axis::Friction;
+use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
 use crate::noise::Noise;
@@ -37,7 +38,7 @@ pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) 
 
 /// Sets the forces that the true machine's effects describe, on all its axes.
 pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
-    for n in 0..machine.axis_count() {
+    for n in 0..machine.axes.len() {
         let axis = NAMES[machine.place(n)];
         let mut friction = Friction::default();
         let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == axis);
@@ -52,7 +53,7 @@ pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
                 Some(Mechanism::ProbeDelay) | None => {}
             }
         }
-        machine.set_friction(n, friction);
+        machine.axes[n].extra_friction = friction;
     }
 }
 
@@ -80,7 +81,7 @@ pub(crate) fn frame<'a>(
 pub(crate) struct Errors {
     pub heat: Heat,
     truth: Live,
-    channels: Vec<f64>,
+    pub channels: Vec<f64>,
     noise: Noise,
 }
 
@@ -94,8 +95,15 @@ impl Errors {
         &self.truth.layout().channels
     }
 
-    pub(crate) fn channels(&self) -> &[f64] {
-        &self.channels
+    /// The present readings on a machine under these loads.
+    pub(crate) fn readings(&self, machine: &SimMachine, load_n: [f64; AXES]) -> Readings<'_> {
+        Readings {
+            degc: self.heat.readings_degc(),
+            channels: &self.channels,
+            rpm: machine.rpm(),
+            coolant: machine.coolant(),
+            load_n,
+        }
     }
 
     /// Advances the channels by one second.
@@ -108,7 +116,7 @@ impl Errors {
     /// Evaluates the errors at the machine's position and moves its tool by them.
     pub(crate) fn act(&mut self, t_s: f64, machine: &mut SimMachine, load_n: &[f64; AXES], angle_rad: f64) {
         let mut axes = [AxisNow::default(); AXES];
-        for n in 0..machine.axis_count() {
+        for n in 0..machine.axes.len() {
             let p = machine.place(n);
             axes[p] = AxisNow {
                 position_mm: machine.position_mm(n),
@@ -120,7 +128,7 @@ impl Errors {
         }
         let frame = frame(t_s, machine, &self.heat, &self.channels, &axes);
         self.truth.evaluate(&Frame { angle_rad, ..frame });
-        machine.set_tool_offset_mm(self.errors_um().map(|e| e / 1000.0));
+        machine.tool_offset_mm = self.errors_um().map(|e| e / 1000.0);
     }
 
     /// The last evaluated errors of X, Y, Z, µm.

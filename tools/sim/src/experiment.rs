@@ -47,7 +47,7 @@ pub struct Setting<'a> {
 }
 
 /// Results of an experiment.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Findings {
     /// Run records, not yet written, without and with compensation (`…-compensated`).
     pub records: Vec<Record>,
@@ -100,7 +100,7 @@ pub enum ExperimentError {
 /// What an experiment runs.
 #[derive(Debug, Clone, Copy)]
 enum Run {
-    Own(fn(&Setting<'_>) -> Result<Findings, ExperimentError>),
+    Own(fn(&Setting<'_>, &mut Findings) -> Result<(), ExperimentError>),
     /// The drilling test of WO 97/43703 from this thermal state.
     Drilling(Start),
 }
@@ -148,10 +148,12 @@ impl Experiment {
     }
 
     fn run_as_set(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+        let mut findings = Findings::default();
         match &self.run {
-            Run::Own(run) => run(setting),
-            Run::Drilling(start) => drilling(setting, self.name, start),
+            Run::Own(run) => run(setting, &mut findings)?,
+            Run::Drilling(start) => drilling(setting, self.name, start, &mut findings)?,
         }
+        Ok(findings)
     }
 
     /// A drilling test after a spindle cycle (rpm and minutes), wet.

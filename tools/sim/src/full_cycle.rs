@@ -6,14 +6,13 @@
 //! twice as many inversions. The simulated cards show every edge and confirm every write at once, so no code
 //! here guards against missed counts.
 
-use crate::insertion::{CorrectedAxis, GateDesign};
-use rtec_driver::card::{Card, CardError, MachineLines};
+use crate::insertion::{CardResult, CorrectedAxis, GateDesign, Report};
+use rtec_driver::card::{Card, MachineLines};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use rtec_rt::axis::{Answer, AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{
-    AxisStatus, Capture, Event, EventKind, Fault, Faults, GateState, HeldBy, MAX_AXES, Mode, Refusal,
-    Request, Status,
+    AxisStatus, Capture, Event, EventKind, Fault, GateState, HeldBy, MAX_AXES, Mode, Refusal, Request, Status,
 };
 use rtec_rt::gate::{Gate, GateInput};
 
@@ -101,8 +100,8 @@ struct FullCycleAxis {
     /// A' and B', and the MTC's count since homing.
     mtc: State,
     mtc_count: i64,
-    requested: i64,
-    completed: i64,
+    /// Totals, figures and faults; [`FullCycleAxis::status`] adds the rest.
+    status: AxisStatus,
     not_believed: u8,
     phase: Phase,
     last_inversion: Option<LastInversion>,
@@ -113,12 +112,7 @@ struct FullCycleAxis {
     /// Lower bound of the last period, ns; `None` before the second edge.
     period_ns: Option<u64>,
     next_allowed_ns: u64,
-    faults: Faults,
     capture: Option<Capture>,
-    insertions: u64,
-    waited_for_gate: u64,
-    overlaps: u64,
-    late: u64,
     /// The mode has changed since the last poll or total.
     look_at_once: bool,
 }
@@ -156,8 +150,7 @@ impl FullCycle {
                 inverters: 0,
                 mtc: state,
                 mtc_count: 0,
-                requested: 0,
-                completed: 0,
+                status: AxisStatus::default(),
                 not_believed: 0,
                 phase: Phase::Idle,
                 last_inversion: None,
@@ -165,12 +158,7 @@ impl FullCycle {
                 last_step: 0,
                 period_ns: None,
                 next_allowed_ns: sample.t_ns,
-                faults: Faults::NONE,
                 capture: None,
-                insertions: 0,
-                waited_for_gate: 0,
-                overlaps: 0,
-                late: 0,
                 look_at_once: true,
             })
         };
@@ -193,12 +181,7 @@ impl FullCycle {
     ///
     /// # Errors
     /// When the hold line cannot be written.
-    pub fn take<C: Card>(
-        &mut self,
-        request: Request,
-        card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+    pub fn take<C: Card>(&mut self, request: Request, card: &mut C, report: &mut impl Report) -> CardResult {
         match request {
             Request::Correct { axis, total_counts, large } => {
                 let (n, why_not) = (usize::from(axis), self.why_not());
@@ -211,7 +194,9 @@ impl FullCycle {
                 let kind = match answer {
                     Answer::AcceptedWithWarning => EventKind::Warning { total_counts },
                     Answer::Refused(why) => EventKind::Refused { total_counts, why },
-                    Answer::Fault(fault) if self.axes[n].faults.latch(fault) => EventKind::Fault(fault),
+                    Answer::Fault(fault) if self.axes[n].status.faults.latch(fault) => {
+                        EventKind::Fault(fault)
+                    }
                     Answer::Accepted | Answer::Fault(_) => return Ok(()),
                 };
                 report(Event { t_ns: self.look_ns, axis: Some(axis), kind });
@@ -240,8 +225,8 @@ impl FullCycle {
         conditions.into_iter().find_map(|(is, why)| is.then_some(why))
     }
 
-    fn update_mode<C: Card>(&mut self, card: &mut C) -> Result<(), CardError> {
-        let faulted = self.axes.iter().any(|a| a.faults.any());
+    fn update_mode<C: Card>(&mut self, card: &mut C) -> CardResult {
+        let faulted = self.axes.iter().any(|a| a.status.faults.any());
         let mode = if faulted {
             Mode::Fault
         } else if self.held.is_some() {
@@ -284,12 +269,7 @@ impl FullCycle {
 }
 
 impl CorrectedAxis for FullCycle {
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
         let due_ns = self.axes.iter().map(FullCycleAxis::wake_ns).min().unwrap_or(u64::MAX);
         let wake_ns = if std::mem::replace(&mut self.look_at_once, false) { 0 } else { due_ns };
         let sample = card.sample(wake_ns.min(by_ns))?;
@@ -339,8 +319,8 @@ impl CorrectedAxis for FullCycle {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+        report: &mut impl Report,
+    ) -> CardResult {
         self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
     }
 
@@ -355,7 +335,7 @@ impl CorrectedAxis for FullCycle {
 
 impl FullCycleAxis {
     fn pending(&self) -> i64 {
-        self.requested - self.completed
+        self.status.requested - self.status.completed
     }
 
     /// Pairs of the next insertion: two, or one if a left-over pair must be undone.
@@ -365,7 +345,7 @@ impl FullCycleAxis {
 
     fn ready(&self) -> bool {
         let least = if self.inverters == 0 { INCREMENT_COUNTS } else { INCREMENT_COUNTS / 2 };
-        self.pending().abs() >= least && !self.faults.any()
+        self.pending().abs() >= least && !self.status.faults.any()
     }
 
     fn may_begin_here(&self) -> bool {
@@ -373,9 +353,9 @@ impl FullCycleAxis {
     }
 
     fn request(&mut self, total: i64, large: bool) -> Answer {
-        let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
+        let answer = self.config.judge(total, self.status.requested, large, &mut self.not_believed);
         if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
-            (self.requested, self.look_at_once) = (total, false);
+            (self.status.requested, self.look_at_once) = (total, false);
         }
         answer
     }
@@ -412,7 +392,7 @@ impl FullCycleAxis {
     }
 
     fn fault(&mut self, fault: Fault, report: &mut impl FnMut(EventKind)) {
-        if self.faults.latch(fault) {
+        if self.status.faults.latch(fault) {
             report(EventKind::Fault(fault));
         }
     }
@@ -434,9 +414,9 @@ impl FullCycleAxis {
         self.last_step = step;
         self.pass_on(before.signal_to(state), look.edge_ns.1, report);
         if matches!(self.inverters, 1 | 2) {
-            self.overlaps += 1;
+            self.status.overlaps += 1;
             report(EventKind::Overlap);
-        } else if self.mtc_count - self.scale.count() != self.completed && !self.faults.any() {
+        } else if self.mtc_count - self.scale.count() != self.status.completed && !self.status.faults.any() {
             self.fault(Fault::LedgerImbalance, report);
         }
         if let Some(mut c) = self.capture.take() {
@@ -447,7 +427,7 @@ impl FullCycleAxis {
             self.phase = Phase::Idle;
             if self.ready() && look.may_insert {
                 if turned {
-                    self.waited_for_gate += 1;
+                    self.status.waited_for_gate += 1;
                 } else {
                     self.open(look.edge_ns);
                 }
@@ -465,7 +445,7 @@ impl FullCycleAxis {
             self.mtc_count += i64::from(before.flipped(signal).step_of(inversion.signal));
             self.mtc = self.mtc.flipped(signal);
             if matches!(self.inverters, 0 | 3) {
-                self.completed = self.mtc_count - self.scale.count();
+                self.status.completed = self.mtc_count - self.scale.count();
             }
             return;
         }
@@ -484,7 +464,7 @@ impl FullCycleAxis {
         let period_ns = self.period_ns.unwrap_or(0);
         let quiet_ns = self.gate.quiet_ns(period_ns);
         if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
-            self.waited_for_gate += 1;
+            self.status.waited_for_gate += 1;
             return;
         }
         self.phase = Phase::Opened {
@@ -511,7 +491,7 @@ impl FullCycleAxis {
                     return Some(self.invert_first(add, pairs, look.t_ns));
                 }
                 if wanted {
-                    self.late += 1;
+                    self.status.late += 1;
                     report(EventKind::Late);
                 }
                 None
@@ -539,7 +519,7 @@ impl FullCycleAxis {
         t_ns: u64,
         report: &mut impl FnMut(EventKind),
     ) -> Signal {
-        let wanted = self.completed + if add { 2 } else { -2 };
+        let wanted = self.status.completed + if add { 2 } else { -2 };
         let offset = self.mtc_count - self.scale.count();
         let mut signal = self.mtc.signal_towards(add);
         let step = if add { 1 } else { -1 };
@@ -549,15 +529,15 @@ impl FullCycleAxis {
         }
         self.invert(signal, t_ns);
         let offset = self.mtc_count - self.scale.count();
-        self.completed = if overlapped { offset } else { wanted };
-        if offset != self.completed {
+        self.status.completed = if overlapped { offset } else { wanted };
+        if offset != self.status.completed {
             self.fault(Fault::LedgerImbalance, report);
         }
         if pairs > 1 {
             self.phase = Phase::BetweenPairs { add, pairs: pairs - 1, effective_ns: t_ns };
         } else {
             self.phase = Phase::Idle;
-            self.insertions += 1;
+            self.status.insertions += 1;
             let interval_ns = INCREMENT_COUNTS as f64 / self.config.max_rate_counts_s * 1e9;
             self.next_allowed_ns = t_ns + interval_ns as u64;
         }
@@ -609,23 +589,17 @@ impl FullCycleAxis {
     }
 
     fn status(&self) -> AxisStatus {
+        let faulted = self.status.faults.any();
         AxisStatus {
             position_counts: self.home_counts + self.scale.count(),
             mtc_minus_scale: self.mtc_count - self.scale.count(),
-            requested: self.requested,
-            completed: self.completed,
-            in_effect: self.completed,
+            in_effect: self.status.completed,
             inverted: self.inverters == 3,
-            homed: !self.faults.any(),
-            mtc_known: !self.faults.any(),
-            gate: if self.faults.any() { GateState::Fault } else { GateState::WaitingForEdge },
-            faults: self.faults,
-            insertions: self.insertions,
-            waited_for_gate: self.waited_for_gate,
-            overlaps: self.overlaps,
-            late: self.late,
+            homed: !faulted,
+            mtc_known: !faulted,
+            gate: if faulted { GateState::Fault } else { GateState::WaitingForEdge },
             illegal: self.scale.illegal(),
-            ..AxisStatus::default()
+            ..self.status
         }
     }
 }

@@ -135,7 +135,8 @@ pub struct Heat {
     network: Network,
     /// °C, in the order of [`Node`].
     temperature: [f64; NODES],
-    ambient_degc: f64,
+    /// Temperature of the hall without its drift, °C.
+    pub(crate) ambient_degc: f64,
     /// Slow drift of the hall's temperature, K.
     drift: f64,
     t_s: f64,
@@ -171,11 +172,6 @@ impl Heat {
     #[must_use]
     pub fn of(self, network: Network) -> Self {
         Self { network, ..self }
-    }
-
-    /// Sets the temperature of the hall, at once, °C.
-    pub fn set_hall(&mut self, degc: f64) {
-        self.ambient_degc = degc;
     }
 
     /// Advances to `t_s` with the spindle at `rpm` and coolant on or off.

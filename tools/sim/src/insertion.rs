@@ -52,18 +52,21 @@ impl MtcDecoder {
     }
 }
 
+/// Nothing, or the failure of a card.
+pub type CardResult = Result<(), CardError>;
+
+/// Takes the events of a corrector, and returns whether it kept them.
+pub trait Report: FnMut(Event) -> bool {}
+
+impl<F: FnMut(Event) -> bool> Report for F {}
+
 /// One corrected and homed axis, for a replay or a comparison of designs.
 pub trait CorrectedAxis {
     /// Handles one poll of the card, at `by_ns` at the latest if the card can wait.
     ///
     /// # Errors
     /// When the card fails.
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError>;
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult;
 
     /// Takes a new total, counts.
     ///
@@ -74,8 +77,8 @@ pub trait CorrectedAxis {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError>;
+        report: &mut impl Report,
+    ) -> CardResult;
 
     /// The present state of the axis.
     fn axis(&self) -> AxisStatus;
@@ -85,12 +88,7 @@ pub trait CorrectedAxis {
 }
 
 impl CorrectedAxis for Engine {
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
         Engine::poll(self, card, by_ns, report)
     }
 
@@ -99,8 +97,8 @@ impl CorrectedAxis for Engine {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+        report: &mut impl Report,
+    ) -> CardResult {
         self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
     }
 
@@ -120,7 +118,7 @@ impl CorrectedAxis for Engine {
 pub fn homed_engine<C: Card>(
     config: AxisConfig,
     card: &mut C,
-    report: &mut impl FnMut(Event) -> bool,
+    report: &mut impl Report,
 ) -> Result<Engine, StartError> {
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };

@@ -4,7 +4,7 @@
 use crate::attended::Attended;
 use crate::control::{Control, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
-use crate::insertion::GateDesign;
+use crate::insertion::{GateDesign, Report};
 use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::Polled;
@@ -18,7 +18,7 @@ use rtec_model::effect::Missing;
 use rtec_model::machine::Machine;
 use rtec_part::fit::Zx;
 use rtec_part::probe::Captured;
-use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
+use rtec_part::table::{FinishCut, FinishTable};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::event::{Event, EventKind, Request, Status};
@@ -83,25 +83,24 @@ pub enum RunError {
 /// The control law with its inputs, and with lags known since the machine's start.
 fn control(
     stand: &LatheState,
-    table: Option<(&FinishTable, f64)>,
+    table: Option<&FinishTable>,
     model: Option<&Machine>,
     lead_s: f64,
     past: &[(f64, Vec<f64>)],
 ) -> Result<Control, RunError> {
-    let setup = |name: &str, counts: &AxisCounts| AxisSetup {
-        name: name.to_owned(),
-        count_um: counts.count_um,
-        increment_counts: counts.increment,
-        window_counts: WINDOW_COUNTS,
-        max_counts: MAX_COUNTS,
-    };
-    let counts = axes(stand.bench, stand.design);
-    let setups = ["z", "x"].iter().zip(&counts).map(|(name, c)| setup(name, c)).collect();
-    let mut control = Control::new(setups, &[], lead_s);
+    let setups =
+        ["z", "x"].into_iter().zip(axes(stand.bench, stand.design)).map(|(name, counts)| AxisSetup {
+            name: name.to_owned(),
+            count_um: counts.count_um,
+            increment_counts: counts.increment,
+            window_counts: WINDOW_COUNTS,
+            max_counts: MAX_COUNTS,
+        });
+    let mut control = Control::new(setups.collect(), &[], lead_s);
     if let Some(model) = model {
         control.load(model, past)?;
     }
-    if let Some((table, lead_s)) = table {
+    if let Some(table) = table {
         let cut = &table.cut;
         let shown = PartTable {
             errors: String::new(),
@@ -130,7 +129,7 @@ fn corrected(
     card: &mut Polled<Lathe>,
     stand: &LatheState,
     probing: bool,
-    report: &mut impl FnMut(Event) -> bool,
+    report: &mut impl Report,
 ) -> Result<CorrectedMachine, StartError> {
     let poll_ns = stand.bench.poll_ns as u64;
     let configs = LINES.map(|lines| AxisConfig {
@@ -145,7 +144,7 @@ fn corrected(
         ..AxisConfig::default()
     });
     let lines = MachineLines { probe: MachineLines::standard().probe, ..MachineLines::default() };
-    let origins = [0, 1].map(|n| card.attended.machine().origin_counts(n));
+    let origins = [0, 1].map(|n| card.attended.machine().axes[n].origin);
     let mut corrected = CorrectedMachine::new(stand.design, card, &configs, lines, &origins, report)?;
     if probing {
         corrected.take(Request::Probe(true), card, report)?;
@@ -169,9 +168,7 @@ pub fn run(
     let tip_mm = if let Job::Probe(tip_mm) = job { Some(tip_mm) } else { None };
     let lathe = Lathe::new(stand, start, cut.origin, moves, tip_mm, part)?;
     let mut law = match job {
-        Job::Corrected(table, model, lead_s) => {
-            Some(control(stand, table.map(|t| (t, lead_s)), model, lead_s, lathe.past())?)
-        }
+        Job::Corrected(table, model, lead_s) => Some(control(stand, table, model, lead_s, &lathe.past)?),
         Job::Cut | Job::Probe(_) => None,
     };
     let over = |lathe: &Lathe| lathe.finished() || lathe.machine().fault().is_some();
@@ -219,9 +216,9 @@ pub fn run(
     if let Some(fault) = machine.fault() {
         return Err(RunError::Servo(fault));
     }
-    let cuts = lathe.cuts().lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let cuts = lathe.cuts.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     cut_away(part, stand.bench, &cuts, stand.seed);
-    let (trips, degc) = lathe.trips().iter().cloned().unzip();
+    let (trips, degc) = lathe.trips.iter().cloned().unzip();
     Ok(Ran {
         events,
         status,

@@ -268,14 +268,15 @@ pub struct Lathe {
     held: bool,
     cutting: std::ops::RangeInclusive<usize>,
     block: usize,
-    cuts: Arc<Mutex<Vec<Cut>>>,
+    /// The cuts so far; a user of the shared list takes them from it.
+    pub(crate) cuts: Arc<Mutex<Vec<Cut>>>,
     last_cut: Option<Zx>,
     /// The tip's centre by the scales (part coordinates) and the sensors at each trip.
-    trips: Vec<(Zx, Vec<f64>)>,
+    pub(crate) trips: Vec<(Zx, Vec<f64>)>,
     noise: Noise,
     touch_mm: f64,
     /// The sensors while the machine warmed up: time since its start, s, and °C.
-    past: Vec<(f64, Vec<f64>)>,
+    pub(crate) past: Vec<(f64, Vec<f64>)>,
 }
 
 impl Lathe {
@@ -337,20 +338,9 @@ impl Lathe {
         self.act();
     }
 
-    /// Readings of the sensors since the machine was switched on.
-    pub(crate) fn past(&self) -> &[(f64, Vec<f64>)] {
-        &self.past
-    }
-
     /// The sensors' present readings.
     pub(crate) fn readings(&self) -> Readings<'_> {
-        Readings {
-            degc: self.errors.heat.readings_degc(),
-            channels: self.errors.channels(),
-            rpm: self.machine.rpm(),
-            coolant: self.machine.coolant(),
-            load_n: [0.0; AXES],
-        }
+        self.errors.readings(&self.machine, [0.0; AXES])
     }
 
     /// Time since the machine was switched on, s.
@@ -368,7 +358,7 @@ impl Lathe {
         let angle_rad = (self.on_scale() - self.centre).angle_rad();
         self.errors.act(self.t_s(), &mut self.machine, &[0.0; AXES], angle_rad);
         let (_, probe_um) = self.errors.radial_um();
-        self.machine.set_probe_reach_mm(self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3);
+        self.machine.probe_reach_mm = self.tip_mm.unwrap_or(0.0) + self.touch_mm + probe_um * 1e-3;
     }
 
     /// Cycle start: loads the program, which runs from its first block.
@@ -379,16 +369,6 @@ impl Lathe {
     /// Whether the program has ended.
     pub(crate) fn finished(&self) -> bool {
         self.waiting.is_none() && self.machine.finished()
-    }
-
-    /// The cuts so far; a user of the shared list takes them from it.
-    pub(crate) fn cuts(&self) -> &Arc<Mutex<Vec<Cut>>> {
-        &self.cuts
-    }
-
-    /// The tip's centre and the sensors' readings at each trip.
-    pub(crate) fn trips(&self) -> &[(Zx, Vec<f64>)] {
-        &self.trips
     }
 
     fn cut(&mut self) {
@@ -412,8 +392,8 @@ impl Attended for Lathe {
 
     fn tick(&mut self) {
         self.errors.heat.advance(self.t_s(), self.machine.rpm(), false);
-        if self.block != self.machine.blocks_begun() {
-            self.block = self.machine.blocks_begun();
+        if self.block != self.machine.begun {
+            self.block = self.machine.begun;
             self.touch_mm = self.bench.probe_sd_um * 1e-3 * self.noise.normal();
         }
         self.act();

@@ -5,7 +5,7 @@
 //! time, whichever comes first. Between events the axes move in steps of constant speed. Every edge has the
 //! time at which the moving table crosses it.
 
-use crate::axis::{AxisSim, AxisSpec, Friction};
+use crate::axis::{AxisSim, AxisSpec};
 use crate::gcode::Block;
 use crate::path::{AXES, Along, Command, FeedProfile, Limits, MoveShape};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
@@ -90,7 +90,7 @@ const fn due(t_ns: u64, source: usize) -> u64 {
 /// The simulated machine behind a card's lines: axes, scales, decoders and probe.
 #[derive(Default)]
 pub struct SimMachine {
-    axes: Vec<AxisSim>,
+    pub(crate) axes: Vec<AxisSim>,
     /// The controller's axis (0 X, 1 Y, 2 Z) of each axis of the machine.
     place: Vec<usize>,
     lines: Vec<AxisLines>,
@@ -106,7 +106,7 @@ pub struct SimMachine {
     /// The operator's jog; it runs instead of the program once the path is at rest.
     jog: Option<Block>,
     /// Blocks begun so far.
-    begun: usize,
+    pub(crate) begun: usize,
     fault: Option<ServoFault>,
     rpm: f64,
     coolant: bool,
@@ -120,10 +120,12 @@ pub struct SimMachine {
     next: u64,
     surface: Option<Surface>,
     /// Tool minus scale, mm: the true machine's errors.
-    tool_offset_mm: [f64; AXES],
+    pub(crate) tool_offset_mm: [f64; AXES],
     /// Time from contact to the probe's line, ns.
     probe_delay_ns: u64,
-    probe_reach_mm: f64,
+    /// Distance of the tip's centre at which the probe detects the part, mm.
+    /// It is the tip's radius plus its present error.
+    pub(crate) probe_reach_mm: f64,
     trip_ns: u64,
     /// Number of the probe's trips, and the axes' positions at the last trip.
     /// Positions are X, Y, Z by the scales, mm.
@@ -178,11 +180,6 @@ impl SimMachine {
         speeds.fold(1.0, f64::max)
     }
 
-    /// Number of axes.
-    pub fn axis_count(&self) -> usize {
-        self.axes.len()
-    }
-
     /// The card's lines of every axis, with A' and B' read back.
     pub fn lines(&self) -> &[AxisLines] {
         &self.lines
@@ -201,11 +198,6 @@ impl SimMachine {
     /// Leaves the program: the path comes to rest, then this block runs.
     pub fn jog(&mut self, block: Block) {
         self.jog = Some(block);
-    }
-
-    /// Number of blocks begun so far.
-    pub const fn blocks_begun(&self) -> usize {
-        self.begun
     }
 
     /// Whether no block is under way or waiting.
@@ -268,11 +260,6 @@ impl SimMachine {
         self.axes[axis].accel_mm_s2
     }
 
-    /// Force of an axis's drive, N.
-    pub fn force_n(&self, axis: usize) -> f64 {
-        self.axes[axis].force_n
-    }
-
     /// Direction of an axis's last motion of more than three counts.
     pub fn direction(&self, axis: usize) -> f64 {
         self.axes[axis].direction
@@ -303,21 +290,6 @@ impl SimMachine {
         self.axes[axis].min_separation_ns
     }
 
-    /// Scale count at the machine's zero at the start.
-    /// Position in counts minus this is the count since the start.
-    pub fn origin_counts(&self, axis: usize) -> i64 {
-        self.axes[axis].origin
-    }
-
-    pub(crate) fn set_friction(&mut self, axis: usize, friction: Friction) {
-        self.axes[axis].extra_friction = friction;
-    }
-
-    /// Sets the tool's deviation from the scales' position, mm.
-    pub fn set_tool_offset_mm(&mut self, offset_mm: [f64; AXES]) {
-        self.tool_offset_mm = offset_mm;
-    }
-
     /// Sets the part that the probe may touch, and the delay from contact to line, ns.
     /// `None` is a part out of reach.
     pub fn set_surface(&mut self, surface: Option<Surface>, delay_ns: u64) {
@@ -326,12 +298,6 @@ impl SimMachine {
         self.trip_ns = u64::MAX;
         self.inputs &= !(1 << 28);
         self.find_soonest();
-    }
-
-    /// Sets the distance of the tip's centre at which the probe detects the part, mm.
-    /// It is the tip's radius plus its present error.
-    pub fn set_probe_reach_mm(&mut self, reach_mm: f64) {
-        self.probe_reach_mm = reach_mm;
     }
 
     /// Number of the probe's trips, and the axes' positions at the last trip.
@@ -442,16 +408,10 @@ impl SimMachine {
             Block::Arc { to, plane: (i, j), centre, clockwise, feed_mm_s } => {
                 let start_rad = libm::atan2(from[j] - centre.1, from[i] - centre.0);
                 let end_rad = libm::atan2(to[j] - centre.1, to[i] - centre.0);
-                let turn = 2.0 * std::f64::consts::PI;
+                let way = if clockwise { -1.0 } else { 1.0 };
                 let mut sweep_rad = end_rad - start_rad;
-                if clockwise {
-                    while sweep_rad > -1e-9 {
-                        sweep_rad -= turn;
-                    }
-                } else {
-                    while sweep_rad < 1e-9 {
-                        sweep_rad += turn;
-                    }
+                while way * sweep_rad < 1e-9 {
+                    sweep_rad += way * std::f64::consts::TAU;
                 }
                 let radius_mm = libm::hypot(from[i] - centre.0, from[j] - centre.1);
                 let k = AXES - i - j;

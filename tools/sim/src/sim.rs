@@ -1,7 +1,7 @@
 //! The machine with the unchanged engine in its feedback, and a corrector.
 
 use crate::axis::AxisSpec;
-use crate::control::{Control, REST_NS, Readings, WINDOW_COUNTS};
+use crate::control::{Control, REST_NS, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::gcode::Block;
@@ -226,7 +226,7 @@ impl Sim {
         set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
         machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
-        let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.origin_counts(n)).collect();
+        let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.axes[n].origin).collect();
         let lines = machine.machine_lines();
         let corrected =
             CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
@@ -264,7 +264,7 @@ impl Sim {
 
     /// Values of the logged channels.
     pub fn channels(&self) -> &[f64] {
-        self.errors.channels()
+        &self.errors.channels
     }
 
     /// Readings of the temperature sensors, °C, ordered as [`crate::heat::SENSORS`].
@@ -274,7 +274,7 @@ impl Sim {
 
     /// Sets the temperature of the hall, at once, °C.
     pub fn heat_hall(&mut self, degc: f64) {
-        self.errors.heat.set_hall(degc);
+        self.errors.heat.ambient_degc = degc;
     }
 
     /// Reasons why axes do not follow the model now; empty if all follow.
@@ -364,13 +364,7 @@ impl Sim {
         }
         self.act();
         let Some(control) = &mut self.control else { return Ok(()) };
-        let now = Readings {
-            degc: self.errors.heat.readings_degc(),
-            channels: self.errors.channels(),
-            rpm: self.machine.rpm(),
-            coolant: self.machine.coolant(),
-            load_n: self.load_n,
-        };
+        let now = self.errors.readings(&self.machine, self.load_n);
         let mut report = |e: Event| keep(&mut self.events, e);
         for request in control.requests(t_s, &self.corrected.status(), now) {
             self.corrected.take(request, &mut self.machine, &mut report)?;
@@ -403,14 +397,14 @@ impl Sim {
             rpm: m.rpm(),
             coolant: m.coolant(),
         };
-        for n in 0..m.axis_count() {
+        for n in 0..m.axes.len() {
             let p = m.place(n);
             now.position_mm[p] = m.position_mm(n);
             now.counted_mm[p] = m.counted_mm(n);
             now.velocity_mm_s[p] = m.velocity_mm_s(n);
             now.acceleration_mm_s2[p] = m.acceleration_mm_s2(n);
             now.direction[p] = m.direction(n);
-            now.force_n[p] = m.force_n(n);
+            now.force_n[p] = m.axes[n].force_n;
             now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * m.count_um(n);
         }
         now

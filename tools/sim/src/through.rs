@@ -5,11 +5,11 @@
 //! edges and inserted steps are sent one after another, each with the MTC's separation before it. Edges that
 //! the computer sees too late are lost. When the computer stops, the MTC sees an axis at rest.
 
-use crate::insertion::CorrectedAxis;
+use crate::insertion::{CardResult, CorrectedAxis, Report};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
-use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Faults, GateState, Refusal};
+use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, GateState, Refusal};
 use rtec_rt::gate::{Gate, GateInput};
 
 /// One axis whose signals pass through the computer, homed to zero at its position.
@@ -20,8 +20,8 @@ pub struct DesignB {
     scale: Decoder,
     /// State of A' and B' and its count.
     out: Decoder,
-    requested: i64,
-    completed: i64,
+    /// Totals, figures and faults; [`DesignB::axis`] adds the rest.
+    status: AxisStatus,
     look_ns: u64,
     last_edge_ns: Option<u64>,
     period_ns: u64,
@@ -31,9 +31,6 @@ pub struct DesignB {
     free_ns: u64,
     /// Time before which no insertion may begin (rate limit), ns.
     next_allowed_ns: u64,
-    insertions: u64,
-    waited_for_gate: u64,
-    faults: Faults,
 }
 
 impl DesignB {
@@ -51,17 +48,13 @@ impl DesignB {
             gate,
             scale: Decoder::new(state),
             out: Decoder::new(state),
-            requested: 0,
-            completed: 0,
+            status: AxisStatus::default(),
             look_ns: sample.t_ns,
             last_edge_ns: None,
             period_ns: 0,
             open_until_ns: None,
             free_ns: sample.t_ns,
             next_allowed_ns: sample.t_ns,
-            insertions: 0,
-            waited_for_gate: 0,
-            faults: Faults::NONE,
         };
         through.drive(state, card)?;
         Ok(Some(through))
@@ -77,7 +70,7 @@ impl DesignB {
         })
     }
 
-    fn drive<C: Card>(&mut self, state: State, card: &mut C) -> Result<(), CardError> {
+    fn drive<C: Card>(&mut self, state: State, card: &mut C) -> CardResult {
         let lines = &self.config.lines;
         let mask = 1 << lines.invert_a | 1 << lines.invert_b;
         let value = u64::from(state.a()) << lines.invert_a | u64::from(state.b()) << lines.invert_b;
@@ -87,15 +80,15 @@ impl DesignB {
         Ok(())
     }
 
-    fn fault(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
-        if self.faults.latch(fault) {
+    fn fault(&mut self, fault: Fault, report: &mut impl Report) {
+        if self.status.faults.latch(fault) {
             report(Event { t_ns: self.look_ns, axis: Some(0), kind: EventKind::Fault(fault) });
         }
     }
 
     /// The count that the MTC should have: scale count plus total.
     fn due(&self) -> i64 {
-        self.scale.count() + self.completed
+        self.scale.count() + self.status.completed
     }
 
     /// Latest time at which a step may begin after an edge.
@@ -105,12 +98,12 @@ impl DesignB {
         if self.period_ns >= self.gate.min_period_ns() && quiet_ns >= self.gate.need_ns() {
             return Some(edge_ns + quiet_ns - self.config.write_ns - self.config.min_separation_ns);
         }
-        self.waited_for_gate += u64::from(self.pending());
+        self.status.waited_for_gate += u64::from(self.pending());
         None
     }
 
     fn pending(&self) -> bool {
-        self.requested != self.completed && !self.faults.any()
+        self.status.requested != self.status.completed && !self.status.faults.any()
     }
 
     /// Whether a step may be inserted now, with all edges passed on.
@@ -127,12 +120,7 @@ impl DesignB {
 }
 
 impl CorrectedAxis for DesignB {
-    fn poll<C: Card>(
-        &mut self,
-        card: &mut C,
-        by_ns: u64,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
         let waits = self.out.count() == self.due() && !(self.pending() && self.open_until_ns.is_some());
         let mut wake_ns = if waits { u64::MAX } else { self.free_ns };
         if let RestPolicy::Insert { after_ns } = self.config.rest
@@ -155,8 +143,8 @@ impl CorrectedAxis for DesignB {
         self.open_until_ns = self.open_until_ns.filter(|&t| self.look_ns <= t);
         if self.due_now() {
             self.open_until_ns = None;
-            self.completed += (self.requested - self.completed).signum();
-            self.insertions += 1;
+            self.status.completed += (self.status.requested - self.status.completed).signum();
+            self.status.insertions += 1;
             self.next_allowed_ns = self.look_ns + (1e9 / self.config.max_rate_counts_s) as u64;
         }
         // One count at a time, never two signals at once.
@@ -172,13 +160,13 @@ impl CorrectedAxis for DesignB {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        report: &mut impl FnMut(Event) -> bool,
-    ) -> Result<(), CardError> {
+        report: &mut impl Report,
+    ) -> CardResult {
         if total_counts.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
             report(Event { t_ns: self.look_ns, axis: Some(0), kind });
         } else {
-            self.requested = total_counts;
+            self.status.requested = total_counts;
         }
         Ok(())
     }
@@ -187,16 +175,11 @@ impl CorrectedAxis for DesignB {
         AxisStatus {
             position_counts: self.scale.count(),
             mtc_minus_scale: self.out.count() - self.scale.count(),
-            requested: self.requested,
-            completed: self.completed,
-            in_effect: self.completed,
-            homed: !self.faults.any(),
-            gate: if self.faults.any() { GateState::Fault } else { GateState::WaitingForEdge },
-            faults: self.faults,
-            insertions: self.insertions,
-            waited_for_gate: self.waited_for_gate,
+            in_effect: self.status.completed,
+            homed: !self.status.faults.any(),
+            gate: if self.status.faults.any() { GateState::Fault } else { GateState::WaitingForEdge },
             illegal: self.scale.illegal(),
-            ..AxisStatus::default()
+            ..self.status
         }
     }
 

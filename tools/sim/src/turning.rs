@@ -250,13 +250,8 @@ impl Setup {
         seed: u64,
     ) -> Result<Ran, TurningError> {
         let path_mm = radius_mm + self.bench.nose_mm;
-        self.go(
-            part,
-            radius_mm,
-            &arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0),
-            self.job(table),
-            seed,
-        )
+        let moves = arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0);
+        self.go(part, radius_mm, &moves, self.job(table), seed)
     }
 
     /// A cut with the known errors.

@@ -2,7 +2,8 @@
 
 use super::{Bench, cannot};
 use crate::PaperError;
-use crate::rows::{Agreement, Rows};
+use crate::rows::Agreement::Within;
+use crate::rows::Rows;
 use rtec_driver::card::AxisLines;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
@@ -39,23 +40,13 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Resu
         }
     }
     let other = "the machine file has another width of the byte, or another count";
-    rows.given().number(
-        (place, "corrections in one signed byte, ±", ""),
-        127.0,
-        (taken[0] / step) as f64,
-        Agreement::Within(0.0),
-        other,
-    );
+    let gets = (taken[0] / step) as f64;
+    rows.given().number((place, "corrections in one signed byte, ±", ""), 127.0, gets, Within(0.0), other);
     let um = taken[0].min(-taken[1]) as f64 * bench.count_um;
-    rows.given().number((place, "largest correction, ±", "µm"), 508.0, um, Agreement::Within(0.0), other);
-    rows.given().number((place, "the same", "mil"), 20.0, um / 25.4, Agreement::Within(0.05), other);
-    rows.given().number(
-        (place, "one correction", "µm"),
-        4.0,
-        step as f64 * bench.count_um,
-        Agreement::Within(0.0),
-        other,
-    );
+    rows.given().number((place, "largest correction, ±", "µm"), 508.0, um, Within(0.0), other);
+    rows.given().number((place, "the same", "mil"), 20.0, um / 25.4, Within(0.05), other);
+    let gets = step as f64 * bench.count_um;
+    rows.given().number((place, "one correction", "µm"), 4.0, gets, Within(0.0), other);
     Ok(())
 }
 
@@ -90,13 +81,9 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
     while widest < 20 && believed(widest + 1)? {
         widest += 1;
     }
-    rows.given().number(
-        (place, "belief window, corrections at once, ±", ""),
-        3.0,
-        widest as f64,
-        Agreement::Within(0.0),
-        "the machine file has another window",
-    );
+    let what = "belief window, corrections at once, ±";
+    let gets = widest as f64;
+    rows.given().number((place, what, ""), 3.0, gets, Within(0.0), "the machine file has another window");
     let wild = (widest + 50) * step;
     let once = believe(window, &[step, wild, 2 * step], false)?;
     rows.holds(
@@ -120,25 +107,12 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
             break;
         }
     }
-    rows.number(
-        (
-            place,
-            "readings beyond it until \"I Still Don't Believe You\" is fatal: the first and two more",
-            "",
-        ),
-        3.0,
-        fatal as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "readings beyond it until \"I Still Don't Believe You\" is fatal: the first and two more";
+    rows.number((place, what, ""), 3.0, fatal as f64, Within(0.0), "");
     let large = believe(window, &[wild], true)?;
-    rows.holds(
-        (place, "\"Large Correction\" has it accepted"),
-        "accepted",
-        if large.requested == wild { "accepted" } else { "refused" },
-        large.requested == wild,
-        "",
-    );
+    let what = "\"Large Correction\" has it accepted";
+    let gets = if large.requested == wild { "accepted" } else { "refused" };
+    rows.holds((place, what), "accepted", gets, large.requested == wild, "");
     Ok(())
 }
 
@@ -168,13 +142,9 @@ pub(super) fn switches(rows: &mut Rows) -> Result<(), PaperError> {
         engine.take(request, &mut card, &mut report).map_err(cannot)?;
         engine.correct(4, true, &mut card, &mut report).map_err(cannot)?;
         let inserted = engine.status().axes[0].insertions;
-        rows.holds(
-            (place, what),
-            "nothing inserted",
-            &format!("{inserted} inserted, refused: {}", refused.join(", ")),
-            inserted == 0 && refused.len() == 1,
-            "the engine's own words",
-        );
+        let why = "the engine's own words";
+        let gets = format!("{inserted} inserted, refused: {}", refused.join(", "));
+        rows.holds((place, what), "nothing inserted", &gets, inserted == 0 && refused.len() == 1, why);
     }
     Ok(())
 }

@@ -2,11 +2,12 @@
 
 use super::{Bench, cannot};
 use crate::PaperError;
-use crate::rows::{Agreement, Rows};
+use crate::rows::Agreement::{AtLeast, Within};
+use crate::rows::Rows;
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchRun, constant, insert_at_rest};
+use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant, insert_at_rest};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{safe_at, served_at_rest};
 use rtec_sim::ecc::Pll;
@@ -27,56 +28,24 @@ pub(super) fn at_rest(
             (0..4).filter(|s| served_at_rest(design, computer, AxisConfig::default(), State::from_bits(*s)));
         all.count() as f64
     };
-    rows.number(
-        ("The \"Original RTEC\"", "states at rest in which the Original corrects: A and B low", "of 4"),
-        1.0,
-        served(AnyDesign::Original),
-        Agreement::Within(0.0),
-        "",
-    );
-    rows.number(
-        ("Design A", "states at rest in which it corrects", "of 4"),
-        4.0,
-        served(AnyDesign::A),
-        Agreement::Within(0.0),
-        "",
-    );
-    rows.number(
-        ("Design C", "states at rest in which it corrects", "of 4"),
-        4.0,
-        served(AnyDesign::C),
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "states at rest in which the Original corrects: A and B low";
+    rows.number(("The \"Original RTEC\"", what, "of 4"), 1.0, served(AnyDesign::Original), Within(0.0), "");
+    let gets = served(AnyDesign::A);
+    rows.number(("Design A", "states at rest in which it corrects", "of 4"), 4.0, gets, Within(0.0), "");
+    let gets = served(AnyDesign::C);
+    rows.number(("Design C", "states at rest in which it corrects", "of 4"), 4.0, gets, Within(0.0), "");
     let place = "The \"Original RTEC\"";
     let without = dithering(bench, 0.0, seed)?;
-    rows.number(
-        (place, "a good servo at rest, no dither: places corrected", "of 4"),
-        0.0,
-        without as f64,
-        Agreement::Within(0.0),
-        "without an edge nothing tells the corrector that A and B are low: it waits",
-    );
+    let what = "a good servo at rest, no dither: places corrected";
+    let why = "without an edge nothing tells the corrector that A and B are low: it waits";
+    rows.number((place, what, "of 4"), 0.0, without as f64, Within(0.0), why);
     let one = dithering(bench, bench.dither_counts, seed)?;
-    rows.holds(
-        (place, "dither of one count may not include the A&B low state"),
-        "not in every place",
-        &format!("{one} of 4 places corrected"),
-        one < 4,
-        "the two of four places whose one count touches A and B low",
-    );
+    let what = "dither of one count may not include the A&B low state";
+    let why = "the two of four places whose one count touches A and B low";
+    rows.holds((place, what), "not in every place", &format!("{one} of 4 places corrected"), one < 4, why);
     let full = dithering(bench, 4.0, seed)?;
-    rows.number(
-        (
-            place,
-            "servo gain or zero-offset altered until it dithers by a whole cycle: places corrected",
-            "of 4",
-        ),
-        4.0,
-        full as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "servo gain or zero-offset altered until it dithers by a whole cycle: places corrected";
+    rows.number((place, what, "of 4"), 4.0, full as f64, Within(0.0), "");
     Ok(())
 }
 
@@ -106,13 +75,9 @@ fn dithering(bench: &Bench, dither_counts: f64, seed: u64) -> Result<usize, Pape
 pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) {
     let place = "Design B";
     let edges = constant(1_000_000, 100_000.0, 400, 1);
-    rows.given().number(
-        (place, "a signal of 100 kHz has a transition every", "µs"),
-        2.5,
-        (edges[399].0 - edges[0].0) as f64 / 399.0 / 1e3,
-        Agreement::Within(0.01),
-        "",
-    );
+    let what = "a signal of 100 kHz has a transition every";
+    let gets = (edges[399].0 - edges[0].0) as f64 / 399.0 / 1e3;
+    rows.given().number((place, what, "µs"), 2.5, gets, Within(0.01), "");
     let with = |pass_ns: u64| Computer {
         pass_ns,
         step_ns: pass_ns.min(computer.step_ns),
@@ -136,78 +101,45 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0)
     };
     let passed = slowest(&passes);
-    rows.number(
-        (place, "faster than the 8051 to pass 100 kHz: at least an order of magnitude", "times"),
-        10.0,
-        computer.pass_ns as f64 / passed.max(1) as f64,
-        Agreement::AtLeast,
-        "to pass the signals alone a pass within the 2.5 µs between two transitions is enough, and the 8051's pass is taken as \
-         ten instructions of a microsecond; corrections need more, see the next row",
-    );
+    let what = "faster than the 8051 to pass 100 kHz: at least an order of magnitude";
+    let why = "to pass the signals alone a pass within the 2.5 µs between two transitions is enough, and the 8051's pass is taken as \
+        ten instructions of a microsecond; corrections need more, see the next row";
+    rows.number((place, what, "times"), 10.0, computer.pass_ns as f64 / passed.max(1) as f64, AtLeast, why);
     let corrects =
         |c: &Computer| safe_at(AnyDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1);
     let corrected = slowest(&corrects);
-    rows.number(
-        (place, "the same with corrections inserted between two transitions", "times"),
-        10.0,
-        if corrected == 0 { f64::INFINITY } else { computer.pass_ns as f64 / corrected as f64 },
-        Agreement::AtLeast,
-        "edge, insertion and the MTC's separations within 2.5 µs",
-    );
+    let why = "edge, insertion and the MTC's separations within 2.5 µs";
+    let what = "the same with corrections inserted between two transitions";
+    let gets = if corrected == 0 { f64::INFINITY } else { computer.pass_ns as f64 / corrected as f64 };
+    rows.number((place, what, "times"), 10.0, gets, AtLeast, why);
     let serves =
         |c: &Computer, hz: f64| safe_at(AnyDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1);
-    rows.holds(
-        (place, "the 8051 is not fast enough"),
-        "not at 100 kHz",
-        if serves(computer, 100_000.0) { "serves 100 kHz" } else { "not at 100 kHz" },
-        !serves(computer, 100_000.0),
-        "",
-    );
+    let what = "the 8051 is not fast enough";
+    let gets = if serves(computer, 100_000.0) { "serves 100 kHz" } else { "not at 100 kHz" };
+    rows.holds((place, what), "not at 100 kHz", gets, !serves(computer, 100_000.0), "");
     let seen = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, faster) }.run();
     let passed = seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0);
-    rows.holds(
-        (place, "signal processors have the speed for 100 kHz"),
-        "yes",
-        if passed { "yes" } else { "no" },
-        passed,
-        "",
-    );
+    let gets = if passed { "yes" } else { "no" };
+    rows.holds((place, "signal processors have the speed for 100 kHz"), "yes", gets, passed, "");
     let totals = [(edges[500].0, 300), (edges[2500].0, 0)];
     let slow = constant(1_000_000, 5000.0, 8000, 1);
     let late = [(slow[100].0, 300)];
     let run = BenchRun { edges: &slow, totals: &late, ..BenchRun::new(AnyDesign::B, faster) };
     let many = run.run().map_or(0, |s| s.completed);
-    rows.number(
-        (place, "counts added or subtracted can be in the hundreds", "counts"),
-        100.0,
-        many as f64,
-        Agreement::AtLeast,
-        "300 were asked for",
-    );
+    let what = "counts added or subtracted can be in the hundreds";
+    rows.number((place, what, "counts"), 100.0, many as f64, AtLeast, "300 were asked for");
     let dead = BenchRun { die_ns: edges[1000].0, totals: &totals, edges: &edges, ..run }.run();
     let moved = dead.and_then(|d| d.at_death.map(|(_, mtc)| d.mtc - mtc)).unwrap_or(0);
-    rows.number(
-        ("General Considerations", "the computer stops: counts that reach the MTC from then on", "counts"),
-        0.0,
-        moved as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "the computer stops: counts that reach the MTC from then on";
+    rows.number(("General Considerations", what, "counts"), 0.0, moved as f64, Within(0.0), "");
 }
 
 /// The state tables of Design C, line by line.
 pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
-    let states = |start: u8, totals: &[(u64, i64)], edges: u64, config: AxisConfig| {
-        let edges = constant(100_000_000, 1000.0, edges, 1);
-        let run = BenchRun {
-            config,
-            start: State::from_bits(start),
-            edges: &edges,
-            totals,
-            keep_log: true,
-            ..BenchRun::new(AnyDesign::C, computer)
-        };
-        run.run().map(|seen| {
+    let states = |start: u8, totals: &[(u64, i64)], edges: &[Edge], config: AxisConfig| {
+        let start = State::from_bits(start);
+        let new = BenchRun::new(AnyDesign::C, computer);
+        BenchRun { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
             let mut table: Vec<String> = Vec::new();
             for (_, _, out, count) in &seen.log {
                 let line = format!("{}{}:{count}", u8::from(out.a()), u8::from(out.b()));
@@ -218,55 +150,30 @@ pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), Paper
             (table.join(" "), seen)
         })
     };
+    let forwards = |counts| constant(100_000_000, 1000.0, counts, 1);
     let rest = insert_at_rest(AxisConfig::default());
-    let plain = states(0, &[], 4, AxisConfig::default()).ok_or_else(|| cannot("a plain motion"))?;
+    let plain =
+        states(0, &[], &forwards(4), AxisConfig::default()).ok_or_else(|| cannot("a plain motion"))?;
     rows.words(("Design A, state table", "A B : count, forwards"), "00:0 10:1 11:2 01:3 00:4", &plain.0, "");
-    let add = states(0, &[(1_000_000, 2)], 4, rest).ok_or_else(|| cannot("an insertion at rest"))?;
-    rows.words(
-        ("Design C, second table", "at 0,0 invert A, then B: two counts added"),
-        "00:0 10:1 11:2 01:3 00:4 10:5 11:6",
-        &add.0,
-        "the report's table counts on from 2: the same seven states",
-    );
-    let later = at_one_zero(computer).ok_or_else(|| cannot("an insertion"))?;
+    let add =
+        states(0, &[(1_000_000, 2)], &forwards(4), rest).ok_or_else(|| cannot("an insertion at rest"))?;
+    let what = "at 0,0 invert A, then B: two counts added";
+    let why = "the report's table counts on from 2: the same seven states";
+    rows.words(("Design C, second table", what), "00:0 10:1 11:2 01:3 00:4 10:5 11:6", &add.0, why);
+    // The axis goes one count, stands, is corrected by −2 at 1,0, and goes on.
+    let stops = [vec![(10_000_000, 1)], forwards(3)].concat();
+    let later = states(0, &[(20_000_000, -2)], &stops, rest).ok_or_else(|| cannot("an insertion"))?;
     let says = "00:0 10:1 00:0 01:-1 00:0 10:1 11:2";
-    rows.words(("Design C, third table", "at 1,0 invert A, then B: two counts subtracted"), says, &later, "");
+    let gets = later.0;
+    rows.words(("Design C, third table", "at 1,0 invert A, then B: two counts subtracted"), says, &gets, "");
     let mut right = 0;
     for start in 0..4 {
         for total in [2, -2] {
-            let seen = states(start, &[(1_000_000, total)], 8, rest).map(|s| s.1);
+            let seen = states(start, &[(1_000_000, total)], &forwards(8), rest).map(|s| s.1);
             right += usize::from(seen.is_some_and(|s| s.mtc - s.scale == total && s.illegal == 0));
         }
     }
-    rows.number(
-        ("Design C", "the algorithm, A and B alike or not, adding or subtracting: right in", "of 8"),
-        8.0,
-        right as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    let what = "the algorithm, A and B alike or not, adding or subtracting: right in";
+    rows.number(("Design C", what, "of 8"), 8.0, right as f64, Within(0.0), "");
     Ok(())
-}
-
-/// The third table: the axis goes one count, stands, is corrected by −2 at 1,0, and goes on.
-fn at_one_zero(computer: &Computer) -> Option<String> {
-    let mut edges = vec![(10_000_000_u64, 1_i64)];
-    edges.extend(constant(100_000_000, 1000.0, 3, 1));
-    let totals = [(20_000_000, -2)];
-    let config = insert_at_rest(AxisConfig::default());
-    let run = BenchRun {
-        config,
-        edges: &edges,
-        totals: &totals,
-        keep_log: true,
-        ..BenchRun::new(AnyDesign::C, computer)
-    };
-    let mut table: Vec<String> = Vec::new();
-    for (_, _, out, count) in &run.run()?.log {
-        let line = format!("{}{}:{count}", u8::from(out.a()), u8::from(out.b()));
-        if table.last() != Some(&line) {
-            table.push(line);
-        }
-    }
-    Some(table.join(" "))
 }

@@ -4,8 +4,9 @@ mod belief;
 mod designs;
 mod signals;
 
-use crate::PaperError;
-use crate::rows::{Agreement, Rows};
+use crate::rows::Agreement::{AtMost, Within};
+use crate::rows::Rows;
+use crate::{PaperError, Progress};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
@@ -57,11 +58,7 @@ impl Timing {
 /// A look of a run: time, scale, MTC, its count.
 type Change = (u64, State, State, i64);
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let bench: Bench = described.read("4832.toml")?;
     let machine = described.machine(&bench.machine)?;
     let (computer, faster) = (bench.computer.computer(), bench.faster_computer.computer());
@@ -110,7 +107,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
     let ((x, e), (cx, ce)) = (data(0), data(1));
     let whole = e.last().copied().unwrap_or(0.0) / (x.last().copied().unwrap_or(1.0) / bench.travel_mm);
     let other = "the machine file has another error";
-    rows.given().number((place, "error over one metre", "µm"), 240.0, whole, Agreement::Within(1.0), other);
+    rows.given().number((place, "error over one metre", "µm"), 240.0, whole, Within(1.0), other);
     let half_um = 2.0 * bench.count_um;
     let steps: Vec<f64> =
         (1..ce.len()).filter(|&k| (ce[k - 1] - ce[k]).abs() > half_um).map(|k| cx[k]).collect();
@@ -118,14 +115,10 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         (Some(a), Some(b)) if steps.len() > 1 => (b - a) / (steps.len() - 1) as f64,
         _ => 0.0,
     };
-    rows.given().number((place, "one correction every", "mm"), 16.7, spacing, Agreement::Within(0.2), other);
-    rows.given().number(
-        (place, "corrections over a quarter of the travel", ""),
-        15.0,
-        found.summary.get("insertions").and_then(serde_json::Value::as_f64).unwrap_or(0.0),
-        Agreement::Within(0.0),
-        other,
-    );
+    rows.given().number((place, "one correction every", "mm"), 16.7, spacing, Within(0.2), other);
+    let what = "corrections over a quarter of the travel";
+    let gets = found.summary.get("insertions").and_then(serde_json::Value::as_f64).unwrap_or(0.0);
+    rows.given().number((place, what, ""), 15.0, gets, Within(0.0), other);
     // A new value only every so often.
     let place = "Alternate Configurations";
     let mut sim = Sim::new(&spec, machine, Some(machine), [0.0; 3], seed)?;
@@ -137,20 +130,10 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
         sim.advance(0.12)?;
         late = late.max(sim.moment().off_um(0).abs());
     }
-    rows.number(
-        (place, "a new value every 1 to 2 mm is sufficient: the error stays below one correction", "µm"),
-        4.0 * bench.count_um,
-        late,
-        Agreement::AtMost,
-        "with a value every 2 mm",
-    );
+    let what = "a new value every 1 to 2 mm is sufficient: the error stays below one correction";
+    rows.number((place, what, "µm"), 4.0 * bench.count_um, late, AtMost, "with a value every 2 mm");
     let every_ms = rtec_sim::sim::CONTROL_NS as f64 / 1e6;
-    rows.given().number(
-        (place, "a new value every 10 to 20 ms: our control period", "ms"),
-        20.0,
-        every_ms,
-        Agreement::AtMost,
-        "10 ms",
-    );
+    let what = "a new value every 10 to 20 ms: our control period";
+    rows.given().number((place, what, "ms"), 20.0, every_ms, AtMost, "10 ms");
     Ok(())
 }

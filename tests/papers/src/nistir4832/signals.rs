@@ -2,11 +2,12 @@
 
 use super::{Bench, Change, cannot};
 use crate::PaperError;
-use crate::rows::{Agreement, Rows, shown};
+use crate::rows::Agreement::{AtLeast, AtMost, Share, Within};
+use crate::rows::{Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant};
+use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::experiment::one_metre;
 use rtec_sim::gcode::Block;
@@ -18,68 +19,39 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
     let place = "Position Feedback Signals";
     let slow = constant(1_000_000, 1000.0, 4000, 1);
     let computer = Computer::dsp();
-    let seen = BenchRun { edges: &slow, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
-        .run()
-        .ok_or_else(|| cannot("a plain motion"))?;
+    let plain = |edges: &[Edge]| {
+        let run = BenchRun { edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) };
+        run.run().ok_or_else(|| cannot("a plain motion"))
+    };
+    let seen = plain(&slow)?;
     let cycles = rising(&seen.log, |s| s.a());
-    rows.number(
-        (place, "resolution against the encoder's square wave", "times"),
-        4.0,
-        seen.mtc as f64 / cycles as f64,
-        Agreement::Within(1e-6),
-        "",
-    );
+    let what = "resolution against the encoder's square wave";
+    rows.number((place, what, "times"), 4.0, seen.mtc as f64 / cycles as f64, Within(1e-6), "");
     let rapid = traverse(bench.count_um, bench.rapid_mm_min, bench.travel_mm, seed)?;
     let place = "Altering the Position Signal";
-    rows.given().number(
-        (place, "bits for an axis of one metre at 1 µm", "bits"),
-        20.0,
-        f64::from(64 - (rapid.counts.unsigned_abs() - 1).leading_zeros()),
-        Agreement::Within(0.0),
-        "the travel or the resolution of the machine file is another",
-    );
-    rows.given().number(
-        (place, "counts of that axis", ""),
-        1e6,
-        rapid.counts as f64,
-        Agreement::Share(0.001),
-        "the axis stops within a count of either end",
-    );
-    rows.given().number(
-        (place, "encoder frequency at rapid traverse, 7 m/min", "kHz"),
-        30.0,
-        rapid.encoder_hz / 1e3,
-        Agreement::Share(0.05),
-        "the report says \"about\": 7 m/min are 116 667 counts/s, a quarter of it is the encoder's frequency",
-    );
+    let why = "the travel or the resolution of the machine file is another";
+    let what = "bits for an axis of one metre at 1 µm";
+    let gets = f64::from(64 - (rapid.counts.unsigned_abs() - 1).leading_zeros());
+    rows.given().number((place, what, "bits"), 20.0, gets, Within(0.0), why);
+    let why = "the axis stops within a count of either end";
+    rows.given().number((place, "counts of that axis", ""), 1e6, rapid.counts as f64, Share(0.001), why);
+    let what = "encoder frequency at rapid traverse, 7 m/min";
+    let why =
+        "the report says \"about\": 7 m/min are 116 667 counts/s, a quarter of it is the encoder's frequency";
+    rows.given().number((place, what, "kHz"), 30.0, rapid.encoder_hz / 1e3, Share(0.05), why);
     let coming = traverse(bench.count_um / 10.0, 2.0 * bench.rapid_mm_min, 60.0, seed)?;
-    rows.given().number(
-        (place, "twice the speed at nearly a tenth of the resolution: up to", "kHz"),
-        500.0,
-        coming.encoder_hz / 1e3,
-        Agreement::Share(0.2),
-        "the report rounds: resolutions \"approaching\" a tenth; exactly a tenth gives this",
-    );
+    let what = "twice the speed at nearly a tenth of the resolution: up to";
+    let why = "the report rounds: resolutions \"approaching\" a tenth; exactly a tenth gives this";
+    rows.given().number((place, what, "kHz"), 500.0, coming.encoder_hz / 1e3, Share(0.2), why);
     for (hz, width_us) in [(100e3, 5.0), (1e6, 0.5)] {
-        let edges = constant(1_000_000, hz, 400, 1);
-        let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) }
-            .run()
-            .ok_or_else(|| cannot("a plain motion"))?;
-        rows.given().number(
-            (place, &format!("pulse width of a square wave of {} kHz", shown(hz / 1e3)), "µs"),
-            width_us,
-            high_ns(&seen.log, |s| s.a()) / 1e3,
-            Agreement::Within(0.002),
-            "",
-        );
+        let seen = plain(&constant(1_000_000, hz, 400, 1))?;
+        let what = format!("pulse width of a square wave of {} kHz", shown(hz / 1e3));
+        let gets = high_ns(&seen.log, |s| s.a()) / 1e3;
+        rows.given().number((place, &what, "µs"), width_us, gets, Within(0.002), "");
     }
-    rows.given().number(
-        ("The \"Original RTEC\"", "rapid traverse over cutting speed: an order of magnitude", "times"),
-        10.0,
-        bench.rapid_mm_min / bench.cutting_mm_min,
-        Agreement::AtLeast,
-        "",
-    );
+    let what = "rapid traverse over cutting speed: an order of magnitude";
+    let gets = bench.rapid_mm_min / bench.cutting_mm_min;
+    rows.given().number(("The \"Original RTEC\"", what, "times"), 10.0, gets, AtLeast, "");
     Ok(())
 }
 
@@ -146,13 +118,7 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
     ] {
         let seen = go(design, 10_000.0, total)?;
         let why = "the insertion was not made on the computer as described";
-        rows.number(
-            (place, what, "counts"),
-            says,
-            (seen.mtc - seen.scale) as f64,
-            Agreement::Within(0.0),
-            why,
-        );
+        rows.number((place, what, "counts"), says, (seen.mtc - seen.scale) as f64, Within(0.0), why);
     }
     // Where the machine goes with four counts more.
     let known = Machine::parse(
@@ -169,13 +135,10 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
     sim.run([Block::Feed { to: [20.0, 0.0, 0.0], feed_mm_s: bench.cutting_mm_min / 60.0 }])?;
     sim.advance(0.5)?;
     let place = "Altering the Position Signal";
-    rows.given().number(
-        (place, "four counts added: the axis stops from the programmed position by", "counts"),
-        -4.0,
-        ((sim.moment().position_mm[0] - 20.0) * 1e3 / bench.count_um).round(),
-        Agreement::Within(0.0),
-        "the servo is in position within a count",
-    );
+    let why = "the servo is in position within a count";
+    let what = "four counts added: the axis stops from the programmed position by";
+    let gets = ((sim.moment().position_mm[0] - 20.0) * 1e3 / bench.count_um).round();
+    rows.given().number((place, what, "counts"), -4.0, gets, Within(0.0), why);
     times(rows, computer)
 }
 
@@ -194,13 +157,9 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
     let place = "Altering the Position Signal";
     let slow = go(AnyDesign::Original, 10_000.0, 4)?;
     let inserted: Vec<Change> = inserted(&slow.log);
-    rows.given().number(
-        (place, "width of an added pulse", "µs"),
-        2.0,
-        high_ns(&slow.log, |s| s.a()) / 1e3,
-        Agreement::Within(0.01),
-        "the computer of the machine file steps at another pace",
-    );
+    let why = "the computer of the machine file steps at another pace";
+    let gets = high_ns(&slow.log, |s| s.a()) / 1e3;
+    rows.given().number((place, "width of an added pulse", "µs"), 2.0, gets, Within(0.01), why);
     let place = "The \"Original RTEC\"";
     let (first, last) = match (inserted.first(), inserted.last()) {
         (Some(a), Some(b)) => (a.0, b.0),
@@ -215,63 +174,39 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         ("after the pulses", 2.0, done.saturating_sub(last - edge)),
         ("total", 9.0, done),
     ] {
-        rows.number((place, what, "µs"), says, ns as f64 / 1e3, Agreement::Within(0.01), other);
+        rows.number((place, what, "µs"), says, ns as f64 / 1e3, Within(0.01), other);
     }
     let edges = constant(1_000_000, 30_000.0, 4000, 1);
     let low: Vec<u64> = edges.chunks(4).take(900).map(|c| c[1].0 - c[0].0).collect();
-    rows.given().number(
-        (place, "at 30 kHz A and B are low for", "µs"),
-        8.0,
-        low.iter().sum::<u64>() as f64 / low.len() as f64 / 1e3,
-        Agreement::Within(0.5),
-        "\"about\": a quarter of the period of 33.3 µs",
-    );
+    let why = "\"about\": a quarter of the period of 33.3 µs";
+    let gets = low.iter().sum::<u64>() as f64 / low.len() as f64 / 1e3;
+    rows.given().number((place, "at 30 kHz A and B are low for", "µs"), 8.0, gets, Within(0.5), why);
     let rapid = go(AnyDesign::Original, 30_000.0, 40)?;
-    rows.holds(
-        (place, "at 30 kHz the nine microseconds run into the next transition"),
-        "they may",
-        &format!(
-            "held back {} times by the timer; the count {} off",
-            rapid.waited_for_gate,
-            rapid.error_counts()
-        ),
-        rapid.waited_for_gate > 0 && rapid.error_counts() == 0,
-        "the timer between two \"A&B low\" holds insertions back, as the report's does",
+    let why = "the timer between two \"A&B low\" holds insertions back, as the report's does";
+    let what = "at 30 kHz the nine microseconds run into the next transition";
+    let gets = format!(
+        "held back {} times by the timer; the count {} off",
+        rapid.waited_for_gate,
+        rapid.error_counts()
     );
+    rows.holds((place, what), "they may", &gets, rapid.waited_for_gate > 0 && rapid.error_counts() == 0, why);
     let quicker = go(AnyDesign::C, 10_000.0, 2)?.edge_to_done_ns.map_or(0, |t| t.0);
-    rows.number(
-        ("Design C", "time of an insertion: somewhat less than the Original's", "µs"),
-        done as f64 / 1e3,
-        quicker as f64 / 1e3,
-        Agreement::AtMost,
-        "two inversions instead of four changes",
-    );
+    let what = "time of an insertion: somewhat less than the Original's";
+    let why = "two inversions instead of four changes";
+    rows.number(("Design C", what, "µs"), done as f64 / 1e3, quicker as f64 / 1e3, AtMost, why);
     let a = go(AnyDesign::A, 10_000.0, 4)?.edge_to_done_ns.map_or(0, |t| t.0);
-    rows.number(
-        ("Design A", "time of an insertion: the same as the Original's", "µs"),
-        done as f64 / 1e3,
-        a as f64 / 1e3,
-        Agreement::Within(0.01),
-        "",
-    );
+    let what = "time of an insertion: the same as the Original's";
+    rows.number(("Design A", what, "µs"), done as f64 / 1e3, a as f64 / 1e3, Within(0.01), "");
     for (design, says) in [(AnyDesign::Original, 4), (AnyDesign::A, 4), (AnyDesign::B, 1), (AnyDesign::C, 2)]
     {
         // Design B needs the faster computer; what it inserts is the same on any.
         let quick = Computer::dsp();
         let with = if design == AnyDesign::B { &quick } else { computer };
-        let edges = constant(1_000_000, 10_000.0, 4000, 1);
-        let totals = [(edges[500].0, 8)];
-        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, with) }
-            .run()
-            .ok_or_else(|| cannot("an insertion"))?;
+        let seen = insert(with, design, 10_000.0, 8)?;
         let step = (seen.mtc - seen.scale) as f64 / (seen.insertions as f64).max(1.0);
-        rows.number(
-            ("Designs", &format!("correction resolution of {}", design.name()), "counts"),
-            f64::from(says),
-            step,
-            Agreement::Within(0.0),
-            "the insertions were not made",
-        );
+        let what = format!("correction resolution of {}", design.name());
+        let why = "the insertions were not made";
+        rows.number(("Designs", &what, "counts"), f64::from(says), step, Within(0.0), why);
     }
     Ok(())
 }

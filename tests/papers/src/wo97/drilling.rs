@@ -2,7 +2,8 @@
 
 use super::{AXES, INCH_UM, Run, column, error_of, record};
 use crate::PaperError;
-use crate::rows::{Agreement, Rows, shown};
+use crate::rows::Agreement::Within;
+use crate::rows::{Rows, shown};
 use rtec_measure::plot::{Chart, Colour, Series, Style};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
@@ -41,13 +42,10 @@ fn second_pass(rows: &mut Rows, record: &Record) {
     let x = Axis::new("x").map_or(&[][..], |axis| column(record, &Role::Position(axis)));
     let first = (0..x.len()).filter(|row| !pass_of(*row).0);
     let apart: Vec<f64> = first.map(|row| x[row + 2 * PASS_HOLES] - x[row]).collect();
-    rows.given().number(
-        ("Figure 12", "second pass: four holes further in X by", "in"),
-        1.0,
-        apart.iter().sum::<f64>() / apart.len().max(1) as f64 * 1e3 / INCH_UM,
-        Agreement::Within(0.003),
-        "the mean over three cycles, as the machine stood: its errors are in it",
-    );
+    let why = "the mean over three cycles, as the machine stood: its errors are in it";
+    let what = "second pass: four holes further in X by";
+    let gets = apart.iter().sum::<f64>() / apart.len().max(1) as f64 * 1e3 / INCH_UM;
+    rows.given().number(("Figure 12", what, "in"), 1.0, gets, Within(0.003), why);
 }
 
 /// Figures 21 to 23: every hole's deviations by pass, as a table and drawn.
@@ -80,7 +78,6 @@ fn hole_by_hole(rows: &mut Rows, tests: [&[Vec<f64>; 3]; 3]) -> Result<(), Paper
 }
 
 /// Deviations of the holes of each cycle, both passes over the same holes.
-///
 /// All figures of an axis have the scale of test 1. Time is no axis here: a cycle lasts two minutes, the warm-up between two
 /// cycles ninety.
 fn passes(title: &str, inch: &[f64], of_test_1: f64) -> Chart {
@@ -148,7 +145,7 @@ pub(super) fn drilling(
                     ("Table 7 (test 1)", &format!("{name} {hole}, {}", AXES[p]), "in"),
                     both[k][p].abs() * 1e-4,
                     ours.abs(),
-                    Agreement::Within(0.003),
+                    Within(0.003),
                     if hole == 6 && k == 1 && p == 0 {
                         "0.008 in is printed, ten times its hole's 0.0012: read as 0.0008"
                     } else {
@@ -159,23 +156,14 @@ pub(super) fn drilling(
         }
     }
     for (p, says) in [0.0044, 0.0053, 0.0059].into_iter().enumerate() {
-        rows.number(
-            ("Text after table 7", &format!("errors of the machining test in {}", AXES[p]), "in"),
-            says,
-            worst(&test_1[p]),
-            Agreement::Within(0.002),
-            sizes,
-        );
+        let what = format!("errors of the machining test in {}", AXES[p]);
+        rows.number(("Text after table 7", &what, "in"), says, worst(&test_1[p]), Within(0.002), sizes);
     }
     for (p, says) in [0.0033, 0.0042, 0.0045].into_iter().enumerate() {
         let rss = (scale[p].powi(2) + positioning[p].powi(2) + thermal[1][p].powi(2)).sqrt() / INCH_UM;
-        rows.fitted().number(
-            ("Text after table 7", &format!("uncertainty from the characterisation in {}", AXES[p]), "in"),
-            says,
-            rss,
-            Agreement::Within(0.0008),
-            "root sum of squares of table 6's scale, positioning and wet thermal errors, which gives the paper's figures of its own",
-        );
+        let what = format!("uncertainty from the characterisation in {}", AXES[p]);
+        let why = "root sum of squares of table 6's scale, positioning and wet thermal errors, which gives the paper's figures of its own";
+        rows.fitted().number(("Text after table 7", &what, "in"), says, rss, Within(0.0008), why);
     }
     for (test, off, name) in [(&test_2, &warm_without, "2, fully warm"), (&test_3, &test_1, "3, cold")] {
         for (p, axis) in AXES.iter().enumerate() {

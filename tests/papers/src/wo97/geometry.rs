@@ -1,7 +1,8 @@
 //! Tables 1 to 3: circles, linear displacement, tool changes.
 
-use super::{AXES, INCH_UM, column, error_of, record};
-use crate::rows::{Agreement, Rows};
+use super::{AXES, INCH_UM, column, error_of, of_axis, record};
+use crate::rows::Agreement::Within;
+use crate::rows::Rows;
 use rtec_model::record::{Record, Role};
 use rtec_sim::experiment::Findings;
 
@@ -32,8 +33,8 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
         })
     };
     for (&((i, j), inches, totals, _), record, k, way, cycle) in each() {
-        let angles = record.columns.iter().find(|c| c.role == Role::Angle).map_or(&[][..], |c| &c.data);
-        let (a, b, n) = (error_of(record, i), error_of(record, j), column(record, &Role::Cycle));
+        let (angles, n) = (column(record, &Role::Angle), column(record, &Role::Cycle));
+        let (a, b) = (error_of(record, i), error_of(record, j));
         let radial: Vec<(f64, f64)> = (0..angles.len())
             .filter(|row| (n[*row] - cycle).abs() < 0.5)
             .map(|row| (angles[row], a[row] * angles[row].cos() + b[row] * angles[row].sin()))
@@ -44,7 +45,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    circles have no vibration, and their radius is ours (150 mm)";
         // Figures that the scan has lost are left out.
         if let Some(says) = totals[k] {
-            rows.fitted().number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0006), why);
+            rows.fitted().number(("Table 1", &what, "in"), says * 1e-4, inch, Within(0.0006), why);
         }
     }
     for (&((i, j), inches, _, reversals), record, k, way, cycle) in each() {
@@ -54,7 +55,7 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
                    hardly counter-clockwise. A reversal that grows with the speed grows both ways, as the run of the last rows shows";
         // Figures that the scan has lost are left out.
         if let Some(says) = reversals[k] {
-            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Agreement::Within(0.0004), why);
+            rows.number(("Table 1", &what, "in"), says * 1e-4, inch, Within(0.0004), why);
         }
     }
 }
@@ -63,21 +64,18 @@ pub(super) fn circles(rows: &mut Rows, found: &Findings) {
 pub(super) const GROWN_UM: f64 = 18e-4 * INCH_UM;
 
 /// The circles of a machine whose reversal of Z has grown to [`GROWN_UM`].
-///
 /// They show what a reversal that grows with the speed does.
 pub(super) fn grown_reversal(rows: &mut Rows, found: &Findings) {
     let Ok(record) = record(found, "ballbar-yz-100") else { return };
     for (way, cycle, says) in [("CW", 2.0, 18.0), ("CCW", 1.0, 3.0)] {
         // Clockwise is what was set.
         let rows = if way == "CW" { rows.given() } else { &mut *rows };
-        rows.number(
-            ("Table 1, run with a reversal of Z of 0.0018 in", &format!("YZ {way}, 100 in/min: largest reversal error"), "in"),
-            says * 1e-4,
-            reversal(record, 1, cycle).max(reversal(record, 2, cycle)) / INCH_UM,
-            Agreement::Within(0.0004),
-            "a reversal turns the axis back by as much whichever way the circle is run, so growth with the speed cannot give both \
-             columns. What acts one way round alone is the servo's, and the patent says nothing of it",
-        );
+        let table = "Table 1, run with a reversal of Z of 0.0018 in";
+        let what = format!("YZ {way}, 100 in/min: largest reversal error");
+        let inch = reversal(record, 1, cycle).max(reversal(record, 2, cycle)) / INCH_UM;
+        let why = "a reversal turns the axis back by as much whichever way the circle is run, so growth with the speed cannot give both \
+                   columns. What acts one way round alone is the servo's, and the patent says nothing of it";
+        rows.number((table, &what, "in"), says * 1e-4, inch, Within(0.0004), why);
     }
 }
 
@@ -96,10 +94,7 @@ fn about_its_centre(radial: &[(f64, f64)]) -> f64 {
 /// degrees speed up and slow down.
 fn reversal(record: &Record, axis: usize, cycle: f64) -> f64 {
     let (error, n) = (error_of(record, axis), column(record, &Role::Cycle));
-    let wanted = ["x", "y", "z"][axis];
-    let direction =
-        record.columns.iter().find(|c| matches!(&c.role, Role::Direction(a) if a.as_str() == wanted));
-    let Some(direction) = direction.map(|c| &c.data) else { return 0.0 };
+    let direction = of_axis(record, Role::Direction, axis);
     let own: Vec<usize> = (0..error.len()).filter(|k| (n[*k] - cycle).abs() < 0.5).collect();
     let steady = own.get(8..own.len().saturating_sub(8)).unwrap_or_default();
     let mean = |r: std::ops::Range<usize>| error[r.clone()].iter().sum::<f64>() / r.len() as f64;
@@ -116,12 +111,7 @@ pub(super) fn displacement(rows: &mut Rows, found: &Findings) -> [f64; 3] {
         let Ok(record) = record(found, &format!("linear-displacement-{}", ["x", "y", "z"][p])) else {
             continue;
         };
-        let wanted = ["x", "y", "z"][p];
-        let of = |wants: fn(&Role) -> Option<&str>| {
-            record.columns.iter().find(|c| wants(&c.role) == Some(wanted)).map_or(&[][..], |c| &c.data)
-        };
-        let place = of(|r| if let Role::Position(a) = r { Some(a.as_str()) } else { None });
-        let direction = of(|r| if let Role::Direction(a) = r { Some(a.as_str()) } else { None });
+        let (place, direction) = (of_axis(record, Role::Position, p), of_axis(record, Role::Direction, p));
         let error = error_of(record, p);
         // Targets in order: their mean by direction.
         let mut targets: Vec<f64> = place.iter().map(|v| v.round()).collect();
@@ -139,20 +129,12 @@ pub(super) fn displacement(rows: &mut Rows, found: &Findings) -> [f64; 3] {
         let um = both.iter().flatten().map(|e| (e - first).abs()).fold(0.0, f64::max);
         let apart = both.iter().map(|[u, d]| (u - d).abs()).sum::<f64>() / both.len().max(1) as f64;
         scales[p] = um;
-        rows.given().number(
-            ("Table 2", &format!("{} axis: largest scale error", AXES[p]), "in"),
-            scale,
-            um / INCH_UM,
-            Agreement::Within(0.0003),
-            "over 95 % of the travel, from its first target; the error is put in as a straight line",
-        );
-        rows.given().number(
-            ("Table 2", &format!("{} axis: reversal error", AXES[p]), "in"),
-            reversal,
-            apart / INCH_UM,
-            Agreement::Within(0.0001),
-            "the mean over the targets",
-        );
+        let what = format!("{} axis: largest scale error", AXES[p]);
+        let why = "over 95 % of the travel, from its first target; the error is put in as a straight line";
+        rows.given().number(("Table 2", &what, "in"), scale, um / INCH_UM, Within(0.0003), why);
+        let what = format!("{} axis: reversal error", AXES[p]);
+        let why = "the mean over the targets";
+        rows.given().number(("Table 2", &what, "in"), reversal, apart / INCH_UM, Within(0.0001), why);
     }
     scales
 }
@@ -181,14 +163,10 @@ pub(super) fn tool_changes(rows: &mut Rows, found: &Findings) -> [f64; 3] {
             let gets = ours.get(run).copied().unwrap_or(0.0);
             // The others are measured from the first run.
             let rows = if run == 0 { rows.given() } else { &mut *rows };
-            rows.number(
-                ("Table 3 and figure 6", &format!("run {}, {} axis", run + 1, AXES[p]), "in"),
-                says[p] * 1e-4,
-                gets,
-                Agreement::Within(0.0006),
-                "how one holder seats once; here 1.2 µm of chance and the reversals of the way back, there a shift after the first \
-                 change as well",
-            );
+            let what = format!("run {}, {} axis", run + 1, AXES[p]);
+            let why = "how one holder seats once; here 1.2 µm of chance and the reversals of the way back, there a shift after the first \
+                change as well";
+            rows.number(("Table 3 and figure 6", &what, "in"), says[p] * 1e-4, gets, Within(0.0006), why);
         }
         largest[p] = ours.iter().map(|e| e.abs()).fold(0.0, f64::max) * INCH_UM;
     }

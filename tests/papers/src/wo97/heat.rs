@@ -1,7 +1,8 @@
 //! Tables 4 to 6, figures 9 to 11, 13 to 15 and 18, equations 2 to 4: drift and tilt, dry and wet.
 
 use super::{AXES, Centre, INCH_UM, PHASES, TABLE_4, TABLE_5, error_of, record};
-use crate::rows::{Agreement, Rows, shown};
+use crate::rows::Agreement::{AtMost, Within};
+use crate::rows::{Rows, shown};
 use rtec_model::record::Record;
 use rtec_sim::experiment::{Findings, Gauged};
 use rtec_sim::heat::FIGURE_9;
@@ -12,17 +13,11 @@ fn gauges<'f>(found: &'f Findings, name: &str) -> &'f [Gauged] {
 }
 
 /// Tables 4 and 5 by phase, and how heating compares with cooling.
-///
 /// Gives the drift of the wet three hours, µm.
 pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
     let mut three_hours = [[0.0; 3]; 2];
-    rows.given().number(
-        ("Figure 9", "length of the cycle", "min"),
-        435.0,
-        FIGURE_9.iter().map(|c| c.1).sum(),
-        Agreement::Within(0.0),
-        "",
-    );
+    let gets = FIGURE_9.iter().map(|c| c.1).sum();
+    rows.given().number(("Figure 9", "length of the cycle", "min"), 435.0, gets, Within(0.0), "");
     for (w, (name, table, place)) in
         [("drift-dry", TABLE_4, "Table 4 (dry)"), ("drift-wet", TABLE_5, "Table 5 (wet)")]
             .into_iter()
@@ -44,25 +39,17 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
                 if *from == 0 {
                     three_hours[w][p] = um;
                 }
-                rows.fitted().number(
-                    (place, &format!("{phase}: drift in {}", AXES[p]), "in"),
-                    says[p],
-                    um / INCH_UM,
-                    Agreement::Within(0.0008),
-                    "growth of four terms per axis, on the sensors of a simulated thermal network, fitted to all sixteen phases at \
-                     once: what such a model cannot follow stays",
-                );
+                let what = format!("{phase}: drift in {}", AXES[p]);
+                let why = "growth of four terms per axis, on the sensors of a simulated thermal network, fitted to all sixteen phases at \
+                    once: what such a model cannot follow stays";
+                rows.fitted().number((place, &what, "in"), says[p], um / INCH_UM, Within(0.0008), why);
             }
             for p in 0..2 {
                 let got = at(*to, &|g| g.tilt_arcsec[p]) - at(*from, &|g| g.tilt_arcsec[p]);
-                rows.fitted().number(
-                    (place, &format!("{phase}: tilt in {}", AXES[p]), "″"),
-                    says[3 + p],
-                    got,
-                    Agreement::Within(8.0),
-                    "four terms without lag in the chain; the table's short phases repeat to some seconds of arc only, and our \
-                     gauges' 0.1 µm over 100 mm are 0.3″",
-                );
+                let what = format!("{phase}: tilt in {}", AXES[p]);
+                let why = "four terms without lag in the chain; the table's short phases repeat to some seconds of arc only, and our \
+                    gauges' 0.1 µm over 100 mm are 0.3″";
+                rows.fitted().number((place, &what, "″"), says[3 + p], got, Within(8.0), why);
             }
         }
         let back = |p: usize| {
@@ -73,13 +60,9 @@ pub(super) fn drifts(rows: &mut Rows, found: &Findings) -> [[f64; 3]; 2] {
         };
         for p in 0..3 {
             let says = -table[1][p] / table[0][p];
-            rows.fitted().number(
-                (place, &format!("{} axis: share of the growth that an hour's rest takes back", AXES[p]), ""),
-                says,
-                back(p),
-                Agreement::Within(0.2),
-                "from the two phases above; below zero it goes on growing at rest",
-            );
+            let what = format!("{} axis: share of the growth that an hour's rest takes back", AXES[p]);
+            let why = "from the two phases above; below zero it goes on growing at rest";
+            rows.fitted().number((place, &what, ""), says, back(p), Within(0.2), why);
         }
     }
     three_hours
@@ -99,13 +82,8 @@ pub(super) fn table_6(rows: &mut Rows, scale: [f64; 3], positioning: [f64; 3], t
         (Rows::fitted, "thermal, wet", [0.0029, 0.0041, 0.0036], thermal[1].map(f64::abs), 0.0008),
     ] {
         for p in 0..3 {
-            mark(rows).number(
-                (place, &format!("{what}, {} axis", AXES[p]), "in"),
-                says[p],
-                ours[p] / INCH_UM,
-                Agreement::Within(tolerance),
-                from,
-            );
+            let what = format!("{what}, {} axis", AXES[p]);
+            mark(rows).number((place, &what, "in"), says[p], ours[p] / INCH_UM, Within(tolerance), from);
         }
     }
 }
@@ -118,47 +96,29 @@ pub(super) fn dry_against_wet(rows: &mut Rows, found: &Findings) {
     for (place, r) in [("Figure 10", dry), ("Figure 11", wet)] {
         for (what, sensor) in [("front", front), ("middle", middle), ("rear", rear)] {
             let most = (0..=180).map(|m| degc(r, sensor, m)).fold(f64::MIN, f64::max);
-            rows.number(
-                (
-                    place,
-                    &format!(
-                        "spindle housing {what}, hottest in three hours: within the figure's scale to 40 °C"
-                    ),
-                    "°C",
-                ),
-                40.0,
-                most,
-                Agreement::AtMost,
-                "a curve without figures; its scale runs from 20 to 40 °C",
-            );
+            let what =
+                format!("spindle housing {what}, hottest in three hours: within the figure's scale to 40 °C");
+            let why = "a curve without figures; its scale runs from 20 to 40 °C";
+            rows.number((place, &what, "°C"), 40.0, most, AtMost, why);
         }
     }
     let gradient = |r: &Record| degc(r, rear, 180) - degc(r, front, 180);
     let (d, w) = (gradient(dry), gradient(wet));
-    rows.holds(
-        (
-            "Figures 13 and 14; text after table 7",
-            "gradient from front to rear of the housing: larger wet than dry",
-        ),
-        "larger wet",
-        &format!("{} K dry, {} K wet after three hours", shown(d), shown(w)),
-        w.abs() > d.abs(),
-        "curves without figures",
-    );
+    let why = "curves without figures";
+    let what = "gradient from front to rear of the housing: larger wet than dry";
+    let gets = format!("{} K dry, {} K wet after three hours", shown(d), shown(w));
+    rows.holds(("Figures 13 and 14; text after table 7", what), "larger wet", &gets, w.abs() > d.abs(), why);
     let growth = |r: &Record, p: usize| {
         let e = error_of(r, p);
         (e.get(140).copied().unwrap_or(0.0) - e.first().copied().unwrap_or(0.0)).abs()
     };
     for (p, says) in [(1, "more wet"), (2, "more wet")] {
         let (d, w) = (growth(dry, p), growth(wet, p));
-        rows.holds(
-            ("Figure 15; text after table 7", &format!("spindle growth in {} after 140 minutes", AXES[p])),
-            says,
-            &format!("{} µm dry, {} µm wet", shown(d), shown(w)),
-            w > d,
-            "the text says so of Y and Z; tables 4 and 5, which our machine follows, have Z grow less wet (0.0036 in) than dry (0.0048 in) \
-             over three hours",
-        );
+        let why = "the text says so of Y and Z; tables 4 and 5, which our machine follows, have Z grow less wet (0.0036 in) than dry (0.0048 in) \
+            over three hours";
+        let what = format!("spindle growth in {} after 140 minutes", AXES[p]);
+        let gets = format!("{} µm dry, {} µm wet", shown(d), shown(w));
+        rows.holds(("Figure 15; text after table 7", &what), says, &gets, w > d, why);
     }
 }
 
@@ -167,26 +127,17 @@ pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &Findings) {
     let says = [("x", 0.4179), ("y", 0.4017), ("z", 0.5248)];
     for (equation, (axis, constant)) in centre.equation.iter().zip(says) {
         let place = format!("Equation {}", 2 + says.iter().position(|s| s.0 == axis).unwrap_or(0));
-        rows.given().number(
-            (&place, &format!("E_{axis} with all temperatures alike: the gauge's own reading, mm"), "mm"),
-            constant,
-            equation.mm(|_| 20.0),
-            Agreement::Within(1e-9),
-            "the machine file has another constant",
-        );
+        let what = format!("E_{axis} with all temperatures alike: the gauge's own reading, mm");
+        let why = "the machine file has another constant";
+        rows.given().number((&place, &what, "mm"), constant, equation.mm(|_| 20.0), Within(1e-9), why);
         let Ok(wet) = record(found, "drift-wet") else { continue };
         let at = |minute: usize| equation.mm(|s| wet.temperature(s).map_or(20.0, |t| t[minute]));
         let p = says.iter().position(|s| s.0 == equation.axis).unwrap_or(0);
         let growth_in = (at(180) - at(0)) * 1e3 / INCH_UM;
+        let what = format!("E_{axis} grows in three wet hours at 5500 rpm (table 5)");
         let why = "the equations belong to the temperatures of that machine, which are not printed: places of the sensors are in figure 8 \
                    only. In equation 2 the printed 0.114 mm/K would be 114 µm/K, which no machine has: a tenth of it suits the other \
                    axes. So these are the published coefficients at our temperatures, in millimetres, in inches here";
-        rows.number(
-            (&place, &format!("E_{axis} grows in three wet hours at 5500 rpm (table 5)"), "in"),
-            TABLE_5[0][p],
-            growth_in,
-            Agreement::Within(0.0008),
-            why,
-        );
+        rows.number((&place, &what, "in"), TABLE_5[0][p], growth_in, Within(0.0008), why);
     }
 }

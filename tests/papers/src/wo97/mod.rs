@@ -6,8 +6,8 @@ mod heat;
 mod model;
 mod starts;
 
-use crate::PaperError;
 use crate::rows::Rows;
+use crate::{PaperError, Progress};
 use drilling::drilling;
 use geometry::{GROWN_UM, circles, displacement, grown_reversal, tool_changes};
 use heat::{drifts, dry_against_wet, equations, table_6};
@@ -15,7 +15,7 @@ pub use starts::{STARTS, StartResult, starts};
 
 use model::wet_model;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Record, Role};
+use rtec_model::record::{Axis, Record, Role};
 use rtec_sim::described::Described;
 use rtec_sim::experiment::{Experiment, Findings, Setting};
 use rtec_sim::sim::Spec;
@@ -118,11 +118,7 @@ impl<'a> Run<'a> {
     }
 }
 
-pub(crate) fn run(
-    described: &Described,
-    seed: u64,
-    progress: &mut dyn FnMut(&str),
-) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let run = Run::new(&truth, seed);
@@ -170,10 +166,12 @@ fn column<'r>(record: &'r Record, role: &Role) -> &'r [f64] {
     record.data(role).unwrap_or_default()
 }
 
-fn error_of(record: &Record, axis: usize) -> Vec<f64> {
-    let wanted = ["x", "y", "z"][axis];
-    let of = |c: &&rtec_model::record::Column| matches!(&c.role, Role::Error(a) if a.as_str() == wanted);
-    record.columns.iter().find(of).map_or_else(Vec::new, |c| c.data.clone())
+fn of_axis(record: &Record, role: fn(Axis) -> Role, axis: usize) -> &[f64] {
+    Axis::new(["x", "y", "z"][axis]).map_or(&[], |axis| column(record, &role(axis)))
+}
+
+fn error_of(record: &Record, axis: usize) -> &[f64] {
+    of_axis(record, Role::Error, axis)
 }
 
 fn record<'f>(findings: &'f Findings, name: &str) -> Result<&'f Record, PaperError> {

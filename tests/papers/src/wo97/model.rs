@@ -2,7 +2,8 @@
 
 use super::{Centre, Run, error_of, record};
 use crate::PaperError;
-use crate::rows::{Agreement, Rows};
+use crate::rows::Agreement::{AtLeast, AtMost, Within};
+use crate::rows::Rows;
 use rtec_fit::thermal::Options;
 use rtec_fit::workflow::{self, Asked, Fit};
 use rtec_measure::plot::{Chart, Series, Style};
@@ -33,39 +34,21 @@ pub(super) fn wet_model(
     let of = |sensor: &str| wet.temperature(sensor).map_or_else(Vec::new, |t| t[heated.clone()].to_vec());
     let z_heated = z[heated.clone()].to_vec();
     let t13 = of("T13");
-    rows.number(
-        ("Figure 17", "γ of sensor 13 (spindle nose) with the growth in Z", ""),
-        0.97,
-        correlation(&t13, &z_heated).abs(),
-        Agreement::Within(0.1),
-        "wet, over the three hours of heating; the paper does not say over which run",
-    );
+    let what = "γ of sensor 13 (spindle nose) with the growth in Z";
+    let why = "wet, over the three hours of heating; the paper does not say over which run";
+    rows.number(("Figure 17", what, ""), 0.97, correlation(&t13, &z_heated).abs(), Within(0.1), why);
     let range =
         |t: &[f64]| t.iter().copied().fold(f64::MIN, f64::max) - t.iter().copied().fold(f64::MAX, f64::min);
     let dry = record(found, "drift-dry")?;
     let dry13 = dry.temperature("T13").map_or_else(Vec::new, |t| t[heated.clone()].to_vec());
-    rows.fitted().number(
-        ("Figure 17", "temperature change of sensor 13", "K"),
-        16.0,
-        range(&dry13),
-        Agreement::Within(1.5),
-        "dry; 16 °C in one place of the text, 15 °C in another",
-    );
-    rows.number(
-        ("CASC", "autocorrelation α of sensors 13 and 10", ""),
-        0.985,
-        correlation(&t13, &of("T10")),
-        Agreement::Within(0.02),
-        "places of the sensors are those of the simulated network",
-    );
+    let why = "dry; 16 °C in one place of the text, 15 °C in another";
+    let gets = range(&dry13);
+    rows.fitted().number(("Figure 17", "temperature change of sensor 13", "K"), 16.0, gets, Within(1.5), why);
+    let why = "places of the sensors are those of the simulated network";
+    let gets = correlation(&t13, &of("T10"));
+    rows.number(("CASC", "autocorrelation α of sensors 13 and 10", ""), 0.985, gets, Within(0.02), why);
     let offered = wet.names(&Role::Temperature).count();
-    rows.given().number(
-        ("CASC", "sensors to begin with", ""),
-        20.0,
-        offered as f64,
-        Agreement::Within(0.0),
-        "",
-    );
+    rows.given().number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Within(0.0), "");
     let Fit { machine: model, reports, .. } = fitted(run, wet)?;
     let mut rounds =
         "CASC, round by round: R, and µm left on blocks of time that the fit has not seen\n".to_owned();
@@ -89,30 +72,17 @@ pub(super) fn wet_model(
         sensors.sort();
         sensors.dedup();
         let axis = report.response.trim_start_matches("error.").to_uppercase();
-        rows.number(
-            ("CASC", &format!("sensors in the end for {axis}: 4 or 5"), ""),
-            5.0,
-            sensors.len() as f64,
-            Agreement::AtMost,
-            "fewer where fewer do",
-        );
-        rows.given().number(
-            ("CASC", &format!("rounds of the refit for {axis}: seldom more than five"), ""),
-            5.0,
-            report.rounds.iter().filter(|r| !r.added.contains(" for ")).count() as f64,
-            Agreement::AtMost,
-            "the program's own limit. It ends sooner where another term takes nothing off blocks of time that the fit has not \
-             seen. The patent ends where R improves by 1 % no more: see the contributor's page on sources",
-        );
+        let what = format!("sensors in the end for {axis}: 4 or 5");
+        rows.number(("CASC", &what, ""), 5.0, sensors.len() as f64, AtMost, "fewer where fewer do");
+        let why = "the program's own limit. It ends sooner where another term takes nothing off blocks of time that the fit has not \
+            seen. The patent ends where R improves by 1 % no more: see the contributor's page on sources";
+        let what = format!("rounds of the refit for {axis}: seldom more than five");
+        let gets = report.rounds.iter().filter(|r| !r.added.contains(" for ")).count() as f64;
+        rows.given().number(("CASC", &what, ""), 5.0, gets, AtMost, why);
         let dropped = report.dropped.iter().map(|d| d.alpha.abs()).fold(f64::INFINITY, f64::min);
         if dropped.is_finite() {
-            rows.given().number(
-                ("CASC", &format!("least α at which a sensor was left out for {axis}"), ""),
-                centre.redundant,
-                dropped,
-                Agreement::AtLeast,
-                "",
-            );
+            let what = format!("least α at which a sensor was left out for {axis}");
+            rows.given().number(("CASC", &what, ""), centre.redundant, dropped, AtLeast, "");
         }
     }
     rows.tables.push(rounds);
@@ -129,7 +99,7 @@ fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperE
     };
     for (p, (response, modelled)) in model.predict(wet)?.columns.into_iter().enumerate() {
         let chart = Chart::new(&format!("Growth of {response}"), "time (min)", "growth (µm)")
-            .with(Series::new("measured", Style::Dots, from_start(&error_of(wet, p))))
+            .with(Series::new("measured", Style::Dots, from_start(error_of(wet, p))))
             .with(Series::new("modelled", Style::Line, from_start(&modelled)));
         rows.figures.push((format!("figure-18{}.svg", ["a", "b", "c"][p.min(2)]), chart.svg(900, 420)?));
     }
@@ -137,7 +107,6 @@ fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperE
 }
 
 /// The fit of the patent's runs, all wet: spindle cycle, warm-up with speeds and cool-down, a shift, a production cycle.
-///
 /// It is `rtecctl model fit --no-speed` of the example's records, beside the example's geometry.
 fn fitted(run: &Run<'_>, wet: &Record) -> Result<Fit, PaperError> {
     let (runs, production) = (run.experiment("wet-runs", None)?, run.experiment("production-cycle", None)?);

@@ -38,19 +38,16 @@ pub struct StartResult {
 
 impl StartResult {
     /// The share of the tool's error that is left.
-    #[must_use]
     pub fn left(&self) -> f64 {
         self.off_um[1] / self.off_um[0]
     }
 
     /// The share of the deviation from hole 1 that is left.
-    #[must_use]
     pub fn left_from_hole_1(&self) -> f64 {
         self.from_hole_1_um[1] / self.from_hole_1_um[0]
     }
 
     /// The model said before that it cannot leave a quarter of the tool's error.
-    #[must_use]
     pub fn warned(&self) -> bool {
         self.promised_um.iter().sum::<f64>() > 0.25 * self.off_um[0]
     }
@@ -60,7 +57,6 @@ impl StartResult {
 const SPREAD: f64 = 0.3;
 
 /// Another machining centre of the same build.
-///
 /// Each parameter of its errors and each of its thermal properties has a factor of its own.
 /// A value out of the bounds of its law is drawn again.
 fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError> {
@@ -85,7 +81,6 @@ fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError
 }
 
 /// Drills from each of [`STARTS`] with a drawn machine.
-///
 /// It is characterised, and the model is fitted on its wet runs alone.
 /// `machine` is the seed of the drawn parameters and of all noise; 0 is the patent's own machine.
 ///

@@ -82,7 +82,6 @@ pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
 }
 
 /// Runs in step with the guest: time advances only when the guest has acted.
-///
 /// It advances by one step while the guest has something to do, else to two steps before the next edge. An edge right
 /// after a late look may be as old as that look, and has no period.
 fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {

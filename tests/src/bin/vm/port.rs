@@ -41,7 +41,6 @@ pub(super) fn port() -> anyhow::Result<Vec<String>> {
 }
 
 /// A PCI card of I/O ports: QEMU's `pci-serial`.
-///
 /// It is a 16550 looped back on itself: its modem outputs are its modem inputs, and the machine sets A and B there. Its
 /// scratch register holds the inverters. Its line control must be set up once.
 const UART: &str = "name = 'a 16550 as a card'\nsource = 'PC16550D datasheet: line control at 3, modem control at 4, modem status \

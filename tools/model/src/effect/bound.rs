@@ -32,7 +32,6 @@ pub(super) const RADIAL: usize = 2;
 pub(crate) type States = [State; 2];
 
 /// The columns of a record that an effect reads.
-///
 /// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
 /// once.
 #[derive(Debug, Clone, Default)]

@@ -23,7 +23,6 @@ pub enum Naming {
 }
 
 /// An input of an effect, beside its parameters.
-///
 /// Axis numbers count the axes of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Need {
@@ -169,7 +168,6 @@ pub enum Refine {
     /// By steps of its logarithm.
     Factor(f64),
     /// By steps of the logarithm of a time constant.
-    ///
     /// It is not refined beyond the longest that the records show. A constant far longer than the run looks
     /// like a straight line and predicts nothing.
     TimeConstant(f64),
@@ -185,7 +183,6 @@ pub struct Parameter {
     /// Its unit.
     pub unit: String,
     /// The range that a sound machine may show, in the parameter's own unit.
-    ///
     /// A search begins there. A value outside causes a warning.
     pub plausible: [f64; 2],
     /// Its usual size on machines that have it, in the parameter's unit.
@@ -307,7 +304,6 @@ pub struct Wave {
 }
 
 /// How a search for a missing effect treats a law.
-///
 /// Its grid is [`super::Law::grid`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Searched {

@@ -18,7 +18,6 @@ pub trait Extent {
     /// Places that differ by little are merged.
     fn places_mm(&self, axis: &Axis) -> Vec<f64>;
     /// Ranges of single records along an axis, mm, if shorter than the whole travel.
-    ///
     /// Ranges that differ by little are merged.
     fn stretches_mm(&self, axis: &Axis) -> Vec<[f64; 2]>;
 }

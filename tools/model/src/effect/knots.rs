@@ -76,7 +76,6 @@ impl Law for BrokenLine {
     }
 
     /// Sets of even knots, from 4 to 48.
-    ///
     /// They cover the whole travel and each record's own part. If there are few places, one set has a knot at
     /// every place.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {

@@ -36,64 +36,37 @@ fn place_of(h_s: f64) -> usize {
     (h_s.to_bits().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 61) as usize
 }
 
-/// A cache of the last few step lengths.
-/// A record's rows are equally far apart except for rounding.
-#[derive(Debug, Default)]
-struct Decays([Decay; 8]);
-
-impl Decays {
-    fn over(&mut self, h_s: f64, tau_s: f64) -> Decay {
-        let place = &mut self.0[place_of(h_s)];
-        if place.h_s.to_bits() != h_s.to_bits() {
-            *place = Decay::over(h_s, tau_s);
-        }
-        *place
-    }
-}
-
 /// An input passed through a first-order lag row by row.
 /// It starts in equilibrium at its first row.
 #[derive(Debug)]
-pub struct Lag {
-    tau_s: f64,
-    decays: Decays,
-    /// Lagged value, input and time of the previous row.
-    before: Option<[f64; 3]>,
-}
+pub struct Lag(Lags<1>);
 
 impl Lag {
     /// A lag of this time constant, s.
     pub fn new(tau_s: f64) -> Self {
-        Self { tau_s, decays: Decays::default(), before: None }
+        Self(Lags::new([tau_s]))
     }
 
     /// A lag that continues from the state of another one.
     pub(super) fn going_on(tau_s: f64, at: Option<[f64; 3]>) -> Self {
-        Self { before: at, ..Self::new(tau_s) }
+        Self(Lags { before: at.map(|[y, u, t_s]| ([y], u, t_s)), ..Lags::new([tau_s]) })
     }
 
     /// Its state: lagged value, input and time of the last row.
     /// `None` before the first.
     pub(super) fn at(&self) -> Option<[f64; 3]> {
-        self.before
+        self.0.before.map(|([y], u, t_s)| [y, u, t_s])
     }
 
     /// The lagged input at the next row. It stays while time stands still.
     pub fn next(&mut self, t_s: f64, u: f64) -> f64 {
-        let y = match self.before {
-            None => u,
-            Some([y, u0, t0]) if t_s > t0 => {
-                self.decays.over(t_s - t0, self.tau_s).step(self.tau_s, [y, u0, u])
-            }
-            Some([y, ..]) => y,
-        };
-        self.before = Some([y, u, t_s]);
+        let [y] = self.0.next(t_s, u);
         y
     }
 }
 
 /// An input passed through several lags at once, row by row.
-/// It equals as many [`Lag`]s to the last digit and is faster.
+/// It equals as many [`Decay::step`]s to the last digit and is faster.
 #[derive(Debug)]
 pub struct Lags<const N: usize> {
     taus_s: [f64; N],

@@ -130,7 +130,6 @@ pub trait Law: fmt::Debug + Send + Sync {
     }
 
     /// The coefficients that belong to the effect's parameters.
-    ///
     /// By default these are its linear parameters in order.
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
         let mut at = 0;
@@ -252,7 +251,6 @@ pub struct Effect {
     /// Each parameter has as many as the effect has knots (1 for scalars).
     values: Vec<f64>,
     /// Values per parameter: 1, or the number of knots.
-    ///
     /// It is stored because a law asks for it at every instant.
     width: usize,
 }
@@ -343,11 +341,8 @@ impl Effect {
             || !values.len().is_multiple_of(count)
             || (!arrays && values.len() != count)
         {
-            return Err(ValueError::new(
-                &law.name,
-                format!("{} values", values.len()),
-                format!("{count} parameters"),
-            ));
+            let expected = format!("{count} parameters");
+            return Err(ValueError::new(&law.name, format!("{} values", values.len()), expected));
         }
         let n = values.len() / count;
         for (p, of) in law.parameters.iter().zip(values.chunks(n)) {
@@ -379,11 +374,8 @@ impl Effect {
     pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), ValueError> {
         let position = self.description().parameters.iter().position(|p| p.name == name);
         let Some(i) = position.filter(|_| values.len() == self.width()) else {
-            return Err(ValueError::new(
-                name,
-                format!("{} values", values.len()),
-                "a parameter and its length",
-            ));
+            let expected = "a parameter and its length";
+            return Err(ValueError::new(name, format!("{} values", values.len()), expected));
         };
         let mut all = self.values.clone();
         let n = values.len();
@@ -486,7 +478,6 @@ impl Effect {
     }
 
     /// Responses of a record on which the effect acts: role and component.
-    ///
     /// The component is 0 or 1 of a pair, or 2 for the projection of both on the radial error of a circle.
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
         if self.description().probing == Probing::Only && record.kind != Kind::Probing {

@@ -177,7 +177,6 @@ impl<'m> FitRangeCheck<'m> {
     }
 
     /// The temperature difference farthest outside the fit that no effect reads.
-    ///
     /// The model lacks any growth with that difference.
     fn unseen(&self, fit: &FitNote, farthest: &[Option<Farthest>]) -> Option<String> {
         let axis = fit.response.split('.').nth(1)?;

@@ -9,7 +9,6 @@ use rtec_files::InputError;
 
 impl Machine {
     /// Predicts a record: the sum of the effects at every row, per response.
-    ///
     /// The responses are in the record's order. The result also lists the quantities that the record does not
     /// log and that were taken as zero.
     ///
@@ -20,7 +19,6 @@ impl Machine {
     }
 
     /// Whether a listed effect acts in a run that goes so far.
-    ///
     /// The zero of a set-up is the gauges' of the runs that it was fitted on; every other run has its own.
     pub fn acts_in(&self, listed: &Listed, reach: &Reach) -> bool {
         let of = |note: &&FitNote| {
@@ -45,7 +43,6 @@ impl Machine {
     }
 
     /// Reversal that a correction at rest may leave in a response, µm.
-    ///
     /// Such a correction moves the table. Where it takes the table back by some counts only, nobody knows
     /// whether the tool came with it. Where the tool leads the scale (`um` above zero), neither direction's
     /// total fits before the table has come back by the whole reversal.
@@ -56,7 +53,6 @@ impl Machine {
     }
 
     /// What a corrected response is promised to stay within, 95 %, µm.
-    ///
     /// It holds where temperatures are in the range of the fit. A reversal is no scatter but stays as it is,
     /// so it is added to the interval.
     pub fn promised_um(&self, fit: &FitNote) -> f64 {
@@ -64,7 +60,6 @@ impl Machine {
     }
 
     /// Half width of the 95 % prediction interval at every row of a record, µm.
-    ///
     /// `None` unless a fit of the response has stated it for this kind of run and has seen these axis
     /// positions.
     /// The interval is wider just after the record's start, because the state of the lags is unknown. It is
@@ -218,7 +213,6 @@ pub struct Prediction {
     /// Per response: its column's name and the sum of the effects at every row.
     pub columns: Vec<(String, Vec<f64>)>,
     /// Effect and role of each quantity that an effect reads and the record lacks.
-    ///
     /// It was taken as zero.
     pub taken_as_zero: Vec<(String, String)>,
 }

@@ -11,7 +11,6 @@ use super::relative_paths::folder_of;
 pub const NORMAL_95: f64 = 1.96;
 
 /// Possible error of a temperature effect at a row, µm, beyond the fit's own.
-///
 /// It is the slope at the bound times the excess. Soon after a start (`elapsed_s`) it also has a part from
 /// the unknown state of the lag.
 pub fn unknown_um(
@@ -128,7 +127,6 @@ pub struct FitNote {
     /// Ranges of validity; outside of these, the interval is wider.
     pub valid: Vec<Validity>,
     /// Range of each axis while it was seen, mm; axes that are not named stood still.
-    ///
     /// Elsewhere there is no interval, because no record shows the machine there. `None` if the model does
     /// not state it.
     pub at_mm: Option<BTreeMap<String, [f64; 2]>>,
@@ -221,7 +219,6 @@ impl FitNote {
     }
 
     /// The reason why the interval does not apply to a record; `None` if it does.
-    ///
     /// The fit must have seen the range of every axis that moves; a tenth of the range beyond is allowed. If
     /// the fit has seen no temperature, it does not apply to a machine that warms.
     pub fn not_of(&self, reach: &Reach) -> Option<String> {
@@ -272,7 +269,6 @@ impl FitNote {
     }
 
     /// Adds an earlier fit of the same response, on top of which this one was made.
-    ///
     /// Their uncertainties add up, less the gauge's noise (one standard deviation, µm), which is in both.
     /// Their ranges are joined.
     /// A kind of run that only one of them has seen keeps its uncertainty, because a drift at one place does

@@ -3,11 +3,11 @@
 use super::Machine;
 use super::fit_note::{FitNote, Listed, Provenance, Source, Validity};
 use super::relative_paths::{folder_of, named_from, whole};
-use crate::effect::{Against, Dictionary, Effect, ValueError};
+use crate::effect::{Against, Dictionary, Difference, Effect, ValueError};
 use rtec_files::InputError;
 use rtec_files::stamp;
 use std::path::{Path, PathBuf};
-use toml_edit::{Array, InlineTable, Item, Value, value};
+use toml_edit::{Array, InlineTable, Item, TableLike, Value, value};
 
 impl Machine {
     /// Writes the format and the writer into the file, once the program changes it.
@@ -29,13 +29,8 @@ impl Machine {
         t[half_width] = value(note.half_width_um);
         let valid = |v: &Validity| {
             let mut t = InlineTable::new();
-            t.insert("sensor", v.difference.sensor.as_str().into());
-            match &v.difference.against {
-                Against::Sensor(m) => drop(t.insert("minus", m.as_str().into())),
-                Against::Reference(degc) => drop(t.insert("reference_degC", (*degc).into())),
-                Against::Standard => {}
-            }
-            t.insert("range_K", Value::from(v.range_k.into_iter().collect::<Array>()));
+            put_difference(&mut t, &v.difference);
+            t.insert("range_K", pair(&v.range_k));
             t.insert("um_per_K", v.um_per_k.into());
             t
         };
@@ -47,18 +42,10 @@ impl Machine {
             t["valid"] = value(valid);
         }
         if let Some(at) = &note.at_mm {
-            let mut places = InlineTable::new();
-            for (axis, range) in at {
-                places.insert(axis, Value::from(range.iter().copied().collect::<Array>()));
-            }
-            t["at_mm"] = value(places);
+            t["at_mm"] = value(at.iter().map(|(axis, range)| (axis, pair(range))).collect::<InlineTable>());
         }
         if !note.by_kind_um.is_empty() {
-            let mut kinds = InlineTable::new();
-            for (kind, um) in &note.by_kind_um {
-                kinds.insert(kind, (*um).into());
-            }
-            t[by_kind] = value(kinds);
+            t[by_kind] = value(note.by_kind_um.iter().map(|(kind, um)| (kind, *um)).collect::<InlineTable>());
         }
         t["from"] = sources(&note.from);
         let item =
@@ -72,7 +59,6 @@ impl Machine {
     }
 
     /// Adds laws to its dictionary and returns the text of the whole dictionary.
-    ///
     /// The caller writes that text, which includes the model's earlier own laws, to `file` beside the model.
     /// From now on the model names that file.
     ///
@@ -210,7 +196,6 @@ impl Machine {
     }
 
     /// The file's text for another folder, checked by reading it back.
-    ///
     /// `beside`: names and texts of files that will be written beside it and do not exist yet.
     ///
     /// # Errors
@@ -257,8 +242,21 @@ fn numbers(values: &[f64], array: bool) -> Value {
     if array { values.iter().copied().collect::<Array>().into() } else { values[0].into() }
 }
 
+fn pair(pair: &[f64; 2]) -> Value {
+    pair.iter().copied().collect::<Array>().into()
+}
+
+/// Puts the keys of a temperature difference into a table.
+fn put_difference(table: &mut dyn TableLike, difference: &Difference) {
+    table.insert("sensor", value(&difference.sensor));
+    match &difference.against {
+        Against::Sensor(minus) => drop(table.insert("minus", value(minus))),
+        Against::Reference(degc) => drop(table.insert("reference_degC", value(*degc))),
+        Against::Standard => {}
+    }
+}
+
 fn pairs(interval: &[[f64; 2]], array: bool) -> Value {
-    let pair = |p: &[f64; 2]| Value::from(p.iter().copied().collect::<Array>());
     if array { interval.iter().map(pair).collect::<Array>().into() } else { pair(&interval[0]) }
 }
 
@@ -283,18 +281,13 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
     let mut t = toml_edit::Table::new();
     t["name"] = value(effect.name());
     if let Some(d) = &effect.delta {
-        t["sensor"] = value(&d.sensor);
-        match &d.against {
-            Against::Sensor(m) => t["minus"] = value(m),
-            Against::Reference(degc) => t["reference_degC"] = value(*degc),
-            Against::Standard => {}
-        }
+        put_difference(&mut t, d);
     }
     for (i, p) in effect.description().parameters.iter().enumerate() {
         t[&p.name] = value(numbers(effect.get(i), p.array));
     }
-    if let Some([lo, hi]) = effect.range_k {
-        t["range_K"] = value([lo, hi].into_iter().collect::<Array>());
+    if let Some(range_k) = &effect.range_k {
+        t["range_K"] = value(pair(range_k));
     }
     if let Some(k) = effect.start_k {
         t["start_K"] = value(k);
@@ -312,12 +305,9 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
         t["from"] = sources(&provenance.from);
     }
     if !provenance.interval.is_empty() {
-        let mut interval = InlineTable::new();
-        for (name, of) in &provenance.interval {
-            let array = effect.description().parameters.iter().any(|p| p.name == *name && p.array);
-            interval.insert(name, pairs(of, array));
-        }
-        t["interval"] = value(interval);
+        let is_array = |name: &str| effect.description().parameters.iter().any(|p| p.name == name && p.array);
+        let intervals = provenance.interval.iter().map(|(name, of)| (name, pairs(of, is_array(name))));
+        t["interval"] = value(intervals.collect::<InlineTable>());
     }
     t
 }
@@ -326,7 +316,6 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
 mod tests {
     use super::super::lathe::{LATHE, parse};
     use super::*;
-    use crate::effect::Difference;
     use crate::record::{Record, hex};
     use sha2::{Digest, Sha256};
     use std::collections::BTreeMap;

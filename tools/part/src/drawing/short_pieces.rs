@@ -15,7 +15,6 @@ pub(super) fn reach_mm(first_mm: f64, second_mm: f64) -> f64 {
 }
 
 /// Joins short pieces end to end, and drops vertices that are too close.
-///
 /// The joined line keeps its place and length. It is left out if it is no longer than the tolerance as a
 /// whole.
 pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
@@ -82,7 +81,6 @@ fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &m
 }
 
 /// Closes the joints of a chain by moving lines that may be moved.
-///
 /// A line along the axis or square to it keeps its place, and so does a curve.
 pub(super) fn close_joints(chain: &mut [(Segment, String)], closed: bool) {
     let n = chain.len();

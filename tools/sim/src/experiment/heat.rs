@@ -1,6 +1,6 @@
 //! Experiments with heat: spindle cycles, tool changes, drilling.
 
-use super::runs::{Both, Log, Row, both, digits, feed, nothing, places, seed_of};
+use super::runs::{Both, Log, Row, both, digits, feed, places, seed_of};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, PROMISED, Setting, UNSEEN};
 use crate::errors::NAMES;
 use crate::gcode::Block;
@@ -82,10 +82,9 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
     read(&of.sensor) - of.minus().map_or(of.reference_degc(), read)
 }
 
-pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn drift(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs = soaked(setting, name, FIGURE_9, coolant, &mut findings)?;
+        let runs = soaked(setting, name, FIGURE_9, coolant, findings)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
@@ -103,7 +102,7 @@ pub(super) fn drift(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
         findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
         findings.gauges.push((name.to_owned(), gauged));
     }
-    Ok(findings)
+    Ok(())
 }
 
 /// A cycle with speeds, minutes and rests that differ from [`FIGURE_9`].
@@ -118,14 +117,12 @@ const PRODUCTION: &[(f64, f64)] = &[
     (5200.0, 20.0),
 ];
 
-pub(super) fn production(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
-    soaked(setting, "production-cycle", PRODUCTION, true, &mut findings)?;
-    Ok(findings)
+pub(super) fn production(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+    soaked(setting, "production-cycle", PRODUCTION, true, findings)?;
+    Ok(())
 }
 
-pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn tool_change(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
     let runs = both(setting, setting.spec, [0.0; 3], "tool-change-repeatability", |sim, log| {
@@ -145,8 +142,7 @@ pub(super) fn tool_change(setting: &Setting<'_>) -> Result<Findings, ExperimentE
     let x = |r: &Row| r.cycle;
     // Repeatability of the holder in the spindle: about a micrometre in each direction.
     let what = (&[0, 1, 2][..], 1.2);
-    runs.publish(setting, Kind::Positioning, what, ("tool change", &x), &mut findings)?;
-    Ok(findings)
+    runs.publish(setting, Kind::Positioning, what, ("tool change", &x), findings)
 }
 
 /// The wet runs for the model of WO 97/43703 (text before equation 2).
@@ -184,12 +180,11 @@ const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
     ),
 ];
 
-pub(super) fn wet_runs(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn wet_runs(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     for (name, cycle) in WET_RUNS {
-        soaked(setting, name, cycle, true, &mut findings)?;
+        soaked(setting, name, cycle, true, findings)?;
     }
-    Ok(findings)
+    Ok(())
 }
 
 /// Initial thermal state of a drilling test.
@@ -233,8 +228,8 @@ pub(super) fn drilling(
     setting: &Setting<'_>,
     name: &str,
     start: &Start,
-) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+    findings: &mut Findings,
+) -> Result<(), ExperimentError> {
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);
     let spec = Spec { ambient_degc, ..setting.spec.clone() };
     let runs = both(setting, &spec, [0.0, 0.0, 100.0], name, |sim, log| {
@@ -266,10 +261,10 @@ pub(super) fn drilling(
         }
         Ok(())
     })?;
-    runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes), &mut findings)?;
-    by_hole(name, &mut findings)?;
-    promised(setting, &runs.logs[0].rows[0], &mut findings);
-    Ok(findings)
+    runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes), findings)?;
+    by_hole(name, findings)?;
+    promised(setting, &runs.logs[0].rows[0], findings);
+    Ok(())
 }
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.

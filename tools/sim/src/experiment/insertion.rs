@@ -1,6 +1,6 @@
 //! Number and positions of insertions (NISTIR 4832).
 
-use super::runs::{Row, along, both, digits, feed, nothing};
+use super::runs::{Row, along, both, digits, feed};
 use super::{ExperimentError, Findings, Setting};
 use crate::axis::AxisSpec;
 use crate::gcode::Block;
@@ -18,9 +18,10 @@ pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
     spec
 }
 
-pub(super) fn linear_error(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+pub(super) fn linear_error(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     // A quarter of the travel, at a cutting feed.
-    over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)
+    *findings = over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)?;
+    Ok(())
 }
 
 /// Number and positions of insertions over the length of a part at a cutting feed.
@@ -33,8 +34,7 @@ pub fn over_a_part(
     length_mm: f64,
     mm_min: f64,
 ) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
-    let mut insertions = 0;
+    let (mut findings, mut insertions) = (Findings::default(), 0);
     let runs = both(setting, spec, [0.0; 3], "linear-error-240um", |sim, log| {
         sim.machine.load([feed(along(0, length_mm), mm_min)]);
         while !sim.machine.finished() {
@@ -52,8 +52,7 @@ pub fn over_a_part(
     Ok(findings)
 }
 
-pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn rapid_catch_up(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     let mut spec = one_metre(1.0, 1000.0);
     // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
     let nine = crate::computer::Computer::i8051().configure(AxisConfig::default());
@@ -77,12 +76,12 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>) -> Result<Findings, Experime
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, Kind::Positioning, (&[0], 0.0), ("position (mm)", &x), &mut findings)?;
+    runs.publish(setting, Kind::Positioning, (&[0], 0.0), ("position (mm)", &x), findings)?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
     let worst = runs.logs.iter().flat_map(|l| &l.rows).map(pending).fold(0.0, f64::max);
     let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
     findings.summary.insert("edges_waited_for_gate".to_owned(), json!(waited));
     findings.summary.insert("largest_backlog_um".to_owned(), json!(digits(worst, 1e3)));
     findings.summary.insert("largest_error_in_part_um".to_owned(), json!(digits(in_part, 1e3)));
-    Ok(findings)
+    Ok(())
 }

@@ -1,6 +1,6 @@
 //! Experiments in motion: displacement, circles, the plate, feeds and drive forces.
 
-use super::runs::{Log, Row, along, both, feed, nothing, places};
+use super::runs::{Log, Row, along, both, feed, places};
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
 use crate::gcode::Block;
@@ -9,8 +9,10 @@ use crate::path::AXES;
 use crate::sim::Sim;
 use rtec_model::record::Kind;
 
-pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn linear_displacement(
+    setting: &Setting<'_>,
+    findings: &mut Findings,
+) -> Result<(), ExperimentError> {
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         // ISO 230-2: targets over the travel, each off an even pitch by a random amount, so that no period is
         // hidden.
@@ -44,13 +46,12 @@ pub(super) fn linear_displacement(setting: &Setting<'_>) -> Result<Findings, Exp
             Ok(())
         })?;
         let x = |r: &Row| r.now.position_mm[p];
-        runs.publish(setting, Kind::Positioning, (&[p], 0.1), ("position (mm)", &x), &mut findings)?;
+        runs.publish(setting, Kind::Positioning, (&[p], 0.1), ("position (mm)", &x), findings)?;
     }
-    Ok(findings)
+    Ok(())
 }
 
-pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn ballbar(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     let radius = 150.0;
     let there = places(setting.spec);
     let planes = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|(i, j)| there.contains(i) && there.contains(j));
@@ -88,20 +89,13 @@ pub(super) fn ballbar(setting: &Setting<'_>) -> Result<Findings, ExperimentError
                 Ok(())
             })?;
             let x = |r: &Row| r.angle.unwrap_or(0.0);
-            runs.publish(
-                setting,
-                Kind::Ballbar,
-                (&[i.min(j), i.max(j)], 0.1),
-                ("angle, rad", &x),
-                &mut findings,
-            )?;
+            runs.publish(setting, Kind::Ballbar, (&[i.min(j), i.max(j)], 0.1), ("angle, rad", &x), findings)?;
         }
     }
-    Ok(findings)
+    Ok(())
 }
 
-pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn plate(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     let runs = both(setting, setting.spec, [0.0; 3], "plate", |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
@@ -115,12 +109,10 @@ pub(super) fn plate(setting: &Setting<'_>) -> Result<Findings, ExperimentError> 
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, Kind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), &mut findings)?;
-    Ok(findings)
+    runs.publish(setting, Kind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), findings)
 }
 
-pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn feed_sweep(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         let name = format!("feed-sweep-{}", axis.name);
         let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
@@ -145,13 +137,12 @@ pub(super) fn feed_sweep(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
             Ok(())
         })?;
         let x = |r: &Row| r.now.velocity_mm_s[p];
-        runs.publish(setting, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), &mut findings)?;
+        runs.publish(setting, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), findings)?;
     }
-    Ok(findings)
+    Ok(())
 }
 
-pub(super) fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn dynamics(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         let name = format!("dynamics-{}", axis.name);
         let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
@@ -168,7 +159,7 @@ pub(super) fn dynamics(setting: &Setting<'_>) -> Result<Findings, ExperimentErro
             Ok(())
         })?;
         let x = |r: &Row| r.now.t_s;
-        runs.publish(setting, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), &mut findings)?;
+        runs.publish(setting, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), findings)?;
     }
-    Ok(findings)
+    Ok(())
 }

@@ -1,6 +1,6 @@
 //! The loop of NISTIR 4854: a nose turned and probed.
 
-use super::runs::{SUFFIXES, digits, nothing, seed_of};
+use super::runs::{SUFFIXES, digits, seed_of};
 use super::{ExperimentError, Findings, Setting};
 use crate::turning::Setup;
 use rtec_files::InputError;
@@ -36,8 +36,7 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
 
 /// The loop of NISTIR 4854 without and with correction.
 /// It corrects by the known form of the part, or otherwise by the errors probed after the semi-finish cut.
-pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-    let mut findings = nothing();
+pub(super) fn hemisphere(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     let setup = Setup { machine: setting.truth.clone(), design: "c".to_owned(), ..Setup::default() };
     let (mut records, mut figures) = (Vec::new(), Map::new());
     let knows = std::iter::once(None).chain(setting.known.map(Some));
@@ -58,5 +57,5 @@ pub(super) fn hemisphere(setting: &Setting<'_>) -> Result<Findings, ExperimentEr
     }
     findings.publish(setting, "hemisphere", records, "angle from Z, rad")?;
     findings.summary.insert("form".to_owned(), Value::Object(figures));
-    Ok(findings)
+    Ok(())
 }

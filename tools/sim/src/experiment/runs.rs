@@ -231,10 +231,6 @@ impl Findings {
     }
 }
 
-pub(super) fn nothing() -> Findings {
-    Findings { records: Vec::new(), plots: Vec::new(), gauges: Vec::new(), summary: Map::new() }
-}
-
 /// The controller's axis (0 X, 1 Y, 2 Z) of each axis that a machine has.
 pub(super) fn places(spec: &Spec) -> Vec<usize> {
     spec.axes.iter().filter_map(|a| NAMES.iter().position(|n| *n == a.name)).collect()

@@ -3,15 +3,12 @@
 use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "acceleration_error";
-
 /// Extra price over an effect of the position, nats: it is rarer.
 const RARER: f64 = 1.0;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "acceleration_error".into(),
         law: "e = um_per_m_s2·a/1000".into(),
         cause: "drive train and structure bending under their own inertia".into(),
         experiment: "feed sweep with the same path at several accelerations".into(),

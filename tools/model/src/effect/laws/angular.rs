@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "angular";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "angular".into(),
         law: "e_A = urad_per_m·p_B·p_C/1e6".into(),
         cause: "pitch, yaw or roll that grows along one axis, at the lever of another".into(),
         experiment: "the same linear displacement line at two or more offsets of the other axis (ISO 230-1)"

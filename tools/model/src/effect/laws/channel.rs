@@ -3,15 +3,12 @@
 use crate::effect::{Description, Law, Linear, Naming, Need, Parameter, Searched};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "channel";
-
 /// Extra price over an effect that has a physical cause, nats.
 const NO_PHYSICS: f64 = 2.5;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "channel".into(),
         law: "e = gain·NAME".into(),
         cause: "a logged quantity with no physics named".into(),
         experiment: "that quantity varied on its own, everything else held".into(),

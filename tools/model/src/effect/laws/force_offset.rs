@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Mechanism, Parameter, Quantity};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "force_offset";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "force_offset".into(),
         law: "f = N".into(),
         cause: "weight that is not balanced, amplifier offset, Coulomb friction that differs by direction"
             .into(),

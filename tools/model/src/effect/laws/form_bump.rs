@@ -8,9 +8,6 @@ use crate::effect::{
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "form_bump";
-
 #[derive(Debug)]
 struct FormBump(Description);
 
@@ -20,7 +17,7 @@ const WIDTH: usize = 2;
 
 pub(super) fn law() -> Arc<dyn Law> {
     Arc::new(FormBump(Description {
-        name: NAME.into(),
+        name: "form_bump".into(),
         law: "e = um·(1 + cos(2π(angle − centre_rad)/width_rad))/2 within ±width_rad/2 of the centre, else 0"
             .into(),
         cause: "local form: a hard spot, a chip, a mark of the cutter's entry".into(),

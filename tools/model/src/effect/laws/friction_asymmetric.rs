@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "friction_asymmetric";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "friction_asymmetric".into(),
         law: "f = N_s_per_m·abs(v)/1000".into(),
         cause: "viscous friction that differs by direction".into(),
         experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),

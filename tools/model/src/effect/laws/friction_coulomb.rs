@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity, sign};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "friction_coulomb";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "friction_coulomb".into(),
         law: "f = N·sign(v)".into(),
         cause: "dry friction of guideways, seals and preloaded nuts".into(),
         experiment: "slow strokes both ways (dynamics run)".into(),

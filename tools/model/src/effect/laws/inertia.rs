@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "inertia";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "inertia".into(),
         law: "f = kg·a/1000".into(),
         cause: "moved mass, with the drive's inertia referred to the axis".into(),
         experiment: "strokes at several accelerations (dynamics run)".into(),

@@ -5,9 +5,6 @@ use crate::effect::{
 };
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "lost_counts";
-
 #[derive(Debug)]
 struct LostCounts(Description);
 
@@ -16,7 +13,7 @@ const AT: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
     Arc::new(LostCounts(Description {
-        name: NAME.into(),
+        name: "lost_counts".into(),
         law: "e = um from at_s on; whole counts".into(),
         cause: "edges lost or gained by a decoder, a connector, a scale that is dirty".into(),
         parameters: vec![

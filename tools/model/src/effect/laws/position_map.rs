@@ -4,15 +4,12 @@ use crate::effect::knots::{BrokenLine, parameters};
 use crate::effect::{Description, Law, Need};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "position_map";
-
 /// Index of the axis in the name that the knots lie on.
 const ALONG: usize = 0;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "position_map".into(),
         law: "e = smooth, repeatable function of p beyond scale: linear between knots, constant beyond"
             .into(),
         cause: "graduation of the scale, lead variation of the screw, bending of the guideway".into(),

@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Mechanism, Need, Owner, Parameter, Probing};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "probe_latency";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "probe_latency".into(),
         law: "e = us·v/1000, in a record of kind probing".into(),
         cause: "time from the probe's contact to the captured position".into(),
         experiment: "one surface probed at several speeds, both ways".into(),

@@ -7,9 +7,6 @@ use crate::effect::{
 };
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "probe_lobing";
-
 /// um·cos(lobes·angle + phase).
 #[derive(Debug)]
 struct Lobing(Description);
@@ -23,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         .within([1.0, 1000.0], "one lobe is an eccentric ring; a thousand are roughness")
         .telling_apart();
     Arc::new(Lobing(Description {
-        name: NAME.into(),
+        name: "probe_lobing".into(),
         law: "e = um·cos(lobes·angle + phase)".into(),
         cause: "a kinematic probe's pre-travel, different in every direction of touch".into(),
         experiment:

@@ -4,12 +4,9 @@
 use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "reversal_slope";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "reversal_slope".into(),
         law: "e = um_per_m·p/1000·dir/2".into(),
         cause: "a screw or rack that is worn more at one end of the travel".into(),
         experiment: "bidirectional linear displacement over the whole travel (ISO 230-2)".into(),

@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "rotation";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "rotation".into(),
         law: "e_A = −urad·p_B/1000, e_B = +urad·p_A/1000".into(),
         cause: "work or plate turned about the normal of the plane of both axes".into(),
         experiment:

@@ -4,12 +4,9 @@ use crate::effect::wave::{Sine, period, phase};
 use crate::effect::{Description, Law, Need, Parameter, Search, Searched};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "screw_slope";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "screw_slope".into(),
         law: "e = um_per_m·p/1000·sin(2πp/period_mm + phase)".into(),
         cause: "a screw that wobbles more the farther its nut is from the fixed bearing".into(),
         experiment: "linear displacement over the whole travel with targets that are no whole fraction of the lead".into(),

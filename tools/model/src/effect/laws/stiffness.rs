@@ -3,12 +3,9 @@
 use crate::effect::{Description, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "stiffness";
-
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "stiffness".into(),
         law: "e = um_per_N·load".into(),
         cause: "compliance between scale and tool or work".into(),
         experiment: "known loads on an axis at rest (ISO 230-1, static compliance)".into(),

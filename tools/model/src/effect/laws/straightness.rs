@@ -5,15 +5,12 @@ use crate::effect::knots::{BrokenLine, parameters};
 use crate::effect::{Description, Law, Naming, Need};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "straightness";
-
 /// Index of the axis in the name that the knots lie on.
 const ALONG: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
     let description = Description {
-        name: NAME.into(),
+        name: "straightness".into(),
         law: "e_A = smooth non-linear function of p_B: linear between knots, constant beyond".into(),
         cause: "a guideway that is not straight".into(),
         experiment: "straightedge or laser along B read across it, forward and turned over (ISO 230-1)"

@@ -4,9 +4,6 @@ use crate::effect::wave::{Sine, amplitude, period, phase};
 use crate::effect::{Description, Law, Need, Searched, Wave};
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "subdivision";
-
 /// Unit of the period, mm.
 const UNIT_MM: f64 = 1e-3;
 
@@ -23,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
     // Two steps of the positions to a period: a finer wave looks like a coarser one.
     let wave = Wave { unit_mm: UNIT_MM, usual_mm: &SIGNALS_MM, steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
     let description = Description {
-        name: NAME.into(),
+        name: "subdivision".into(),
         law: "e = um·sin(2πp/period_um + phase)".into(),
         cause:
             "interpolation of the scale's signal period: offsets, amplitudes and phase of its sine and cosine"

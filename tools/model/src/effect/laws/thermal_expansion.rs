@@ -5,15 +5,12 @@ use crate::effect::{
 };
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "thermal_expansion";
-
 #[derive(Debug)]
 struct ThermalExpansion(Description);
 
 pub(super) fn law() -> Arc<dyn Law> {
     Arc::new(ThermalExpansion(Description {
-        name: NAME.into(),
+        name: "thermal_expansion".into(),
         law: "e = ppm_per_K·ΔT·p/1000".into(),
         cause: "scale, screw or work longer than at the reference temperature".into(),
         experiment: "linear displacement over the whole travel, cold and warm (ISO 230-2 and 230-3)".into(),

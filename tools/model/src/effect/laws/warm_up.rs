@@ -5,9 +5,6 @@ use crate::effect::{
 };
 use std::sync::Arc;
 
-/// First part of the effect's name.
-pub const NAME: &str = "warm_up";
-
 #[derive(Debug)]
 struct WarmUp(Description);
 
@@ -16,7 +13,7 @@ const TAU: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
     Arc::new(WarmUp(Description {
-        name: NAME.into(),
+        name: "warm_up".into(),
         law: "e = um·(1 − exp(−t/tau_s)), from t = 0".into(),
         cause: "warming that no sensor of the record follows".into(),
         parameters: vec![
