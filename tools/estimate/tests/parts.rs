@@ -6,6 +6,7 @@ use rtec_estimate::family::Families;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Rows, needs_place};
 use rtec_estimate::search::Search;
+use rtec_estimate::setup::step_of;
 use rtec_estimate::smooth::{Kernel, directions, knots};
 use rtec_estimate::wave::Along;
 use rtec_model::circle::Circle;
@@ -86,6 +87,18 @@ fn knots_lie_where_values_are() {
     let k = knots(&apart, 40);
     assert!(k.len() < 40 && k.iter().all(|k| !(8.0..45.0).contains(k)), "{k:?}");
     assert!(knots(&[3.0; 7], 40).is_empty());
+}
+
+/// A dial shows its step by five numbers, or by fewer that it reads again and again.
+#[test]
+fn a_dial_shows_its_step_by_few_numbers_too() {
+    for count in 2..5 {
+        let dial: Vec<f64> = (0..60).map(|i| 10.0 * f64::from(i * count / 60) - 20.0).collect();
+        assert_eq!(step_of(&dial), Some(10.0), "{count}");
+    }
+    assert_eq!(step_of(&[1.0, 2.0, 3.0]), None);
+    assert_eq!(step_of(&[4.0; 60]), None);
+    assert_eq!(step_of(&(0..60).map(|i| f64::from(i * i % 61).sqrt()).collect::<Vec<_>>()), None);
 }
 
 /// What does not depend on the place is searched on a circle of unknown centre too.
