@@ -223,8 +223,13 @@ impl Extent for Rows<'_> {
         out.into_iter().map(|(s, c)| s / c).collect()
     }
 
-    fn stretches_mm(&self, _axis: &Axis) -> Vec<[f64; 2]> {
-        Vec::new()
+    fn travel_mm(&self, axis: &Axis) -> f64 {
+        let role = Role::Position(axis.clone());
+        let travel = |p: &[f64]| {
+            let [lo, hi] = span(p);
+            hi - lo
+        };
+        self.records.iter().filter_map(|r| r.data(&role)).map(travel).fold(0.0, f64::max)
     }
 }
 

@@ -222,16 +222,7 @@ fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
 /// one direction.
 fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     let y = &rows.measured[s.rows.clone()];
-    let mut values: Vec<f64> = y.to_vec();
-    values.sort_by(f64::total_cmp);
-    values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    if y.len() < 8 || values.len() < 2 || values.len() * 3 > y.len() || values.len() > 60 {
-        return None;
-    }
-    let q = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
-    if values.iter().any(|v| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() > 0.02) {
-        return None;
-    }
+    let (q, _) = step_and_count(y).filter(|(_, count)| is_repeated(y, *count) && *count <= 60)?;
     // A repeat is the next row at the same position; without positions it is the next row.
     let at = places(rows, s);
     let mut order: Vec<usize> = (0..y.len()).collect();
@@ -323,14 +314,26 @@ pub fn resolution_um(record: &Record) -> f64 {
 
 /// The step of which all numbers are multiples.
 /// Two numbers define it. Each further one lies on it by chance in one case of 25, so five are not chance.
+/// Fewer show it if they are read again and again.
 #[must_use]
 pub fn step_of(y: &[f64]) -> Option<f64> {
+    let (q, count) = step_and_count(y)?;
+    ((5..400).contains(&count) || is_repeated(y, count)).then_some(q)
+}
+
+/// The step of which all numbers are multiples, and how many different numbers there are.
+fn step_and_count(y: &[f64]) -> Option<(f64, usize)> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);
     values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    let q = values.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    let q = values.windows(2).map(|w| w[1] - w[0]).reduce(f64::min)?;
     let on = |v: &f64| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() < 0.02;
-    ((5..400).contains(&values.len()) && values.iter().all(on)).then_some(q)
+    values.iter().all(on).then_some((q, values.len()))
+}
+
+/// Whether each of so many different numbers is read often.
+const fn is_repeated(y: &[f64], count: usize) -> bool {
+    y.len() >= 8 && 3 * count <= y.len()
 }
 
 /// Smallest size of the noise, per response: undithered rounding.

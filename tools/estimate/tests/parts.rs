@@ -4,10 +4,12 @@
 
 use rtec_estimate::family::Families;
 use rtec_estimate::problem::Problem;
-use rtec_estimate::rows::Rows;
+use rtec_estimate::rows::{Rows, needs_place};
 use rtec_estimate::search::Search;
+use rtec_estimate::setup::step_of;
 use rtec_estimate::smooth::{Kernel, directions, knots};
 use rtec_estimate::wave::Along;
+use rtec_model::circle::Circle;
 use rtec_model::effect::Dictionary;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
@@ -85,6 +87,42 @@ fn knots_lie_where_values_are() {
     let k = knots(&apart, 40);
     assert!(k.len() < 40 && k.iter().all(|k| !(8.0..45.0).contains(k)), "{k:?}");
     assert!(knots(&[3.0; 7], 40).is_empty());
+}
+
+/// A dial shows its step by five numbers, or by fewer that it reads again and again.
+#[test]
+fn a_dial_shows_its_step_by_few_numbers_too() {
+    for count in 2..5 {
+        let dial: Vec<f64> = (0..60).map(|i| 10.0 * f64::from(i * count / 60) - 20.0).collect();
+        assert_eq!(step_of(&dial), Some(10.0), "{count}");
+    }
+    assert_eq!(step_of(&[1.0, 2.0, 3.0]), None);
+    assert_eq!(step_of(&[4.0; 60]), None);
+    assert_eq!(step_of(&(0..60).map(|i| f64::from(i * i % 61).sqrt()).collect::<Vec<_>>()), None);
+}
+
+/// What does not depend on the place is searched on a circle of unknown centre too.
+#[test]
+fn a_circle_of_unknown_centre_shows_all_that_needs_no_place() {
+    let columns =
+        [("t", "time", 0.1), ("a", "angle", 0.02), ("T1", "temperature", 0.01), ("e", "error.r", 0.0)];
+    let of = |(name, role, step): (&str, &str, f64)| {
+        let wave = |i: f64| if step == 0.0 { (0.7 * i).sin() } else { step * i };
+        Column::new(name, Role::parse(role).unwrap(), (0..700).map(|i| wave(f64::from(i))).collect())
+    };
+    let record =
+        Record::new(std::path::Path::new("b.run.toml"), Kind::Ballbar, columns.map(of).to_vec()).unwrap();
+    let names = |centre_mm| {
+        let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
+        let records = [record.clone().with_circle(Circle { radius_mm: 100.0, plane, centre_mm }).unwrap()];
+        let rows = Rows::new(&records);
+        let families = Families::new(&rows, &Dictionary::default(), &[]);
+        let effects = families.list.into_iter().filter_map(|f| f.effect);
+        effects.filter(|e| !needs_place(e)).map(|e| e.name()).collect::<Vec<_>>()
+    };
+    let placed = names(Some([0.0, 0.0]));
+    assert!(placed.contains(&"reversal_spike.x".to_owned()) && placed.len() > 10, "{placed:?}");
+    assert_eq!(names(None), placed);
 }
 
 /// All numbers that decide an answer are in this file, and there are few of them.

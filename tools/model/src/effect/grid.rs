@@ -17,9 +17,8 @@ pub trait Extent {
     /// Measured places of an axis, mm, rising; empty if none is logged.
     /// Places that differ by little are merged.
     fn places_mm(&self, axis: &Axis) -> Vec<f64>;
-    /// Ranges of single records along an axis, mm, if shorter than the whole travel.
-    /// Ranges that differ by little are merged.
-    fn stretches_mm(&self, axis: &Axis) -> Vec<[f64; 2]>;
+    /// Longest travel of one record along an axis, mm, wherever its zero is.
+    fn travel_mm(&self, axis: &Axis) -> f64;
 }
 
 /// A grid point.

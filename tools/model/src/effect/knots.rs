@@ -76,35 +76,27 @@ impl Law for BrokenLine {
     }
 
     /// Sets of even knots, from 4 to 48.
-    /// They cover the whole travel and each record's own part. If there are few places, one set has a knot at
-    /// every place.
+    /// They cover the whole travel. If there are few places, one set has a knot at every place.
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let axis = &effect.axes()[self.along];
         let places = records.places_mm(axis);
-        let parts = records.stretches_mm(axis);
-        // The price includes the choice among the parts.
-        let price = 1.0 + (1.0 + parts.len() as f64).ln();
-        let mut all = even(&SIZES, &places, records.rows());
+        let mut all = even(&places, records.rows());
         if PLACES.contains(&places.len()) && places.len() < records.rows() / 2 {
             all.push(places.clone());
         }
-        for [from, to] in parts {
-            let own: Vec<f64> = places.iter().copied().filter(|p| (from..=to).contains(p)).collect();
-            all.extend(even(&FEW_SIZES, &own, records.rows()));
-        }
         let level = |knots: Vec<f64>| {
             let values: Vec<f64> = knots.iter().copied().chain(knots.iter().map(|_| 0.0)).collect();
-            Some(GridHypothesis { effect: effect.with_values(&values)?, price })
+            Some(GridHypothesis { effect: effect.with_values(&values)?, price: 1.0 })
         };
         all.into_iter().filter_map(level).collect()
     }
 }
 
-/// Sets of even knots from the first place to the last, one for each of `sizes`.
+/// Sets of even knots from the first place to the last.
 /// Sizes that the places cannot tell apart are left out.
-fn even(sizes: &[usize], places: &[f64], rows: usize) -> Vec<Vec<f64>> {
+fn even(places: &[f64], rows: usize) -> Vec<Vec<f64>> {
     let (Some(lo), Some(hi)) = (places.first(), places.last()) else { return Vec::new() };
-    let sizes = sizes.iter().copied().filter(|k| *k < places.len().min(rows / 3));
+    let sizes = SIZES.into_iter().filter(|k| *k < places.len().min(rows / 3));
     let all = sizes.map(|k| (0..k).map(|i| lo + (hi - lo) * i as f64 / (k - 1) as f64).collect());
     let mut all: Vec<Vec<f64>> = all.map(|knots| with_places(knots, places)).collect();
     all.dedup();
@@ -128,8 +120,6 @@ fn with_places(knots: Vec<f64>, places: &[f64]) -> Vec<f64> {
 
 /// Numbers of even knots that a search tries.
 const SIZES: [usize; 17] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24, 28, 34, 40, 48];
-/// The same over a part of the travel, where as many knots lie closer together.
-const FEW_SIZES: [usize; 11] = [4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16];
 /// Numbers of places for which each place may have a knot.
 const PLACES: std::ops::RangeInclusive<usize> = 4..=48;
 

@@ -8,7 +8,7 @@ use rtec_model::circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, reconcile};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use test_needs::repetitions;
 
@@ -80,6 +80,21 @@ fn reversal_is_named_beside_a_known_scale() {
     };
     let model = "[[effect]]\nname = \"scale.x\"\nppm = 20.0\n";
     says(&reconciled(circles(2, e), model), &[(&["reversal.x"], 6.0, 0.3)]);
+}
+
+/// A peak fades with the travel since the turn, wherever the circle stands.
+#[test]
+fn a_spike_needs_no_centre() {
+    for seed in repetitions(30..34) {
+        let e = |a: f64, turn: f64| {
+            // Seen from its start at 0.3 rad, x turns at each half turn.
+            let since = if turn > 0.0 { a.rem_euclid(PI) } else { (-a).rem_euclid(PI) };
+            let way = -turn * a.sin().signum();
+            let turned = if turn > 0.0 { a >= PI } else { a <= 0.0 };
+            if turned { 8.0 * way * (-R * (1.0 - since.cos()) / 1.5).exp() * a.cos() } else { 0.0 }
+        };
+        says(&reconciled(circles(seed, e), "effect = []\n"), &[(&["reversal_spike.x"], 8.0, 1.0)]);
+    }
 }
 
 /// A bug once: rows at rest were named lost counts, and no reversal was.

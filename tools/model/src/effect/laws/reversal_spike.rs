@@ -84,11 +84,10 @@ impl Law for ReversalSpike {
     }
 
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
-        let places = records.places_mm(&effect.axes()[0]);
-        let span = places.last().zip(places.first()).map_or(0.0, |(last, first)| last - first);
-        if span <= 0.0 {
+        let travel = records.travel_mm(&effect.axes()[0]);
+        if travel <= 0.0 {
             return Vec::new();
         }
-        GridHypothesis::along(effect, LENGTH, (0..12).map(|i| span * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
+        GridHypothesis::along(effect, LENGTH, (0..12).map(|i| travel * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
     }
 }
