@@ -79,7 +79,7 @@ pub struct GpioLine {
 
 /// An input line.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GpioInput {
+pub struct GpioInputConfig {
     /// The line, and how it is requested.
     pub line: GpioLine,
     /// Its bit in the input word.
@@ -92,7 +92,7 @@ pub struct GpioInput {
 
 /// An output line.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GpioOutput {
+pub struct GpioOutputConfig {
     /// The line, and how it is requested.
     pub line: GpioLine,
     /// Its bit in the output word.
@@ -103,9 +103,9 @@ pub struct GpioOutput {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioSetup {
     /// Every input that the profile of the axes and the machine needs.
-    pub inputs: Vec<GpioInput>,
+    pub inputs: Vec<GpioInputConfig>,
     /// Every output, inverters and feed hold.
-    pub outputs: Vec<GpioOutput>,
+    pub outputs: Vec<GpioOutputConfig>,
     /// Sleeps until an edge comes; otherwise levels are read as fast as possible.
     pub events: bool,
 }
@@ -137,7 +137,7 @@ pub enum GpioError {
 
 /// A line found: its chip and offset.
 #[derive(Debug, Clone)]
-struct Found {
+struct LocatedLine {
     chip: PathBuf,
     offset: u32,
 }
@@ -195,14 +195,14 @@ pub fn chip_names(setup: &GpioSetup) -> Result<BTreeSet<String>, GpioError> {
         .collect()
 }
 
-fn find(line: &GpioLine) -> Result<Found, GpioError> {
+fn find(line: &GpioLine) -> Result<LocatedLine, GpioError> {
     let chips = if let Some(chip) = &line.chip {
         vec![open_chip(chip)?]
     } else {
         let all = gpiocdev::chip::chips().unwrap_or_default();
         all.iter().filter_map(|path| Chip::from_path(path).ok()).collect()
     };
-    let mut found: Option<Found> = None;
+    let mut found: Option<LocatedLine> = None;
     for chip in &chips {
         let offset = match &line.line {
             LineId::Offset(offset) => {
@@ -219,7 +219,7 @@ fn find(line: &GpioLine) -> Result<Found, GpioError> {
                 second: path_of(chip),
             });
         }
-        found = Some(Found { chip: chip.path().to_owned(), offset });
+        found = Some(LocatedLine { chip: chip.path().to_owned(), offset });
     }
     let place = || chips.first().filter(|_| line.chip.is_some()).map_or("any chip".to_owned(), path_of);
     found.ok_or_else(|| GpioError::NoLine { place: place(), line: line.line.clone() })
@@ -594,18 +594,19 @@ impl<K: Clock> Card for GpioCard<K> {
 }
 
 /// The lines of one request, before it is made.
-struct Wanted<'a, L> {
+struct PendingRequest<'a, L> {
     chip: PathBuf,
     lines: Vec<(u32, &'a L)>,
 }
 
 fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
-    let mut wanted: Vec<(u8, Wanted<'_, GpioInput>)> = Vec::new();
+    let mut wanted: Vec<(u8, PendingRequest<'_, GpioInputConfig>)> = Vec::new();
     for input in &setup.inputs {
-        let Found { chip, offset } = find(&input.line)?;
+        let LocatedLine { chip, offset } = find(&input.line)?;
         // Levels are read chip by chip in one call, whichever axis a line belongs to.
-        let same =
-            |g: u8, w: &Wanted<'_, GpioInput>| if setup.events { g == input.group } else { w.chip == chip };
+        let same = |g: u8, w: &PendingRequest<'_, GpioInputConfig>| {
+            if setup.events { g == input.group } else { w.chip == chip }
+        };
         match wanted.iter_mut().find(|(g, w)| same(*g, w)) {
             Some((_, w)) if w.chip == chip => w.lines.push((offset, input)),
             Some((_, w)) => {
@@ -615,11 +616,11 @@ fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
                     other: w.chip.display().to_string(),
                 });
             }
-            None => wanted.push((input.group, Wanted { chip, lines: vec![(offset, input)] })),
+            None => wanted.push((input.group, PendingRequest { chip, lines: vec![(offset, input)] })),
         }
     }
     let mut requests = Vec::new();
-    for (_, Wanted { chip, lines }) in wanted {
+    for (_, PendingRequest { chip, lines }) in wanted {
         let chip = open_chip(&chip.display().to_string())?;
         let offsets: Vec<u32> = lines.iter().map(|(offset, _)| *offset).collect();
         let names: Vec<LineId> = lines.iter().map(|(_, input)| input.line.line.clone()).collect();
@@ -656,12 +657,12 @@ fn held(fd: BorrowedFd<'_>) -> io::Result<(String, Vec<u32>)> {
 }
 
 fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, GpioError> {
-    let mut wanted: Vec<Wanted<'_, GpioOutput>> = Vec::new();
+    let mut wanted: Vec<PendingRequest<'_, GpioOutputConfig>> = Vec::new();
     for output in &setup.outputs {
-        let Found { chip, offset } = find(&output.line)?;
+        let LocatedLine { chip, offset } = find(&output.line)?;
         match wanted.iter_mut().find(|w| w.chip == chip) {
             Some(w) => w.lines.push((offset, output)),
-            None => wanted.push(Wanted { chip, lines: vec![(offset, output)] }),
+            None => wanted.push(PendingRequest { chip, lines: vec![(offset, output)] }),
         }
     }
     let mut store = Vec::new();
@@ -674,7 +675,7 @@ fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, G
     let found: Vec<String> = store.iter().map(|((chip, lines), _)| format!("{chip} {lines:?}")).collect();
     let (mut requests, mut wants) = (Vec::new(), Vec::new());
     let mut missing = false;
-    for Wanted { chip, lines } in wanted {
+    for PendingRequest { chip, lines } in wanted {
         let chip = open_chip(&chip.display().to_string())?;
         let offsets: Vec<u32> = lines.iter().map(|(offset, _)| *offset).collect();
         wants.push(format!("{} {offsets:?}", chip.name()));
@@ -698,7 +699,11 @@ fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, G
 }
 
 /// Requests lines unchanged, reads them, then makes them outputs at those levels.
-fn request_outputs(chip: &Chip, offsets: &[u32], lines: &[(u32, &GpioOutput)]) -> Result<File, GpioError> {
+fn request_outputs(
+    chip: &Chip,
+    offsets: &[u32],
+    lines: &[(u32, &GpioOutputConfig)],
+) -> Result<File, GpioError> {
     let names: Vec<LineId> = lines.iter().map(|(_, output)| output.line.line.clone()).collect();
     let polarity = |l: &GpioLine| if l.active_low { LineFlags::ACTIVE_LOW } else { LineFlags::empty() };
     let as_is: Vec<_> = lines.iter().map(|(_, output)| polarity(&output.line)).collect();
@@ -810,7 +815,8 @@ mod tests {
             bias: None,
             drive: None,
         };
-        let setup = GpioSetup { inputs: vec![], outputs: vec![GpioOutput { line, bit: 0 }], events: true };
+        let setup =
+            GpioSetup { inputs: vec![], outputs: vec![GpioOutputConfig { line, bit: 0 }], events: true };
         let error = GpioCard::open(&setup, Vec::new(), crate::clock::Monotonic).unwrap_err().to_string();
         assert!(error.starts_with("GPIO chip no-such-chip: "), "{error}");
     }

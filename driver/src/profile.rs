@@ -41,7 +41,7 @@ pub struct Register {
 
 /// A line's place in the card's input or output word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
+pub enum WordBit {
     /// Bit of the input word.
     Input(u8),
     /// Bit of the output word.
@@ -50,7 +50,7 @@ pub enum Place {
 
 /// A value that is written to a register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Order {
+pub struct RegisterWrite {
     /// The register.
     pub register: Register,
     /// The value to write.
@@ -68,9 +68,9 @@ pub struct Flag {
 
 /// A register that must hold a value before the card is of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SetUp {
+pub struct RegisterPreset {
     /// The register, and the value that it must hold.
-    pub order: Order,
+    pub order: RegisterWrite,
     /// Value after the card's reset.
     /// The register is written only if it reads this value.
     pub after_reset: u32,
@@ -84,13 +84,13 @@ pub struct Counter {
     /// The count; up when A leads B.
     pub count: Register,
     /// Written before the count is read.
-    pub latch: Option<Order>,
+    pub latch: Option<RegisterWrite>,
     /// The counter has overflowed.
     pub overflow: Option<Flag>,
     /// The card's decoder has seen an illegal transition.
     pub error: Option<Flag>,
     /// Written after a flag was seen.
-    pub clear: Option<Order>,
+    pub clear: Option<RegisterWrite>,
 }
 
 impl Counter {
@@ -137,11 +137,11 @@ pub struct Profile {
     /// Output bits that are active low.
     pub output_invert: u64,
     /// The lines by name.
-    pub lines: BTreeMap<String, Place>,
+    pub lines: BTreeMap<String, WordBit>,
     /// Location on the PCI bus.
     pub pci: Option<PciPlace>,
     /// Registers to be set before use.
-    pub setup: Vec<SetUp>,
+    pub setup: Vec<RegisterPreset>,
     /// The card's own counters.
     pub counters: Vec<Counter>,
 }
@@ -161,8 +161,8 @@ impl Profile {
     /// 32 inputs `in0`… are at byte 0, 32 outputs `out0`… at byte 4.
     pub fn shared_memory() -> Self {
         let register = |offset| vec![Register { offset, width: Width::Bits32 }];
-        let inputs = (0..32).map(|bit| (format!("in{bit}"), Place::Input(bit)));
-        let outputs = (0..32).map(|bit| (format!("out{bit}"), Place::Output(bit)));
+        let inputs = (0..32).map(|bit| (format!("in{bit}"), WordBit::Input(bit)));
+        let outputs = (0..32).map(|bit| (format!("out{bit}"), WordBit::Output(bit)));
         Self {
             name: "shared-memory test card".to_owned(),
             source: "this project: inputs at byte 0, outputs at byte 4, little-endian. On the PCI bus it is QEMU's \
@@ -201,15 +201,15 @@ mod tests {
     fn the_test_card_has_its_lines() {
         let p = Profile::shared_memory();
         assert_eq!((p.size(), p.lines.len()), (8, 64));
-        assert_eq!(p.lines["in3"], Place::Input(3));
-        assert_eq!(p.lines["out31"], Place::Output(31));
+        assert_eq!(p.lines["in3"], WordBit::Input(3));
+        assert_eq!(p.lines["out31"], WordBit::Output(31));
     }
 
     /// A mapping reaches to the last register used, of whatever kind.
     #[test]
     fn a_mapping_holds_the_registers_of_set_up_and_counters_too() {
         let register = |offset| Register { offset, width: Width::Bits16 };
-        let order = |offset| Order { register: register(offset), value: 1 };
+        let order = |offset| RegisterWrite { register: register(offset), value: 1 };
         let flag = |offset| Flag { register: register(offset), bit: 0 };
         let counter = Counter {
             lines: (0, 1),
@@ -220,7 +220,7 @@ mod tests {
             clear: Some(order(0x18)),
         };
         let mut p = Profile::shared_memory();
-        p.setup = vec![SetUp { order: order(0xa), after_reset: 0 }];
+        p.setup = vec![RegisterPreset { order: order(0xa), after_reset: 0 }];
         assert_eq!(p.size(), 0xc);
         let least = Counter { latch: None, overflow: None, error: None, clear: None, ..counter };
         for (counter, size) in [

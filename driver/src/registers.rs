@@ -2,7 +2,7 @@
 
 use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
 use crate::clock::Clock;
-use crate::profile::{Counter, Flag, Order, Profile, Register, SetUp, Width};
+use crate::profile::{Counter, Flag, Profile, Register, RegisterPreset, RegisterWrite, Width};
 
 /// Access to registers.
 /// An implementation that cannot fail costs nothing.
@@ -37,7 +37,7 @@ pub enum SetUpError {
 
 /// One register's part of the 64-bit word that the engine sees.
 #[derive(Debug, Clone, Copy)]
-struct Part {
+struct WordSlice {
     offset: usize,
     width: Width,
     shift: u32,
@@ -52,7 +52,7 @@ const CYCLE: [u64; 4] = [0b00, 0b01, 0b11, 0b10];
 /// The engine sees it as quadrature states, one count per look. The ledger thus follows the card's count, and
 /// no look contains two counts.
 #[derive(Debug)]
-struct Counting {
+struct CounterState {
     counter: Counter,
     /// As last read.
     raw: u32,
@@ -65,7 +65,7 @@ struct Counting {
     phase: i64,
 }
 
-impl Counting {
+impl CounterState {
     /// A and B in an input word, bit 0 and bit 1.
     fn lines_of(&self, inputs: u64) -> u64 {
         let (a, b) = self.counter.lines;
@@ -121,9 +121,9 @@ impl Counting {
 #[derive(Debug)]
 pub struct RegisterCard<B, K> {
     bus: B,
-    inputs: Box<[Part]>,
-    outputs: Box<[Part]>,
-    counters: Box<[Counting]>,
+    inputs: Box<[WordSlice]>,
+    outputs: Box<[WordSlice]>,
+    counters: Box<[CounterState]>,
     input_invert: u64,
     output_invert: u64,
     /// The output registers as last written.
@@ -141,8 +141,10 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
     /// # Errors
     /// When a register cannot be read, or is not what the profile states.
     pub fn new(bus: B, profile: &Profile, clock: K) -> Result<Self, SetUpError> {
-        for SetUp { order: Order { register: Register { offset, width }, value }, after_reset } in
-            &profile.setup
+        for RegisterPreset {
+            order: RegisterWrite { register: Register { offset, width }, value },
+            after_reset,
+        } in &profile.setup
         {
             let (offset, width, value, after_reset) = (*offset, *width, *value, *after_reset);
             let found = bus.read(offset, width)?;
@@ -163,12 +165,13 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
             let mut shift = 0;
             let mut parts = Vec::new();
             for r in registers {
-                parts.push(Part { offset: r.offset, width: r.width, shift });
+                parts.push(WordSlice { offset: r.offset, width: r.width, shift });
                 shift += r.width.bits();
             }
             parts.into_boxed_slice()
         };
-        let start = |c: &Counter| Counting { counter: *c, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+        let start =
+            |c: &Counter| CounterState { counter: *c, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
         let mut card = Self {
             bus,
             inputs: parts(&profile.inputs),
@@ -193,7 +196,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
     }
 
     #[inline]
-    fn gather(&self, parts: &[Part]) -> Result<u64, CardError> {
+    fn gather(&self, parts: &[WordSlice]) -> Result<u64, CardError> {
         let mut word = 0;
         for p in parts {
             word |= u64::from(self.bus.read(p.offset, p.width)?) << p.shift;
@@ -206,7 +209,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
         Ok(self.gather(&self.inputs)? ^ self.input_invert)
     }
 
-    fn order(&self, order: Option<Order>) -> Result<(), CardError> {
+    fn order(&self, order: Option<RegisterWrite>) -> Result<(), CardError> {
         order.map_or(Ok(()), |o| self.bus.write(o.register.offset, o.register.width, o.value))
     }
 
@@ -328,10 +331,10 @@ mod tests {
         let counter = |n: u8| Counter {
             lines: (2 * n, 2 * n + 1),
             count: at(12 + 4 * usize::from(n)),
-            latch: Some(Order { register: at(8), value: 1 << n }),
+            latch: Some(RegisterWrite { register: at(8), value: 1 << n }),
             overflow: Some(Flag { register: at(20), bit: 2 * n }),
             error: Some(Flag { register: at(20), bit: 2 * n + 1 }),
-            clear: Some(Order { register: at(20), value: 3 << (2 * n) }),
+            clear: Some(RegisterWrite { register: at(20), value: 3 << (2 * n) }),
         };
         let profile = Profile { counters: vec![counter(0), counter(1)], ..Profile::shared_memory() };
         let card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
@@ -343,7 +346,7 @@ mod tests {
     fn a_count_agreed_with_its_lines_is_shown_as_them() {
         let (_bench, card) = counter_card();
         let counter = Counter { lines: (2, 5), ..card.counters[0].counter };
-        let mut counting = Counting { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+        let mut counting = CounterState { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
         for inputs in 0..=0xff {
             let lines = (inputs >> 2 & 1) + 2 * (inputs >> 5 & 1);
             assert_eq!(counting.lines_of(inputs), lines, "{inputs:#x}");
@@ -381,7 +384,7 @@ mod tests {
             let count = Register { offset: 12, width };
             let counter =
                 Counter { lines: (0, 1), count, latch: None, overflow: None, error: None, clear: None };
-            let mut counting = Counting { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+            let mut counting = CounterState { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
             let mut now = 0_i64;
             for step in [1, -2, 100, -120, 127, -128] {
                 now += step;
@@ -403,7 +406,7 @@ mod tests {
             for (more, trouble) in [(0, None), (1, Some(TroubleKind::CounterError))] {
                 let (_bench, card) = counter_card();
                 let counter = card.counters[0].counter;
-                let mut counting = Counting { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
+                let mut counting = CounterState { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
                 let jump = sign * (65_536 + more);
                 let lines = CYCLE[jump.rem_euclid(4) as usize];
                 assert_eq!(counting.take(lines, jump as u32, false, false), trouble, "{jump} counts");
@@ -500,8 +503,8 @@ mod tests {
 
     #[test]
     fn setting_up_is_done_once_and_only_on_the_card_that_was_meant() {
-        let order = Order { register: Register { offset: 12, width: Width::Bits32 }, value: 0x92 };
-        let setup = vec![SetUp { order, after_reset: 0x9b }];
+        let order = RegisterWrite { register: Register { offset: 12, width: Width::Bits32 }, value: 0x92 };
+        let setup = vec![RegisterPreset { order, after_reset: 0x9b }];
         let profile = Profile { setup, ..Profile::shared_memory() };
         let bench = Bench::default();
         bench.0.borrow_mut().0 = vec![0; 8];

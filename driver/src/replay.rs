@@ -63,9 +63,9 @@ impl Gates for Xor {
 
 /// No gate: the output lines are A' and B' themselves (NISTIR 4832, Design B).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Through;
+pub struct DirectOutputs;
 
-impl Gates for Through {
+impl Gates for DirectOutputs {
     #[inline]
     fn out(self, _scale: State, outputs: u8) -> State {
         State::from_bits(outputs)
@@ -229,7 +229,8 @@ mod tests {
         let mut heard = Vec::new();
         let points = [point(10, 2), point(20, 3), point(40, 1)];
         let mut card =
-            ReplayCard::new(Through, points.into_iter(), |t, s: State| heard.push((t, s.bits()))).unwrap();
+            ReplayCard::new(DirectOutputs, points.into_iter(), |t, s: State| heard.push((t, s.bits())))
+                .unwrap();
         assert_eq!((card.outputs(), card.edges()), (Ok(2), 0));
         card.sample(25).unwrap();
         card.write(0b01, 0b01).unwrap();

@@ -142,7 +142,7 @@ enum Insertion {
 
 /// An inversion written at the last look, not yet known to be in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Unsettled {
+struct UnconfirmedInversion {
     signal: Signal,
     from_ns: u64,
     done_ns: Option<u64>,
@@ -168,7 +168,7 @@ enum Due {
 
 /// In which order a real edge and an inversion reached the XOR gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Order {
+enum EdgeOrder {
     EdgeLast,
     EdgeFirst,
     Unknown,
@@ -198,7 +198,7 @@ pub(crate) struct Permit {
 
 /// One look at the card, as an axis needs it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Look {
+pub(crate) struct AxisSample {
     pub t_ns: u64,
     pub inputs: u64,
     gap_ns: u64,
@@ -212,7 +212,7 @@ pub(crate) struct Look {
     pub permit: Permit,
 }
 
-impl Look {
+impl AxisSample {
     /// Prepares a look; `since_ns` is the earliest time of an edge without a timestamp.
     /// That is the time of the look before, or of the one before that if the look before came late.
     #[inline]
@@ -240,7 +240,7 @@ impl Look {
 /// The inverters of an axis and the MTC's count.
 /// Shadow mode works on a copy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Wire {
+struct MtcState {
     /// Inverters: bit 0 A, bit 1 B.
     inverters: u8,
     /// Levels of A' and B'.
@@ -251,7 +251,7 @@ struct Wire {
     completed: i64,
 }
 
-impl Wire {
+impl MtcState {
     /// Passes a change of `signal` on to the MTC, which counts `step`.
     #[inline]
     fn pass_on(&mut self, signal: Signal, step: i8) {
@@ -272,12 +272,12 @@ pub(crate) struct AxisEngine {
     scale: Decoder,
     /// Position of the place where the counters were zeroed.
     home_counts: i64,
-    wire: Wire,
+    wire: MtcState,
     /// The real wire while shadow mode works on a copy.
-    real: Option<Wire>,
+    real: Option<MtcState>,
     requested: i64,
     insertion: Insertion,
-    unsettled: Option<Unsettled>,
+    unsettled: Option<UnconfirmedInversion>,
     /// When the last inversion came into effect, ns, until A' and B' are read back.
     back_due: Option<u64>,
     /// Earliest and latest time of the last edge, ns.
@@ -322,13 +322,13 @@ pub(crate) struct AxisEngine {
     /// An inversion was made since homing.
     touched: bool,
     /// Successive edges of one channel alone.
-    alone: Alone,
+    alone: SingleChannelEdges,
 }
 
 /// Successive edges of one channel while the other does not change.
 /// Either the axis oscillates over one boundary between two counts, or the other channel is dead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Alone {
+struct SingleChannelEdges {
     /// Position of that boundary, counts.
     boundary: i64,
     /// Reversals in a row that came sooner than the axis can turn.
@@ -337,7 +337,7 @@ struct Alone {
 
 /// State of an axis at the start of the engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Found {
+pub(crate) struct InitialAxisState {
     pub scale: State,
     pub inverters: u8,
     pub completed: i64,
@@ -360,7 +360,7 @@ const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 impl AxisEngine {
     /// An axis engine that starts from the state `found` on the card.
     /// `None` where the configuration leaves no time for an insertion at any speed.
-    pub(crate) fn new(config: AxisConfig, found: Found) -> Option<Self> {
+    pub(crate) fn new(config: AxisConfig, found: InitialAxisState) -> Option<Self> {
         // The process before ended between two inversions, so the MTC counts mirrored. The pair is finished towards
         // zero as soon as its separation allows. How the scale moved meanwhile is unknown, so a fault is latched.
         let half = matches!(found.inverters, 1 | 2);
@@ -378,7 +378,7 @@ impl AxisEngine {
             busy_ns: config.busy_ns(),
             scale: Decoder::new(found.scale),
             home_counts: 0,
-            wire: Wire {
+            wire: MtcState {
                 inverters: found.inverters,
                 mtc: found.scale.inverted(found.inverters),
                 mtc_count: found.completed,
@@ -420,7 +420,7 @@ impl AxisEngine {
             late: 0,
             beyond_limits: 0,
             touched: half,
-            alone: Alone::default(),
+            alone: SingleChannelEdges::default(),
         })
     }
 
@@ -529,7 +529,7 @@ impl AxisEngine {
             (true, None) => self.real = Some(self.wire),
             (false, Some(real)) => {
                 // The real inverters stood still: the MTC counted what the scale counted.
-                self.wire = Wire {
+                self.wire = MtcState {
                     mtc: self.scale.state().inverted(real.inverters),
                     mtc_count: self.scale.count() + real.completed,
                     ..real
@@ -616,7 +616,7 @@ impl AxisEngine {
     /// The edge steps both counts alike, so their difference stays. Returns `false` and changes nothing where
     /// [`AxisEngine::look`] has to check more.
     #[inline]
-    pub(crate) fn count_regular_edge(&mut self, look: &Look) -> bool {
+    pub(crate) fn count_regular_edge(&mut self, look: &AxisSample) -> bool {
         let (Some(last_edge), true) = (self.last_edge, self.calm) else { return false };
         let scale_inputs = look.inputs & self.scale_mask;
         let changed = scale_inputs ^ self.scale_inputs;
@@ -655,7 +655,7 @@ impl AxisEngine {
     #[inline]
     pub(crate) fn look(
         &mut self,
-        look: &Look,
+        look: &AxisSample,
         changed: bool,
         report: &mut impl FnMut(EventKind),
     ) -> Option<Inversion> {
@@ -669,7 +669,7 @@ impl AxisEngine {
     }
 
     /// Continues an insertion under way, or begins one that is due.
-    fn advance(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
+    fn advance(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
         if let Some(u) = self.unsettled
             && u.done_ns.is_none_or(|done| look.edge_ns.1 > done)
         {
@@ -714,7 +714,7 @@ impl AxisEngine {
     /// Each inversion is checked once, after gates, receivers and the card's input filter had the separation that the
     /// MTC is given. Not inlined, because few looks need it.
     #[inline(never)]
-    fn reads_back_wrong(&mut self, effective_ns: u64, look: &Look) -> bool {
+    fn reads_back_wrong(&mut self, effective_ns: u64, look: &AxisSample) -> bool {
         if self.unsettled.is_some()
             || look.t_ns < self.apart_ns(effective_ns)
             || look.more
@@ -733,7 +733,7 @@ impl AxisEngine {
     }
 
     /// Handles a change of A or B.
-    fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+    fn edge(&mut self, state: State, look: &AxisSample, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
         let Some(step) = before.step_to(state) else {
             self.illegal_edge(state, look, report);
@@ -795,10 +795,10 @@ impl AxisEngine {
     /// The axis is known to move only while A and B take turns. It may oscillate over one boundary, but no sooner
     /// than its limits allow.
     #[cold]
-    fn check_turns(&mut self, look: &Look, before_ns: Option<u64>, report: &mut impl FnMut(EventKind)) {
+    fn check_turns(&mut self, look: &AxisSample, before_ns: Option<u64>, report: &mut impl FnMut(EventKind)) {
         let boundary = self.last_boundary();
         if self.alone.boundary != boundary {
-            self.alone = Alone { boundary, impossible: 0 };
+            self.alone = SingleChannelEdges { boundary, impossible: 0 };
         }
         // Without a timestamp, the edge before came at the earliest after the look before it.
         let after_ns = before_ns.map_or(u64::MAX, |ns| look.edge_ns.1 - ns);
@@ -811,7 +811,7 @@ impl AxisEngine {
 
     /// Handles a change of A and B at once, whose step is unknown.
     #[cold]
-    fn illegal_edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+    fn illegal_edge(&mut self, state: State, look: &AxisSample, report: &mut impl FnMut(EventKind)) {
         self.scale.update(state);
         self.scale_inputs = look.inputs & self.scale_mask;
         let last = self.last_edge.replace(look.edge_ns);
@@ -820,7 +820,7 @@ impl AxisEngine {
         if last.is_some() && look.unseen & self.a_mask != 0 {
             self.check_gap(look.gap_ns, last_period_ns, report);
         }
-        (self.last_step, self.onward, self.alone) = (0, NOWHERE, Alone::default());
+        (self.last_step, self.onward, self.alone) = (0, NOWHERE, SingleChannelEdges::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
         if let Insertion::Half { edges, .. } = &mut self.insertion {
             *edges += 1;
@@ -865,18 +865,18 @@ impl AxisEngine {
     /// The inversion is not confirmed yet. Edge and inversion are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
-            None => Order::EdgeLast,
+            None => EdgeOrder::EdgeLast,
             // The same signal changed twice, so the MTC is where it was in either order.
-            Some(u) if u.signal == signal => Order::EdgeLast,
+            Some(u) if u.signal == signal => EdgeOrder::EdgeLast,
             Some(u) => match (u.done_ns, edge_ns) {
-                (Some(done), e) if e > done => Order::EdgeLast,
-                (_, e) if e <= u.from_ns && u.done_ns.is_some() => Order::EdgeFirst,
-                _ => Order::Unknown,
+                (Some(done), e) if e > done => EdgeOrder::EdgeLast,
+                (_, e) if e <= u.from_ns && u.done_ns.is_some() => EdgeOrder::EdgeFirst,
+                _ => EdgeOrder::Unknown,
             },
         };
         let w = &mut self.wire;
         match (order, self.unsettled) {
-            (Order::EdgeFirst, Some(u)) => {
+            (EdgeOrder::EdgeFirst, Some(u)) => {
                 let undone = w.mtc.flipped(u.signal);
                 w.mtc_count -= i64::from(undone.step_of(u.signal));
                 w.mtc_count += i64::from(undone.step_of(signal));
@@ -885,9 +885,9 @@ impl AxisEngine {
             }
             _ => w.pass_on(signal, w.mtc.step_of(signal)),
         }
-        if order == Order::Unknown {
+        if order == EdgeOrder::Unknown {
             self.fault(Fault::OrderUnknown, report);
-        } else if order == Order::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
+        } else if order == EdgeOrder::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
             // The edge came before the second inversion after all. Only now is the effect of the pair known.
             w.completed = w.mtc_count - self.scale.count();
         }
@@ -923,7 +923,7 @@ impl AxisEngine {
     }
 
     /// Finds what is due at this look, or the time when something is.
-    fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Due {
+    fn act(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> Due {
         let t_ns = look.t_ns;
         match self.insertion {
             Insertion::Idle => {
@@ -1014,7 +1014,7 @@ impl AxisEngine {
         w.mtc_count += step;
         w.mtc = w.mtc.flipped(signal);
         w.inverters ^= signal as u8;
-        self.unsettled = Some(Unsettled { signal, from_ns: t_ns, done_ns: None });
+        self.unsettled = Some(UnconfirmedInversion { signal, from_ns: t_ns, done_ns: None });
         signal as u8
     }
 
@@ -1148,7 +1148,7 @@ mod tests {
         // look before.
         let calm = |complete: u64, gap_ns: u64, after_ns: u64| {
             let config = AxisConfig { detect_ns: 700, ..AxisConfig::default() };
-            let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
+            let found = InitialAxisState { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
             let mut axis = AxisEngine::new(config, found).unwrap();
             axis.home(0, true);
             axis.confirm_home(0);
@@ -1156,7 +1156,7 @@ mod tests {
             let mut edge = |t_ns: u64, since_ns: u64, careful: bool| {
                 state = state.next(true);
                 let sample = Sample { complete, ..Sample::level(t_ns, u64::from(state.bits())) };
-                let look = Look::new(&sample, since_ns, Permit { insert: true, shadow: false });
+                let look = AxisSample::new(&sample, since_ns, Permit { insert: true, shadow: false });
                 if careful {
                     axis.look(&look, true, &mut |_| {});
                     return true;
@@ -1188,7 +1188,7 @@ mod tests {
             looks in prop::collection::vec((between(), 100_u64..4000, any::<bool>(), any::<bool>(), any::<bool>()), 1..200),
         ) {
             let config = AxisConfig { max_accel_counts_s2: 1e9, ..AxisConfig::default() };
-            let found = Found { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
+            let found = InitialAxisState { scale: State::default(), inverters: 0, completed: 0, t_ns: 1 };
             let mut axes = [(); 2].map(|()| AxisEngine::new(config, found).unwrap());
             for axis in &mut axes {
                 axis.home(0, true);
@@ -1214,7 +1214,7 @@ mod tests {
                 } else {
                     Sample::level(t_ns, inputs)
                 };
-                let look = Look::new(&sample, since_ns, Permit { insert, shadow: false });
+                let look = AxisSample::new(&sample, since_ns, Permit { insert, shadow: false });
                 let [quick, careful] = &mut axes;
                 let mut told = [Vec::new(), Vec::new()];
                 let mut toggled = [None; 2];

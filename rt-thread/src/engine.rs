@@ -1,13 +1,13 @@
 //! All axes of one machine: looks at the card, lets each axis act, writes once.
 
-use crate::axis::{Answer, AxisConfig, AxisEngine, Found, Inversion, Look, Permit};
+use crate::axis::{Answer, AxisConfig, AxisEngine, AxisSample, InitialAxisState, Inversion, Permit};
 use crate::event::{
-    AxisStatus, Event, EventKind, Fault, Faults, GateState, HeldBy, MAX_AXES, Mode, OffBecause, Refusal,
+    AxisStatus, DisableReason, Event, EventKind, Fault, Faults, GateState, HeldBy, MAX_AXES, Mode, Refusal,
     Request, Status,
 };
 use crate::histogram::{Reader, Recorder, histogram};
 use crate::journal::{Journal, MachineRecord, StateRecord};
-use crate::state_file::StateFile;
+use crate::state_file_watch::StateFileWatch;
 use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
 
 /// Configuration of the machine as a whole, fixed before the engine starts.
@@ -65,7 +65,7 @@ pub struct Engine {
     enabled: bool,
     shadow: bool,
     probing: bool,
-    off_because: OffBecause,
+    off_because: DisableReason,
     held: Option<HeldBy>,
     stale: bool,
     switch_off: bool,
@@ -127,7 +127,7 @@ impl Engine {
                 return Err(StartError::HalfInverted(n));
             }
             let scale = config.lines.scale(sample.inputs);
-            let found = Found { scale, inverters, completed, t_ns: sample.t_ns };
+            let found = InitialAxisState { scale, inverters, completed, t_ns: sample.t_ns };
             all.push(AxisEngine::new(*config, found).ok_or(StartError::NoGate(n))?);
             watched |= config.lines.input_mask();
         }
@@ -151,7 +151,7 @@ impl Engine {
             enabled: false,
             shadow: false,
             probing: false,
-            off_because: OffBecause::Start,
+            off_because: DisableReason::Start,
             held: (outputs & mask(lines.hold) != 0).then_some(HeldBy::FoundOn),
             stale: false,
             switch_off: sample.inputs & disable_mask != 0,
@@ -214,10 +214,10 @@ impl Engine {
     ///
     /// # Errors
     /// When a new file cannot be given its name ([`Journal::place`]).
-    pub fn keep_journal(&mut self, journal: Journal) -> std::io::Result<Option<StateFile>> {
+    pub fn keep_journal(&mut self, journal: Journal) -> std::io::Result<Option<StateFileWatch>> {
         self.journal = Some(journal);
         self.note();
-        let placed = |journal: &mut Journal| journal.place().and_then(|()| StateFile::watch(journal));
+        let placed = |journal: &mut Journal| journal.place().and_then(|()| StateFileWatch::watch(journal));
         self.journal.as_mut().map(placed).transpose()
     }
 
@@ -295,7 +295,7 @@ impl Engine {
     fn fail(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
         if self.faults.latch(fault) {
             self.mode = Mode::Fault;
-            self.switch_off(OffBecause::Fault);
+            self.switch_off(DisableReason::Fault);
             self.emit(None, EventKind::Fault(fault), report);
             self.note();
         }
@@ -310,7 +310,7 @@ impl Engine {
     }
 
     /// Switches corrections off. Only [`Request::Enable`] switches them on again.
-    fn switch_off(&mut self, because: OffBecause) {
+    fn switch_off(&mut self, because: DisableReason) {
         if self.enabled {
             (self.enabled, self.off_because) = (false, because);
         }
@@ -358,7 +358,7 @@ impl Engine {
         {
             return Ok(());
         }
-        let look = Look::new(&sample, self.edge_since_ns(since_ns), self.permit);
+        let look = AxisSample::new(&sample, self.edge_since_ns(since_ns), self.permit);
         self.work(card, &look, changed, report)
     }
 
@@ -369,7 +369,7 @@ impl Engine {
         if changed & self.own_mask != 0 || self.mode_due {
             return false;
         }
-        let look = Look::new(sample, self.edge_since_ns(since_ns), self.permit);
+        let look = AxisSample::new(sample, self.edge_since_ns(since_ns), self.permit);
         for axis in &mut self.axes {
             if changed & axis.input_mask() != 0 && !axis.count_regular_edge(&look) {
                 return false;
@@ -439,11 +439,11 @@ impl Engine {
     fn work<C: Card>(
         &mut self,
         card: &mut C,
-        look: &Look,
+        look: &AxisSample,
         changed: u64,
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
-        let Look { t_ns, inputs, .. } = *look;
+        let AxisSample { t_ns, inputs, .. } = *look;
         self.inputs = inputs;
         let lost = &mut self.events_lost;
         // No look clears a fault. A new one is reported.
@@ -513,7 +513,7 @@ impl Engine {
         self.mtc_ready = ready;
         if !ready {
             self.axes.iter_mut().for_each(AxisEngine::lose_controller);
-            self.switch_off(OffBecause::Controller);
+            self.switch_off(DisableReason::Controller);
             self.hold_for_mtc();
             self.note();
         }
@@ -536,10 +536,10 @@ impl Engine {
         self.mode_due = false;
         // Corrections never come on again by themselves; somebody must enable them.
         if faulted {
-            self.switch_off(OffBecause::Fault);
+            self.switch_off(DisableReason::Fault);
         }
         if self.switch_off {
-            self.switch_off(OffBecause::Switch);
+            self.switch_off(DisableReason::Switch);
         }
         let mode = if faulted {
             Mode::Fault
@@ -660,7 +660,7 @@ impl Engine {
                     return Err(Refusal::Busy);
                 }
                 if shadow {
-                    self.switch_off(OffBecause::Asked);
+                    self.switch_off(DisableReason::Asked);
                 }
                 (self.enabled, self.shadow) = (!shadow, shadow);
                 self.axes.iter_mut().for_each(|a| a.set_shadow(shadow));
@@ -670,7 +670,7 @@ impl Engine {
                     return Err(Refusal::Busy);
                 }
                 self.shadow = false;
-                self.switch_off(OffBecause::Asked);
+                self.switch_off(DisableReason::Asked);
                 self.axes.iter_mut().for_each(|a| a.set_shadow(false));
             }
             Request::Probe(on) => self.probing = on,
@@ -767,7 +767,7 @@ impl Engine {
             self.stale = stale;
             self.emit(None, EventKind::ControlStale(stale), report);
             if stale {
-                self.switch_off(OffBecause::ControlStale);
+                self.switch_off(DisableReason::ControlStale);
             }
             // No new insertion begins from here on; the next look computes the mode.
             self.set_permit();

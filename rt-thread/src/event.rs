@@ -230,7 +230,7 @@ pub enum HeldBy {
 /// Why corrections were last switched off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum OffBecause {
+pub enum DisableReason {
     /// The daemon started; nobody has enabled them since.
     #[default]
     Start,
@@ -428,7 +428,7 @@ pub struct Status {
     /// Hold and probing do not switch them off.
     pub enabled: bool,
     /// Why corrections were last switched off.
-    pub off_because: OffBecause,
+    pub off_because: DisableReason,
     /// Who asked for feed hold, if anybody. A fault asserts it too.
     pub held: Option<HeldBy>,
     /// Feed hold as it is written to the card, asked for or by a fault.

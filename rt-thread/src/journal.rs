@@ -165,7 +165,7 @@ impl Times {
 /// Contents of a state file when it was opened.
 #[allow(clippy::struct_excessive_bools)] // each is independent of the others
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Before {
+pub struct StateAtOpen {
     /// There was no file. At a first start no record can be missing.
     pub first_start: bool,
     /// The file is of version 2.
@@ -185,11 +185,11 @@ pub struct Before {
     /// Times of faults and of feed hold.
     pub times: Times,
     /// The process before this one lost its real-time thread.
-    /// See [`crate::state_file::StateFile::note_thread_lost`].
+    /// See [`crate::state_file_watch::StateFileWatch::note_thread_lost`].
     pub thread_lost: bool,
 }
 
-impl Before {
+impl StateAtOpen {
     /// The contents at a first start.
     pub const NOTHING: Self = Self {
         first_start: true,
@@ -235,7 +235,7 @@ pub enum JournalError {
 }
 
 /// The mapped file.
-/// The journal writes it, and [`crate::state_file::StateFile`] watches over it.
+/// The journal writes it, and [`crate::state_file_watch::StateFileWatch`] watches over it.
 #[derive(Debug)]
 pub(crate) struct Mapping {
     words: NonNull<AtomicU64>,
@@ -362,7 +362,7 @@ impl Journal {
     ///
     /// # Errors
     /// When the file cannot be opened, sized or mapped, is locked, is no state file, or has another identity.
-    pub fn open(path: &Path, identity: &str) -> Result<(Self, Before), JournalError> {
+    pub fn open(path: &Path, identity: &str) -> Result<(Self, StateAtOpen), JournalError> {
         let io = |source: io::Error| JournalError::Io { path: path.to_owned(), source };
         let mut unplaced = None;
         let held = match opened(path, false) {
@@ -397,7 +397,7 @@ impl Journal {
             held,
         };
         let older = !first_start && journal.is_ours(path, identity)?;
-        let mut before = Before { first_start, older, ..Before::NOTHING };
+        let mut before = StateAtOpen { first_start, older, ..StateAtOpen::NOTHING };
         before.damaged = std::array::from_fn(|axis| journal.damaged(axis, StateRecord::of));
         for (axis, found) in before.records.iter_mut().enumerate() {
             *found = journal.newest_first(axis, StateRecord::of);
@@ -419,7 +419,7 @@ impl Journal {
         Ok((journal, before))
     }
 
-    /// The mapping, the file and its path, for [`crate::state_file::StateFile`].
+    /// The mapping, the file and its path, for [`crate::state_file_watch::StateFileWatch`].
     pub(crate) fn shared(&self) -> (Arc<Mapping>, &File, &Path) {
         (Arc::clone(&self.mapping), &self.held, &self.path)
     }
@@ -731,7 +731,7 @@ pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state_file::StateFile;
+    use crate::state_file_watch::StateFileWatch;
     use std::os::unix::fs::FileExt;
 
     const OURS: &str = "machine \"lathe 7\" on card mapped";
@@ -777,7 +777,7 @@ mod tests {
         let (_directory, path) = new();
         let records = [(0, 0), (1, 0), (3, 2), (2, 2), (0, 4)]
             .map(|(inverters, completed)| record(inverters, completed));
-        assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING);
+        assert_eq!(Journal::open(&path, OURS).unwrap().1, StateAtOpen::NOTHING);
         for pair in records.windows(2) {
             note(&path, pair);
             let found = found(&path);
@@ -888,7 +888,7 @@ mod tests {
         assert_eq!((before.older, before.machine, before.first_start), (true, None, false));
         assert_eq!(before.records[0], [Some(unknown(3, 10)), None]);
         assert_eq!(before.records[1], [Some(StateRecord { faults: doubted, ..unknown(0, 4) }), None]);
-        assert_eq!(before.times, Before::NOTHING.times, "its text is no time");
+        assert_eq!(before.times, StateAtOpen::NOTHING.times, "its text is no time");
         journal.place().unwrap();
         drop(journal);
         let again = Journal::open(&path, OURS).unwrap().1;
@@ -901,7 +901,7 @@ mod tests {
         let (_directory, path) = new();
         let mut journal = begun(&path, OURS);
         journal.record(0, record(0, 0), 1000);
-        StateFile::watch(&journal).unwrap().note_thread_lost();
+        StateFileWatch::watch(&journal).unwrap().note_thread_lost();
         drop(journal);
         assert!(Journal::open(&path, OURS).unwrap().1.thread_lost);
         let (mut journal, before) = Journal::open(&path, OURS).unwrap();
@@ -957,7 +957,8 @@ mod tests {
         journal.record_machine(MachineRecord { held: Some(HeldBy::Controller), ..held }, 1000);
         drop(journal);
         let found = || Journal::open(&path, OURS).unwrap().1;
-        let told = |before: Before| (before.damaged.map(usize::from).iter().sum(), before.machine_damaged);
+        let told =
+            |before: StateAtOpen| (before.damaged.map(usize::from).iter().sum(), before.machine_damaged);
         assert_eq!(told(found()), (0_usize, false));
         let whole = std::fs::read(&path).unwrap();
         for (row, wants) in [(2, (1, false)), (MACHINE, (0, true))] {
@@ -1097,7 +1098,7 @@ mod tests {
         let first = Journal::open(&path, OURS).unwrap().0;
         assert!(matches!(Journal::open(&path, OURS), Err(JournalError::Taken { .. })));
         drop(first);
-        assert_eq!(Journal::open(&path, OURS).unwrap().1, Before::NOTHING, "nothing had been noted");
+        assert_eq!(Journal::open(&path, OURS).unwrap().1, StateAtOpen::NOTHING, "nothing had been noted");
         let mut ours = begun(&path, OURS);
         ours.record(0, record(0, 0), 1000);
         drop(ours);

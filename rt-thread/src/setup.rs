@@ -569,7 +569,7 @@ fn hypervisor_letters(features_ecx: u32, leaf: [u32; 3]) -> Option<String> {
 
 /// Settings that the real-time thread asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Wanted {
+pub struct RtSettings {
     /// The CPU to run on; the thread runs on no other.
     pub cpu: usize,
     /// `SCHED_FIFO` priority, 1 to 99.
@@ -586,7 +586,7 @@ pub struct DmaLatencyHold {
 /// Sets up the calling thread and its process, and reads everything back.
 /// The report includes [`System::inspect`]. Without privileges the thread runs on as it is, and the report says what
 /// is missing. It takes some milliseconds and allocates. Call it before the loop, on the thread that runs the loop.
-pub fn apply(system: &System, wanted: Wanted) -> (DmaLatencyHold, Report) {
+pub fn apply(system: &System, wanted: RtSettings) -> (DmaLatencyHold, Report) {
     // Memory comes first, so that the stack is locked when it is touched.
     let memory_lock = memory_lock(system);
     let (cpu_dma_latency, dma_finding) = cpu_dma_latency(system);
@@ -600,7 +600,7 @@ pub fn apply(system: &System, wanted: Wanted) -> (DmaLatencyHold, Report) {
 /// Keeps the calling thread and those it starts off a CPU until it is dropped.
 #[derive(Debug)]
 #[must_use = "the thread may run everywhere again as soon as this is dropped"]
-pub struct Left {
+pub struct CpuExclusion {
     before: nix::sched::CpuSet,
 }
 
@@ -608,15 +608,15 @@ pub struct Left {
 /// Then nothing competes with the real-time thread. Threads that it starts meanwhile are moved too. Returns `None` when
 /// it has no other CPU; then it stays.
 #[must_use]
-pub fn leave(cpu: usize) -> Option<Left> {
+pub fn leave(cpu: usize) -> Option<CpuExclusion> {
     let me = nix::unistd::Pid::from_raw(0);
     let before = nix::sched::sched_getaffinity(me).ok()?;
     let mut others = before;
     let _ = others.unset(cpu); // fails only for a CPU that cannot be in the set
-    nix::sched::sched_setaffinity(me, &others).ok().map(|()| Left { before })
+    nix::sched::sched_setaffinity(me, &others).ok().map(|()| CpuExclusion { before })
 }
 
-impl Drop for Left {
+impl Drop for CpuExclusion {
     fn drop(&mut self) {
         // It was allowed a moment ago. Where it no longer is, the thread stays where it is.
         let _ = nix::sched::sched_setaffinity(nix::unistd::Pid::from_raw(0), &self.before);

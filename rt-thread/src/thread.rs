@@ -4,7 +4,7 @@
 use crate::engine::{Engine, Timing};
 use crate::event::Status;
 use crate::link::{ControlEnd, RtEnd, link};
-use crate::setup::{Report, System, Wanted, apply};
+use crate::setup::{Report, RtSettings, System, apply};
 use rtec_driver::card::{Card, CardError};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -18,7 +18,7 @@ const PUBLISH_NS: u64 = 1_000_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ThreadOptions {
     /// CPU and priority; `None` runs as an ordinary thread.
-    pub wanted: Option<Wanted>,
+    pub wanted: Option<RtSettings>,
     /// The card drives a real machine, so every setting must be read back as wanted.
     pub real: bool,
     /// Silence of the control side after which no insertion begins, ns.
@@ -106,7 +106,7 @@ impl<C> Running<C> {
 /// Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system. A panic in it latches a
 /// fault, and feed hold is written.
 pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
-    let mut turns = Turns::new(engine, card, rt, stale_after_ns);
+    let mut turns = SteppedLoop::new(engine, card, rt, stale_after_ns);
     // After a panic the engine is only asked to latch a fault and to write the hold line.
     let ended = catch_unwind(AssertUnwindSafe(|| {
         loop {
@@ -123,7 +123,7 @@ pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> 
 
 /// The loop of [`run`] turn by turn, for a caller with a clock of its own.
 #[derive(Debug)]
-pub struct Turns<C> {
+pub struct SteppedLoop<C> {
     engine: Engine,
     card: C,
     rt: RtEnd,
@@ -133,7 +133,7 @@ pub struct Turns<C> {
     beat_ns: u64,
 }
 
-impl<C: Card> Turns<C> {
+impl<C: Card> SteppedLoop<C> {
     /// Prepares the loop; no turn is made.
     pub fn new(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Self {
         let (beats, beat_ns) = (rt.beats(), engine.now_ns());

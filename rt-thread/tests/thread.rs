@@ -8,7 +8,7 @@ use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::{EventKind, Fault, Mode, Refusal, Request};
 use rtec_rt::journal::Journal;
 use rtec_rt::link::{ControlEnd, REQUESTS, RtEnd, link};
-use rtec_rt::thread::{ThreadOptions, Turns, run, spawn};
+use rtec_rt::thread::{SteppedLoop, ThreadOptions, run, spawn};
 use std::ops::ControlFlow;
 
 /// An access of the loop to the card.
@@ -143,7 +143,7 @@ fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
     const MS: u64 = 1_000_000;
     let (engine, card, mut control, rt) = start();
     let begun_ns = engine.now_ns();
-    let mut turns = Turns::new(engine, card, rt, 3 * MS);
+    let mut turns = SteppedLoop::new(engine, card, rt, 3 * MS);
     let mut until = |t_ns: u64| {
         while turns.engine().now_ns() < t_ns {
             assert_eq!(turns.turn(), ControlFlow::Continue(()));
@@ -176,7 +176,7 @@ fn a_status_is_published_every_millisecond_and_silence_is_noticed_with_it() {
 fn the_end_waits_for_the_insertion_under_way_and_for_the_requests_sent_before() {
     let (mut engine, mut card, mut control, rt) = start();
     engine.start_homed(&mut card, &mut |_| true).unwrap();
-    let mut turns = Turns::new(engine, card, rt, u64::MAX);
+    let mut turns = SteppedLoop::new(engine, card, rt, u64::MAX);
     // 1000 µs at rest, then two inversions at least 1 µs apart, the first in the turn that publishes a status.
     control.send(Request::Correct { axis: 0, total_counts: 2, large: false }).unwrap();
     while turns.engine().at_rest() {

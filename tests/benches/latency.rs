@@ -7,7 +7,7 @@
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_platform::selftest::{Backend, SelftestOptions, run};
 use rtec_rt::histogram::{Snapshot, histogram};
-use rtec_rt::setup::{System, Wanted, apply};
+use rtec_rt::setup::{RtSettings, System, apply};
 use std::process::Command;
 use std::time::Duration;
 
@@ -19,7 +19,8 @@ fn main() -> anyhow::Result<()> {
     let measured = run(options, Backend::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
     let separations_ns = measured.separations_ns();
-    let (floor, windows) = floor(Wanted { cpu, priority }, Duration::from_secs(seconds), separations_ns / 2)?;
+    let (floor, windows) =
+        floor(RtSettings { cpu, priority }, Duration::from_secs(seconds), separations_ns / 2)?;
 
     println!("CPU {cpu}, priority {priority}, {seconds} s each, ns");
     for finding in measured.setup.findings.iter().filter(|f| !f.ok) {
@@ -100,7 +101,7 @@ fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
 /// A loop that only reads the clock, set up as the engine's thread.
 /// Measures the gaps between two readings, and the delay after two waits of `separation_ns` one after the other. An
 /// insertion waits like that; each wait ends at the first reading after it.
-fn floor(wanted: Wanted, time: Duration, separation_ns: u64) -> anyhow::Result<(Snapshot, Snapshot)> {
+fn floor(wanted: RtSettings, time: Duration, separation_ns: u64) -> anyhow::Result<(Snapshot, Snapshot)> {
     let (mut gaps, gaps_reader) = histogram();
     let (mut late, late_reader) = histogram();
     let polling = std::thread::Builder::new().spawn(move || {

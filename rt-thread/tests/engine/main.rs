@@ -12,7 +12,7 @@ use rtec_driver::quadrature::Decoder;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{
-    Event, EventKind, Fault, GateState, HeldBy, Mode, OffBecause, Refusal, Request, Status,
+    DisableReason, Event, EventKind, Fault, GateState, HeldBy, Mode, Refusal, Request, Status,
 };
 
 const PROBE: u64 = 1 << 28;

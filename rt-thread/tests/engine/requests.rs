@@ -91,7 +91,7 @@ fn a_request_while_disabled_is_answered() {
     assert_eq!(rig.refusals(), [Refusal::DisableSwitch; 2]);
     rig.card.inputs &= !SWITCH;
     rig.looks(2);
-    assert_eq!((rig.status().mode, rig.status().off_because), (Mode::Disabled, OffBecause::Switch));
+    assert_eq!((rig.status().mode, rig.status().off_because), (Mode::Disabled, DisableReason::Switch));
     rig.step(8);
     assert_eq!(rig.status().axes[0].insertions, 0, "a released switch enables nothing");
     rig.take(Request::Enable);
@@ -102,7 +102,7 @@ fn a_request_while_disabled_is_answered() {
 /// The control side is heard again, the disable switch goes off, or the MTC is back.
 #[test]
 fn nothing_that_comes_back_enables_corrections() {
-    type Event<'a> = (&'a str, &'a dyn Fn(&mut Rig, bool), OffBecause);
+    type Event<'a> = (&'a str, &'a dyn Fn(&mut Rig, bool), DisableReason);
     let line = |bit: u64| {
         move |rig: &mut Rig, _: bool| {
             rig.card.inputs ^= bit;
@@ -115,9 +115,9 @@ fn nothing_that_comes_back_enables_corrections() {
         rig.looks(2);
     };
     let cases: [Event<'_>; 3] = [
-        ("switch", &switch, OffBecause::Switch),
-        ("MTC", &ready, OffBecause::Controller),
-        ("control", &stale, OffBecause::ControlStale),
+        ("switch", &switch, DisableReason::Switch),
+        ("MTC", &ready, DisableReason::Controller),
+        ("control", &stale, DisableReason::ControlStale),
     ];
     for (name, turn, because) in cases {
         let lines = MachineLines { mtc_ready: Some(30), ..MachineLines::standard() };

@@ -41,7 +41,7 @@ fn root_gets_everything_that_is_ours_to_apply() {
         let system = System::live();
         let cpu = system.default_cpu();
         let before = shown();
-        let (held, report) = apply(&system, Wanted { cpu, priority: 42 });
+        let (held, report) = apply(&system, RtSettings { cpu, priority: 42 });
         let after = shown();
         assert_eq!((before.policy, before.rt_priority), (0, 0));
         assert_eq!((after.policy, after.rt_priority), (libc::SCHED_FIFO as u32, 42));
@@ -73,7 +73,7 @@ fn without_privileges_it_runs_on_and_names_what_is_missing() {
         let dropped = unsafe { libc::syscall(libc::SYS_setresuid, 65534, 65534, 65534) } == 0;
         assert!(dropped || !is_root());
         let system = System::live();
-        let (_held, report) = apply(&system, Wanted { cpu: system.default_cpu(), priority: 80 });
+        let (_held, report) = apply(&system, RtSettings { cpu: system.default_cpu(), priority: 80 });
         assert!(!report.can_arm());
         let scheduler = report.finding("scheduler").unwrap();
         let limit = report.finding("rtprio_limit").unwrap();
@@ -119,7 +119,7 @@ fn a_thread_leaves_the_cpu_and_may_come_back() {
 #[test]
 fn impossible_wishes_are_reported_not_fatal() {
     std::thread::spawn(|| {
-        let (_held, report) = apply(&System::live(), Wanted { cpu: 1000, priority: 100 });
+        let (_held, report) = apply(&System::live(), RtSettings { cpu: 1000, priority: 100 });
         let errno = |name: &str| report.finding(name).unwrap().errno.as_ref().unwrap().errno;
         assert_eq!(errno("scheduler"), libc::EINVAL);
         assert_eq!(errno("affinity"), libc::EINVAL);
@@ -135,7 +135,7 @@ fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) ->
     let system = System::at(root);
     std::thread::spawn(move || {
         before();
-        apply(&system, Wanted { cpu: System::live().default_cpu(), priority }).1
+        apply(&system, RtSettings { cpu: System::live().default_cpu(), priority }).1
     })
     .join()
     .unwrap()

@@ -4,7 +4,7 @@
 mod applied;
 mod cases;
 
-use rtec_rt::setup::{Finding, OsError, Report, System, Wanted, apply, leave};
+use rtec_rt::setup::{Finding, OsError, Report, RtSettings, System, apply, leave};
 use std::fs;
 use std::path::Path;
 

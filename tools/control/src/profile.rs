@@ -30,7 +30,7 @@
 //! ```
 
 use rtec_driver::profile::{
-    Counter, Flag, Order, PciPlace, Place, Profile, Register, SetUp, Space, Width, pci_id,
+    Counter, Flag, PciPlace, Profile, Register, RegisterPreset, RegisterWrite, Space, Width, WordBit, pci_id,
 };
 use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
@@ -95,8 +95,8 @@ pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
     for entry in root.required("lines", "a table [lines]")?.table("a table [lines]")?.entries() {
         let (place, active_low) = line(entry, input_bits, output_bits)?;
         match place {
-            Place::Input(bit) => profile.input_invert |= u64::from(active_low) << bit,
-            Place::Output(bit) => profile.output_invert |= u64::from(active_low) << bit,
+            WordBit::Input(bit) => profile.input_invert |= u64::from(active_low) << bit,
+            WordBit::Output(bit) => profile.output_invert |= u64::from(active_low) << bit,
         }
         profile.lines.insert(entry.key().to_owned(), place);
     }
@@ -145,16 +145,16 @@ fn value(table: Table<'_>, key: &str) -> Result<u32, InputError> {
     table.required(key, expected)?.integer(expected)
 }
 
-fn order(entry: Entry<'_>) -> Result<Order, InputError> {
+fn order(entry: Entry<'_>) -> Result<RegisterWrite, InputError> {
     let table = entry.table("{ register = 0, width = 32, value = 1 }")?;
     table.only(&["register", "width", "value"])?;
-    Ok(Order { register: register(table)?, value: value(table, "value")? })
+    Ok(RegisterWrite { register: register(table)?, value: value(table, "value")? })
 }
 
-fn set_up(table: Table<'_>) -> Result<SetUp, InputError> {
+fn set_up(table: Table<'_>) -> Result<RegisterPreset, InputError> {
     table.only(&["register", "width", "value", "after_reset"])?;
-    let order = Order { register: register(table)?, value: value(table, "value")? };
-    Ok(SetUp { order, after_reset: value(table, "after_reset")? })
+    let order = RegisterWrite { register: register(table)?, value: value(table, "value")? };
+    Ok(RegisterPreset { order, after_reset: value(table, "after_reset")? })
 }
 
 fn flag(entry: Entry<'_>) -> Result<Flag, InputError> {
@@ -210,14 +210,14 @@ fn pci(table: Table<'_>) -> Result<PciPlace, InputError> {
 }
 
 /// Reads a line's place and whether it is active low.
-fn line(entry: Entry<'_>, input_bits: u32, output_bits: u32) -> Result<(Place, bool), InputError> {
+fn line(entry: Entry<'_>, input_bits: u32, output_bits: u32) -> Result<(WordBit, bool), InputError> {
     let wanted = "{ input = BIT } or { output = BIT }, BIT within the registers";
     let table = entry.table(wanted)?;
     table.only(&["input", "output", "active_low"])?;
     let bit = |key| table.get(key).map(|e| e.integer::<u8>(wanted)).transpose();
     let place = match (bit("input")?, bit("output")?) {
-        (Some(bit), None) if u32::from(bit) < input_bits => Place::Input(bit),
-        (None, Some(bit)) if u32::from(bit) < output_bits => Place::Output(bit),
+        (Some(bit), None) if u32::from(bit) < input_bits => WordBit::Input(bit),
+        (None, Some(bit)) if u32::from(bit) < output_bits => WordBit::Output(bit),
         _ => return Err(entry.mismatch(wanted)),
     };
     let active_low = table.get("active_low").map(|e| e.bool("true or false")).transpose()?;

@@ -7,7 +7,7 @@ use rtec_driver::mapped::MapError;
 use rtec_rt::engine::StartError;
 use rtec_rt::event::Fault;
 use rtec_rt::histogram::Snapshot;
-use rtec_rt::setup::Wanted;
+use rtec_rt::setup::RtSettings;
 use rtec_rt::thread::SpawnError;
 use serde::Serialize;
 use std::io;
@@ -28,8 +28,8 @@ pub struct SelftestOptions {
 }
 
 impl SelftestOptions {
-    pub(crate) fn wanted(&self) -> Wanted {
-        Wanted { cpu: self.cpu, priority: self.priority }
+    pub(crate) fn wanted(&self) -> RtSettings {
+        RtSettings { cpu: self.cpu, priority: self.priority }
     }
 }
 

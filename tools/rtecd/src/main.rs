@@ -47,7 +47,7 @@ use rtec_driver::card::Card;
 use rtec_files::InputError;
 use rtec_rt::event::Fault;
 use rtec_rt::journal::JournalError;
-use rtec_rt::setup::{Finding, Report, System, Wanted};
+use rtec_rt::setup::{Finding, Report, RtSettings, System};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use rtec_sensors::buses::{Buses, Clock};
 use server::ServingEnd;
@@ -307,7 +307,7 @@ fn work<C: Card + Send + 'static>(
     }
     // A mock needs no real time. With `cpu` it gets a set-up all the same, so that it can be tried without a machine.
     let system = System::live();
-    let wanted = (real || config.rt.cpu.is_some()).then(|| Wanted {
+    let wanted = (real || config.rt.cpu.is_some()).then(|| RtSettings {
         cpu: config.rt.cpu.unwrap_or_else(|| system.default_cpu()),
         priority: config.rt.priority,
     });

@@ -29,10 +29,10 @@ use rtec_files::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::Timing;
 use rtec_rt::event::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};
-use rtec_rt::journal::Before;
+use rtec_rt::journal::StateAtOpen;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::setup::{Report, System, Wanted};
-use rtec_rt::state_file::{Lost, StateFile};
+use rtec_rt::setup::{Report, RtSettings, System};
+use rtec_rt::state_file_watch::{Lost, StateFileWatch};
 use rtec_sensors::buses::{Buses, Clock};
 use rtec_sensors::{SensorConfig, Watch};
 use std::collections::{BTreeMap, VecDeque};
@@ -92,12 +92,12 @@ pub(crate) struct RequestContext {
 pub(crate) struct SetUp {
     /// The card drives a real machine.
     pub real: bool,
-    pub wanted: Option<Wanted>,
+    pub wanted: Option<RtSettings>,
     pub missing: Option<Report>,
     pub timing: Timing,
     /// Content of the state file at the start.
     /// It tells when faults were latched, and in which boot of the computer.
-    pub before: Before,
+    pub before: StateAtOpen,
 }
 
 /// Clock of the control side. A simulation has its own.
@@ -169,7 +169,7 @@ pub(crate) struct Session {
     today: fn() -> i64,
     /// The state file, if any.
     /// Beside it are the time of its next check, and the last message about it.
-    state_file: Option<StateFile>,
+    state_file: Option<StateFileWatch>,
     state_file_due: Instant,
     state_file_said: String,
 }
@@ -312,14 +312,14 @@ impl Session {
     }
 
     /// Starts to check the state file.
-    pub(crate) fn watch_over(&mut self, state_file: Option<StateFile>) {
+    pub(crate) fn watch_over(&mut self, state_file: Option<StateFileWatch>) {
         self.state_file = state_file;
     }
 
     /// Writes the state file again if it was lost, and latches the fault.
     /// Otherwise the totals and faults in effect would be lost with the process.
     pub(crate) fn look_after_state_file(&mut self, control: &mut ControlEnd) {
-        let lost = self.state_file.as_ref().filter(|_| !control.ended()).and_then(StateFile::lost);
+        let lost = self.state_file.as_ref().filter(|_| !control.ended()).and_then(StateFileWatch::lost);
         let Some((lost, mut file)) = lost.and_then(|lost| Some((lost, self.state_file.take()?))) else {
             return;
         };

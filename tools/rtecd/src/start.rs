@@ -8,8 +8,8 @@ use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::event::{Fault, HeldBy};
-use rtec_rt::journal::{Before, Journal, JournalError, resume};
-use rtec_rt::state_file::StateFile;
+use rtec_rt::journal::{Journal, JournalError, StateAtOpen, resume};
+use rtec_rt::state_file_watch::StateFileWatch;
 
 /// The engine on `card`, the content of its state file, and the file's watch.
 /// It has a state file where the card's outputs outlive the process.
@@ -19,7 +19,7 @@ use rtec_rt::state_file::StateFile;
 pub(crate) fn engine<C: Card>(
     card: &mut C,
     config: &Config,
-) -> anyhow::Result<(Engine, Before, Option<StateFile>)> {
+) -> anyhow::Result<(Engine, StateAtOpen, Option<StateFileWatch>)> {
     // The outputs of a mock card end with its process, and so does its MTC. There is no state to take over.
     let journal = if config.card.is_real() {
         let file = config.control.state_path();
@@ -27,7 +27,7 @@ pub(crate) fn engine<C: Card>(
     } else {
         None
     };
-    let before = journal.as_ref().map_or(Before::NOTHING, |(_, found)| *found);
+    let before = journal.as_ref().map_or(StateAtOpen::NOTHING, |(_, found)| *found);
     let taken = take_over(card, config, &before)?;
     let completed: Vec<i64> = taken.iter().map(|t| t.completed).collect();
     let machine = MachineConfig { lines: config.lines, may_arm: false };
@@ -89,7 +89,7 @@ pub(crate) const OTHER_BOOT: &str =
     "the computer was restarted: the state file is of before, and the controller may have lost its power too";
 
 /// Logs the state that was taken over, and what is unknown.
-fn say_found(engine: &Engine, config: &Config, before: &Before) {
+fn say_found(engine: &Engine, config: &Config, before: &StateAtOpen) {
     if before.older {
         let text = "the state file is of the version before: it says nothing of feed hold, nor whether the controller was homed";
         log::say(Level::Warning, text);
@@ -128,7 +128,11 @@ struct AxisAtStart {
 
 /// The completed total of each axis, and the faults to latch.
 /// They follow from the state file and the present inverters.
-fn take_over<C: Card>(card: &mut C, config: &Config, before: &Before) -> anyhow::Result<Vec<AxisAtStart>> {
+fn take_over<C: Card>(
+    card: &mut C,
+    config: &Config,
+    before: &StateAtOpen,
+) -> anyhow::Result<Vec<AxisAtStart>> {
     let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
     let axes = config.axes.iter().zip(before.records.iter().zip(before.damaged)).map(
         |(axis, (records, damaged))| {

@@ -9,7 +9,7 @@ use crate::replay::{ReplayError, ReplayOutcome, replay, replay_with};
 use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_driver::replay::{Gates, Listener, Through, Xor};
+use rtec_driver::replay::{DirectOutputs, Gates, Listener, Xor};
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
@@ -94,7 +94,7 @@ where
             replay_with(Xor, |card| full_cycle(GateDesign::A, config, card), trace, totals, large, to)
         }
         AnyDesign::B => replay_with(
-            Through,
+            DirectOutputs,
             |card| DesignB::new(config, card)?.ok_or(StartError::NoGate(0)),
             trace,
             totals,
@@ -104,7 +104,7 @@ where
         AnyDesign::Ecc => {
             let accel = config.max_accel_counts_s2;
             let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?.guarded(accel));
-            replay_with(Through, start, trace, totals, large, to)
+            replay_with(DirectOutputs, start, trace, totals, large, to)
         }
     }
 }
@@ -409,10 +409,10 @@ impl BenchRun<'_> {
                 self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
             }
             AnyDesign::B => {
-                self.go(Through, |card| DesignB::new(config, card).ok().flatten(), |_| (0.0, None))
+                self.go(DirectOutputs, |card| DesignB::new(config, card).ok().flatten(), |_| (0.0, None))
             }
             AnyDesign::Ecc => self.go(
-                Through,
+                DirectOutputs,
                 |card| Ecc::new(self.pll, self.seed, card).ok(),
                 |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
             ),

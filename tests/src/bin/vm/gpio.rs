@@ -8,7 +8,9 @@ use anyhow::{Context, ensure};
 use gpiocdev::line::{Direction, Info as LineInfo};
 use rtec_driver::card::MachineLines;
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_driver::gpio::{Bias, Drive, GpioCard, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
+use rtec_driver::gpio::{
+    Bias, Drive, GpioCard, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId,
+};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::event::Request;
@@ -239,8 +241,8 @@ fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
         bias: None,
         drive: None,
     };
-    let input = |name, bit| GpioInput { line: line(name), bit, group: 0, edges: true };
-    let output = |name, bit| GpioOutput { line: line(name), bit };
+    let input = |name, bit| GpioInputConfig { line: line(name), bit, group: 0, edges: true };
+    let output = |name, bit| GpioOutputConfig { line: line(name), bit };
     let setup = GpioSetup {
         inputs: vec![input("X_A", 0), input("X_B", 1)],
         outputs: vec![output("X_IA", 0), output("X_IB", 1)],

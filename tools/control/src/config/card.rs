@@ -4,9 +4,9 @@ use super::{RegisterPlace, backend_of, beside, keys};
 use crate::line_names::{BIASES, DRIVES, LineName, gpio_line, line};
 use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
-use rtec_driver::gpio::{self, GpioError, GpioInput, GpioLine, GpioOutput, GpioSetup, LineId};
+use rtec_driver::gpio::{self, GpioError, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{Place, Profile, Space, Width};
+use rtec_driver::profile::{Profile, Space, Width, WordBit};
 use rtec_files::keys::{At, Section, SourceFile};
 use rtec_files::nearest;
 use rtec_rt::event::MAX_AXES;
@@ -271,9 +271,9 @@ fn wire_gpio(
     let edges = !key.starts_with("read_back");
     let bit = if output { setup.outputs.len() } else { setup.inputs.len() } as u8;
     if output {
-        setup.outputs.push(GpioOutput { line, bit });
+        setup.outputs.push(GpioOutputConfig { line, bit });
     } else {
-        setup.inputs.push(GpioInput { line, bit, group, edges });
+        setup.inputs.push(GpioInputConfig { line, bit, group, edges });
     }
     Some(bit)
 }
@@ -295,7 +295,7 @@ fn wire(
     let direction = if output { "an output" } else { "an input" };
     let bit = match at.value {
         LineName::Name(name) => match (profile.lines.get(name), output) {
-            (Some(Place::Input(bit)), false) | (Some(Place::Output(bit)), true) => *bit,
+            (Some(WordBit::Input(bit)), false) | (Some(WordBit::Output(bit)), true) => *bit,
             (found, _) => {
                 let what = if found.is_some() { ", which goes the other way" } else { "" };
                 let names: Vec<&str> = profile.lines.keys().map(String::as_str).collect();

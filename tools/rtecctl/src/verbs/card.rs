@@ -12,7 +12,7 @@ use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{PciPlace, Place, Profile, Register, Space};
+use rtec_driver::profile::{PciPlace, Profile, Register, Space, WordBit};
 use rtec_files::InputError;
 use rtec_rt::event::MAX_AXES;
 use serde_json::{Value, json};
@@ -135,7 +135,7 @@ fn hex((vendor, device): (u16, u16)) -> String {
 /// Largest number of axes that a profile's lines allow, by two counts.
 /// The first is without lines of the machine, the second with read-back and feed hold.
 fn axes_that_fit(profile: &Profile) -> [usize; 2] {
-    let inputs = profile.lines.values().filter(|p| matches!(p, Place::Input(_))).count();
+    let inputs = profile.lines.values().filter(|p| matches!(p, WordBit::Input(_))).count();
     let outputs = profile.lines.len() - inputs;
     let fit = |inputs: usize, outputs: usize| inputs.min(outputs).min(MAX_AXES);
     [fit(inputs / 2, outputs / 2), fit(inputs / 4, outputs.saturating_sub(1) / 2)]
@@ -277,10 +277,10 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
 }
 
 /// Direction, bit, and whether the line is active low.
-fn described(profile: &Profile, place: Place) -> (&'static str, u8, bool) {
+fn described(profile: &Profile, place: WordBit) -> (&'static str, u8, bool) {
     let (what, bit, inverted) = match place {
-        Place::Input(bit) => ("input", bit, profile.input_invert),
-        Place::Output(bit) => ("output", bit, profile.output_invert),
+        WordBit::Input(bit) => ("input", bit, profile.input_invert),
+        WordBit::Output(bit) => ("output", bit, profile.output_invert),
     };
     (what, bit, inverted >> bit & 1 == 1)
 }

@@ -8,7 +8,7 @@ use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
 use rtec_driver::profile::Space;
 use rtec_platform::access::{self, Device};
-use rtec_rt::setup::{Report, System, Wanted, apply};
+use rtec_rt::setup::{Report, RtSettings, System, apply};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -56,7 +56,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut report = if args.root.is_some() {
         system.inspect(cpu, priority)
     } else {
-        let wanted = Wanted { cpu, priority };
+        let wanted = RtSettings { cpu, priority };
         let system = system.clone();
         std::thread::Builder::new()
             .spawn(move || apply(&system, wanted).1)

@@ -6,7 +6,7 @@ use rtec_control::protocol::{
     AxisReport, ConnectedClients, DaemonStatus, Distribution, Explained, Histograms, HoldReport,
     LatchedFault, LogState, Observed, PROTOCOL, Response, RtStatus, explain_fault, explain_refusal, word,
 };
-use rtec_rt::event::{HeldBy, Mode, OffBecause, Refusal, Status};
+use rtec_rt::event::{DisableReason, HeldBy, Mode, Refusal, Status};
 use rtec_rt::histogram::Reader;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::Report;
@@ -227,13 +227,13 @@ impl Session {
 }
 
 /// The reason that follows "corrections are off".
-const fn off_because(because: OffBecause) -> &'static str {
+const fn off_because(because: DisableReason) -> &'static str {
     match because {
-        OffBecause::Start | OffBecause::Asked => "",
-        OffBecause::Switch => " since the disable switch was on",
-        OffBecause::Controller => " since the controller was off",
-        OffBecause::ControlStale => " since the control side was silent",
-        OffBecause::Fault => " since the fault",
+        DisableReason::Start | DisableReason::Asked => "",
+        DisableReason::Switch => " since the disable switch was on",
+        DisableReason::Controller => " since the controller was off",
+        DisableReason::ControlStale => " since the control side was silent",
+        DisableReason::Fault => " since the fault",
     }
 }
 

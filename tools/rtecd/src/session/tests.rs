@@ -7,7 +7,7 @@ use rtec_driver::mock::{MockCard, SharedWires, Wires};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::journal::Before;
+use rtec_rt::journal::StateAtOpen;
 use rtec_rt::link::{REQUESTS, link};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use std::cell::Cell;
@@ -39,7 +39,7 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
 }
 
 fn set_up(engine: &Engine, real: bool) -> SetUp {
-    SetUp { real, wanted: None, missing: None, timing: engine.timing(), before: Before::NOTHING }
+    SetUp { real, wanted: None, missing: None, timing: engine.timing(), before: StateAtOpen::NOTHING }
 }
 
 fn session(engine: &Engine) -> Session {

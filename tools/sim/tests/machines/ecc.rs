@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{RequestedTotal, Through, TracePoint};
+use rtec_driver::replay::{DirectOutputs, RequestedTotal, TracePoint};
 use rtec_sim::bench::there_and_back;
 use rtec_sim::ecc::{Ecc, Pll};
 use rtec_sim::replay::replay_with;
@@ -28,7 +28,7 @@ fn guarded_it_balances_over_every_reversal() {
             });
             let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?.guarded(accel));
             let (outcome, _) = replay_with::<_, _, _, _, _, std::convert::Infallible>(
-                Through,
+                DirectOutputs,
                 start,
                 points.into_iter().map(Ok),
                 totals.map(Ok),

@@ -38,7 +38,7 @@ use rtec_rt::engine::Engine;
 use rtec_rt::event::{Fault, Faults};
 use rtec_rt::journal::{Journal, MachineRecord};
 use rtec_rt::link::link;
-use rtec_rt::thread::Turns;
+use rtec_rt::thread::SteppedLoop;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::fs;
@@ -257,7 +257,7 @@ impl Life {
         }
         let stale_ns =
             if self.planted == Some(Planted::NeverStale) { u64::MAX } else { STALE_MS * 1_000_000 };
-        *self.world.turns.borrow_mut() = Some(Turns::new(engine, card, rt, stale_ns));
+        *self.world.turns.borrow_mut() = Some(SteppedLoop::new(engine, card, rt, stale_ns));
         let time: Rc<dyn Time> = Rc::clone(&self.world) as Rc<dyn Time>;
         let sensor = |n: &str| {
             Watch::new(SensorConfig { timeout_s: 0.1, ..SensorConfig::believed(n, Role::Temperature) })

@@ -6,7 +6,7 @@ use super::*;
 pub(super) struct World {
     pub(super) base: Instant,
     pub(super) machine: Rc<RefCell<Machine>>,
-    pub(super) turns: RefCell<Option<Turns<Wires>>>,
+    pub(super) turns: RefCell<Option<SteppedLoop<Wires>>>,
     pub(super) judge: RefCell<Judge>,
 }
 

@@ -4,12 +4,12 @@
 //!
 //! | what is done | by whom |
 //! |---|---|
-//! | [`StateFile::lost`] | the control side, again and again |
-//! | [`StateFile::renew`]: the pages of a new file where those of the lost one were | the control side |
+//! | [`StateFileWatch::lost`] | the control side, again and again |
+//! | [`StateFileWatch::renew`]: the pages of a new file where those of the lost one were | the control side |
 //! | `Request::StateFileLost`: everything is noted, the fault is latched | the real-time thread |
-//! | [`StateFile::place`]: the new file gets the name | the control side |
+//! | [`StateFileWatch::place`]: the new file gets the name | the control side |
 //!
-//! A store to a page that was cut off ends a process by SIGBUS. [`StateFile::outlive_truncation`] puts a page of memory
+//! A store to a page that was cut off ends a process by SIGBUS. [`StateFileWatch::outlive_truncation`] puts a page of memory
 //! there instead, and the store is repeated.
 
 use crate::journal::{
@@ -39,14 +39,14 @@ pub enum Lost {
 
 /// A state file that a journal writes, seen from the control side.
 #[derive(Debug)]
-pub struct StateFile {
+pub struct StateFileWatch {
     path: PathBuf,
     mapping: Arc<Mapping>,
     /// Device and inode of the file whose pages are mapped.
     mapped: (u64, u64),
     /// The words of the head, without records and times.
     head: Vec<u64>,
-    /// The file of [`StateFile::renew`], locked as long as it is open.
+    /// The file of [`StateFileWatch::renew`], locked as long as it is open.
     /// `placed` tells whether it has the name.
     made: Option<Flock<File>>,
     placed: bool,
@@ -56,7 +56,7 @@ fn identity(file: &Metadata) -> (u64, u64) {
     (file.dev(), file.ino())
 }
 
-impl StateFile {
+impl StateFileWatch {
     /// Watches over the file that `journal` writes.
     /// The file must have its name already ([`Journal::place`]).
     ///
@@ -138,7 +138,7 @@ impl StateFile {
     }
 
     /// Lets the process survive when the file is cut short.
-    /// A store to a page that was cut off then goes to memory, and [`StateFile::lost`] reports it. Only one file per
+    /// A store to a page that was cut off then goes to memory, and [`StateFileWatch::lost`] reports it. Only one file per
     /// process can be protected.
     ///
     /// # Errors
@@ -158,7 +158,7 @@ impl StateFile {
     }
 }
 
-impl Drop for StateFile {
+impl Drop for StateFileWatch {
     fn drop(&mut self) {
         let _ = GUARDED.compare_exchange(self.mapping.base(), 0, Ordering::AcqRel, Ordering::Relaxed);
     }
@@ -215,7 +215,7 @@ mod tests {
         journal.record(0, axis(0), 1_000_000);
         journal.record_machine(MachineRecord { held: None, hold_output: false, ..held }, 1_000_000);
         journal.place().unwrap();
-        let mut file = StateFile::watch(&journal).unwrap();
+        let mut file = StateFileWatch::watch(&journal).unwrap();
         file.outlive_truncation().unwrap();
         let older = std::fs::read(&path).unwrap();
         journal.record_machine(held, 2_000_000);
