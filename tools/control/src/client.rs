@@ -6,7 +6,7 @@ use crate::protocol::{ClientRequest, Response};
 use crate::role::Role;
 use nix::sys::socket::{ControlMessage, MsgFlags, UnixAddr, getsockopt, sendmsg, sockopt};
 use nix::unistd::Uid;
-use rtec_files::words::{printable, quoted};
+use rtec_files::message_text::{printable, quoted};
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, IoSlice, Write};
 use std::os::fd::{AsRawFd, RawFd};

@@ -10,7 +10,7 @@ pub mod audit; // the record of every command: written, read, checked
 pub mod card; // the real card that a configuration names, opened
 pub mod client; // the client's end of the socket
 pub mod config; // `rtec.toml`, read strictly: every finding with its line
-pub mod ledger; // an axis's ledger as files for a replay
+pub mod ledger_export; // an axis's ledger as files for a replay
 mod line_names; // the lines and register bits that a configuration names
 pub mod line_readings; // readings of a card's wired lines, and whether its outputs switch
 pub mod lock; // locks that allow one program per socket and per card

@@ -23,7 +23,7 @@ use crate::role::Role;
 pub use explanations::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
 pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
 pub use rtec_correct::part_table::{PartTable, TableNow};
-use rtec_files::words::printable;
+use rtec_files::message_text::printable;
 use serde::{Deserialize, Serialize};
 pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, RtStatus};
 

@@ -16,7 +16,7 @@ use rtec_model::record::Axis;
 use rtec_part::cor::FeatureErrors;
 use rtec_part::fit::Zx;
 use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
-use rtec_sensors::Watch;
+use rtec_sensors::SensorMonitor;
 use std::time::{Duration, Instant};
 
 /// Logged temperatures of these sensors, oldest first: time, s, and °C.
@@ -73,7 +73,7 @@ pub struct Preparer {
     now: Vec<AxisNow>,
     started_s: f64,
     /// The sensors as last read, and the time of that, s.
-    watches: Vec<Watch>,
+    watches: Vec<SensorMonitor>,
     sensed_s: f64,
 }
 
@@ -185,13 +185,13 @@ impl Corrector {
 
     /// Takes over the sensors as read at this time, s.
     /// Models, previews and explanations use these readings until the next ones.
-    pub fn sense(&mut self, now_s: f64, watches: &[Watch]) {
+    pub fn sense(&mut self, now_s: f64, watches: &[SensorMonitor]) {
         self.seen.sensed_s = now_s;
         watches.clone_into(&mut self.seen.watches);
     }
 
     /// The sensors as [`Corrector::sense`] last took them over.
-    pub fn watches(&self) -> &[Watch] {
+    pub fn watches(&self) -> &[SensorMonitor] {
         &self.seen.watches
     }
 
@@ -377,7 +377,12 @@ impl Corrector {
     }
 
     /// Takes over the sensors, and returns the totals to be requested now.
-    pub fn tick(&mut self, now_s: f64, status: &Status, watches: &[Watch]) -> [Option<i64>; MAX_AXES] {
+    pub fn tick(
+        &mut self,
+        now_s: f64,
+        status: &Status,
+        watches: &[SensorMonitor],
+    ) -> [Option<i64>; MAX_AXES] {
         // After a stall the ramp continues where it was.
         let dt_s = (now_s - self.last_s).clamp(0.0, LONGEST_S);
         self.last_s = now_s;

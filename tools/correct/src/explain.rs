@@ -1,6 +1,6 @@
 //! Components of a correction, for people and for the control socket.
 
-use rtec_sensors::{Use, Watch};
+use rtec_sensors::{SensorMonitor, Use};
 use serde::{Deserialize, Serialize};
 
 /// Changes that a model would make now.
@@ -103,7 +103,7 @@ pub struct Reading {
 
 impl Reading {
     /// State of a sensor at a time, s.
-    pub fn of(watch: &Watch, now_s: f64) -> Self {
+    pub fn of(watch: &SensorMonitor, now_s: f64) -> Self {
         Self {
             sensor: watch.config().name.clone(),
             place: watch.config().place.clone(),

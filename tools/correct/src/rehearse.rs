@@ -10,7 +10,7 @@ use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
-use rtec_sensors::{SensorConfig, Watch};
+use rtec_sensors::{SensorConfig, SensorMonitor};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -89,7 +89,7 @@ pub struct Rehearsal {
 }
 
 /// One column of the shift, and the sensor that takes its values.
-struct Feed<'r> {
+struct SensorColumn<'r> {
     data: &'r [f64],
     watch: usize,
 }
@@ -98,8 +98,8 @@ struct Feed<'r> {
 struct Stage<'r> {
     corrector: Corrector,
     status: Status,
-    watches: Vec<Watch>,
-    feeds: &'r [Feed<'r>],
+    watches: Vec<SensorMonitor>,
+    feeds: &'r [SensorColumn<'r>],
 }
 
 impl Stage<'_> {
@@ -152,11 +152,13 @@ pub fn rehearse(
         matches!(role, Role::Temperature | Role::Channel | Role::SpindleSpeed | Role::Coolant | Role::Load(_))
     };
     let columns: Vec<_> = shift.columns.iter().filter(|c| sensed(&c.role)).collect();
-    let feeds: Vec<Feed<'_>> =
-        columns.iter().enumerate().map(|(watch, c)| Feed { data: &c.data, watch }).collect();
+    let feeds: Vec<SensorColumn<'_>> =
+        columns.iter().enumerate().map(|(watch, c)| SensorColumn { data: &c.data, watch }).collect();
     let stage = |machine: &Machine| {
-        let watches: Vec<Watch> =
-            columns.iter().map(|c| Watch::new(SensorConfig::believed(&c.name, c.role.clone()))).collect();
+        let watches: Vec<SensorMonitor> = columns
+            .iter()
+            .map(|c| SensorMonitor::new(SensorConfig::believed(&c.name, c.role.clone())))
+            .collect();
         let mut corrector = Corrector::new(setups.clone(), options.ramp_um_s, options.lead_s, 0.0);
         corrector.sense(0.0, &watches);
         corrector.load(machine.clone(), &|_| Vec::new()).map_err(|e| {

@@ -6,7 +6,7 @@ use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role, span};
-use rtec_sensors::{Use, Watch};
+use rtec_sensors::{SensorMonitor, Use};
 
 /// Time constants after which a lag is known to 2 %.
 const LAGS_KNOWN: f64 = 4.0;
@@ -124,7 +124,7 @@ struct FittedRange {
 
 impl FittedRange {
     /// The ranges of a model whose sensors are configured.
-    fn all(machine: &Machine, watches: &[Watch]) -> Vec<Self> {
+    fn all(machine: &Machine, watches: &[SensorMonitor]) -> Vec<Self> {
         let mut all = Vec::new();
         for (fit, note) in machine.fits().iter().enumerate() {
             for (valid, v) in note.valid.iter().enumerate() {
@@ -154,11 +154,11 @@ fn is_slow(effect: &Effect) -> bool {
     needs.iter().any(|n| matches!(n, Time | Delta | Load | SpindleSpeed | Coolant | Channel))
 }
 
-fn of_role(watches: &[Watch], role: &Role) -> Option<usize> {
+fn of_role(watches: &[SensorMonitor], role: &Role) -> Option<usize> {
     watches.iter().position(|w| w.config().role == *role)
 }
 
-fn of_name(watches: &[Watch], name: &str) -> Option<usize> {
+fn of_name(watches: &[SensorMonitor], name: &str) -> Option<usize> {
     watches.iter().position(|w| w.config().name == name)
 }
 
@@ -170,7 +170,7 @@ fn places(
     machine: &Machine,
     names: &[String],
     (what, role): (&str, &Role),
-    watches: &[Watch],
+    watches: &[SensorMonitor],
 ) -> Result<Vec<usize>, InputError> {
     let place = |n: &String| watches.iter().position(|w| w.config().name == *n && w.config().role == *role);
     let lacking: Vec<&String> = names.iter().filter(|n| place(n).is_none()).collect();
@@ -208,7 +208,7 @@ fn readers(machine: &Machine, name: &str) -> Vec<String> {
 
 /// Inputs of the effects that no configured sensor gives, and that count as zero.
 /// Also axes that the model corrects but the configuration does not have, perhaps under another name.
-fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
+fn missing(machine: &Machine, axes: &[Axis], watches: &[SensorMonitor]) -> Vec<String> {
     let mut missing = Vec::new();
     let mut absent: Vec<(&Axis, Vec<String>)> = Vec::new();
     for effect in machine.effects() {
@@ -261,7 +261,7 @@ fn missing(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<String> {
 }
 
 /// Per axis: the configured sensors that its effects read.
-fn reads(machine: &Machine, axes: &[Axis], watches: &[Watch]) -> Vec<Vec<usize>> {
+fn reads(machine: &Machine, axes: &[Axis], watches: &[SensorMonitor]) -> Vec<Vec<usize>> {
     let mut reads = vec![Vec::new(); axes.len()];
     for (n, effect) in acting(machine, axes) {
         reads[n].extend(
@@ -307,7 +307,11 @@ impl ModelSource {
     ///
     /// # Errors
     /// The model reads something that this machine does not have.
-    pub(crate) fn new(machine: Machine, axes: &[Axis], watches: &[Watch]) -> Result<Self, InputError> {
+    pub(crate) fn new(
+        machine: Machine,
+        axes: &[Axis],
+        watches: &[SensorMonitor],
+    ) -> Result<Self, InputError> {
         let mut channels: Vec<String> =
             machine.effects().filter_map(Effect::channel).map(str::to_owned).collect();
         channels.dedup();
@@ -359,7 +363,7 @@ impl ModelSource {
     }
 
     /// Takes over the sensors; returns whether one has become better or worse.
-    pub(crate) fn read(&mut self, watches: &[Watch], now_s: f64) -> bool {
+    pub(crate) fn read(&mut self, watches: &[SensorMonitor], now_s: f64) -> bool {
         let value = |n: usize| watches[n].value_degc();
         self.values.iter_mut().enumerate().for_each(|(n, v)| *v = value(n));
         let take = |to: &mut [f64], from: &[usize]| {
@@ -402,7 +406,7 @@ impl ModelSource {
     }
 
     /// Adds the axes' loads from their sensors, N.
-    pub(crate) fn add_loads(&self, axes: &mut [AxisNow], watches: &[Watch]) {
+    pub(crate) fn add_loads(&self, axes: &mut [AxisNow], watches: &[SensorMonitor]) {
         for (now, load) in axes.iter_mut().zip(&self.loads) {
             now.load_n = load.and_then(|w| watches[w].value_degc()).unwrap_or(0.0);
         }
@@ -451,7 +455,7 @@ impl ModelSource {
     }
 
     /// Reason why the error of an axis is not known yet, if so.
-    pub(crate) fn unknown(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
+    pub(crate) fn unknown(&self, place: usize, watches: &[SensorMonitor], now_s: f64) -> Option<String> {
         let never = self.reads[place].iter().map(|n| &watches[*n]).find(|w| w.value_degc().is_none());
         if let Some(w) = never {
             let why = w.fault().map_or("not read yet".to_owned(), ToString::to_string);
@@ -470,7 +474,7 @@ impl ModelSource {
     }
 
     /// Reason why the thermal correction of an axis is held, if so.
-    pub(crate) fn standing(&self, place: usize, watches: &[Watch], now_s: f64) -> Option<String> {
+    pub(crate) fn standing(&self, place: usize, watches: &[SensorMonitor], now_s: f64) -> Option<String> {
         let reads = || self.reads[place].iter().copied();
         let Some(lost) = reads().map(|n| &watches[n]).find(|w| w.usable(now_s) == Use::Hold) else {
             let back = &watches[reads().find(|n| self.lost[*n])?].config().name;

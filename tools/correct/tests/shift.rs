@@ -12,7 +12,7 @@ use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_rt::event::{Mode, Status};
-use rtec_sensors::{SensorConfig, Watch};
+use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::path::Path;
 
 const LEAD_S: f64 = 0.02;
@@ -60,7 +60,7 @@ fn axes() -> Vec<AxisSetup> {
 #[test]
 fn the_law_asks_for_what_was_recorded() {
     let shift = shift();
-    let mut watches = ["T8", "T18"].map(|n| Watch::new(SensorConfig::believed(n, Role::Temperature)));
+    let mut watches = ["T8", "T18"].map(|n| SensorMonitor::new(SensorConfig::believed(n, Role::Temperature)));
     let mut law = Corrector::new(axes(), rtec_correct::RAMP_UM_S, LEAD_S, 0.0);
     law.sense(0.0, &watches);
     law.load(machine(), &|_| Vec::new()).unwrap();

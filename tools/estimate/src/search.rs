@@ -272,7 +272,7 @@ impl<'p> Search<'p> {
     /// One more member of a set, and the set's score with it.
     /// The score is without the correction for whole counts.
     fn weighed(&self, set: &Set, seed: &Seed) -> Option<(f64, Member)> {
-        rtec_files::watch::step();
+        rtec_files::computation::step();
         if set.members.len() >= MOST_MEMBERS {
             return None;
         }

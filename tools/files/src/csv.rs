@@ -25,10 +25,10 @@ pub use writing::{Style, cell, header_line};
 
 use crate::decimal::decimal;
 use crate::file_kind::FileKind;
-use crate::input::InputError;
+use crate::input_error::InputError;
 use crate::lines::Lines;
+use crate::message_text::quoted;
 use crate::text::{UTF8, WESTERN, is_western, not_utf8, opened, western};
-use crate::words::quoted;
 use comments::{
     content, is_cell_separator, is_foreign_comment, looks_like_a_row, outside_quotes, width_of_rows,
 };

@@ -3,7 +3,7 @@
 //! Each kind has a mark: a magic number, the first words of an exchange format, the tables of a TOML file, or
 //! the names of a CSV's columns.
 
-use crate::input::InputError;
+use crate::input_error::InputError;
 use std::path::Path;
 
 /// Kinds of files that people may confuse; [`FileKind::name`] describes each.
@@ -146,7 +146,7 @@ impl FileKind {
         if kind.is_some() {
             return kind;
         }
-        let mut rows = lines().filter(|l| !l.is_empty() && !crate::words::is_comment(l));
+        let mut rows = lines().filter(|l| !l.is_empty() && !crate::message_text::is_comment(l));
         if are_rising_numbers(rows.clone()) {
             return Some(Self::Numbers);
         }

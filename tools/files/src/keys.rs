@@ -2,9 +2,9 @@
 //! The table reads and checks the section, and documents it on the reference page. A [`Section`] takes each
 //! key once and collects every finding of its file.
 
-use crate::input::InputError;
+use crate::input_error::InputError;
+use crate::message_text::{nearest, unseen};
 use crate::toml::{Document, Entry, Table};
-use crate::words::{nearest, unseen};
 use std::fmt::{self, Display, Write as _};
 use std::path::Path;
 use std::str::FromStr;

@@ -8,14 +8,16 @@
 //! An example: `cargo run -p rtec-files --example read_trace`. The tests run it too.
 
 pub mod clock; // clocks whose zero is not the start of the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times
+pub mod computation; // a long computation that another thread waits for
 pub mod csv; // CSV: rows of cells with their places, columns by name
 pub mod date; // calendar days
 mod decimal; // numbers, parsed
 pub mod file_kind; // the kind of a file that was given in place of another
 pub mod folder; // a folder that other users may write to: no link in it is followed
-pub mod input; // the error type for a file that a person wrote; messages about input that is accepted
+pub mod input_error; // the error type for a file that a person wrote; messages about input that is accepted
 pub mod keys; // one table of keys per section of a TOML file, to read, check and document it
 mod lines; // a file line by line through one buffer
+pub mod message_text; // text of messages: the word that was probably meant, printable and quoted text
 mod numbers; // the format of a column's numbers: decimal point or comma, thousands
 mod sheet; // a CSV whose columns are known, read whole
 pub mod stamp; // the format and the writer in each written file
@@ -24,11 +26,9 @@ pub mod toml; // strict reading of TOML: the first finding, or all of them
 pub mod trace; // recorded quadrature, as CSV and VCD, and requested totals
 pub mod units; // units that the name of a column states
 mod vcd; // the VCD half of `trace`
-pub mod watch; // a long computation that another thread waits for
-pub mod words; // the word that was probably meant
 pub mod write; // files that appear whole or not at all
 
-pub use input::{InputError, Result, Said};
+pub use input_error::{InputError, Result, Said};
+pub use message_text::nearest;
 pub use numbers::{Numbers, TableMarks};
 pub use sheet::{Columns, Sheet};
-pub use words::nearest;

@@ -1,7 +1,7 @@
 //! Buffered input of any length that knows its line number.
 //! It serves rows of a CSV and words of a VCD.
 
-use crate::input::InputError;
+use crate::input_error::InputError;
 use crate::text::{BROKEN_UTF16, UTF8, unreadable, utf16};
 use encoding_rs::{Decoder, DecoderResult};
 use std::io::{self, Read};

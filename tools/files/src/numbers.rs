@@ -7,7 +7,7 @@
 
 use crate::csv::{Beyond, Commented, Oddities, Reader, Style};
 use crate::decimal::{SIGNS, number};
-use crate::input::InputError;
+use crate::input_error::InputError;
 use crate::text::unreadable;
 use std::borrow::Cow;
 use std::io::{Read, Seek};

@@ -3,9 +3,9 @@
 
 use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
-use crate::input::InputError;
+use crate::input_error::InputError;
+use crate::message_text::{cut, shown};
 use crate::numbers::TableMarks;
-use crate::words::{cut, shown};
 use std::path::{Path, PathBuf};
 
 /// A CSV file read whole.

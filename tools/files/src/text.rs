@@ -2,7 +2,7 @@
 //! A pipe or a device is refused, because it may never end.
 
 use crate::file_kind::FileKind;
-use crate::input::InputError;
+use crate::input_error::InputError;
 use encoding_rs::{Encoding, UTF_16BE, UTF_16LE};
 use std::borrow::Cow;
 use std::fs::{File, OpenOptions};

@@ -4,8 +4,8 @@
 //! [`Table`] and [`Entry`] end at the first finding. [`crate::keys::Section`] reads on and collects every
 //! finding of a file. Both give the same message for the same mistake.
 
-use crate::input::InputError;
-use crate::words::{cut, nearest};
+use crate::input_error::InputError;
+use crate::message_text::{cut, nearest};
 use serde::de::DeserializeOwned;
 use std::fmt::{self, Display};
 use std::path::Path;

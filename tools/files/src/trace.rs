@@ -11,14 +11,14 @@
 use crate::clock::{self, Moments};
 use crate::csv::{self, Cell, Header};
 use crate::file_kind::FileKind;
-use crate::input::InputError;
+use crate::input_error::InputError;
 use crate::lines::BUFFER;
 use crate::numbers::{Numbers, TableMarks};
 use crate::sheet::Columns;
 use crate::text::{open_regular, opened};
 use crate::units;
 use crate::vcd::Vcd;
-use crate::write::WholeFile;
+use crate::write::AtomicFile;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use std::fs::File;
@@ -644,7 +644,7 @@ impl<W: Write> TraceWriter<W> {
 /// A trace file that gets its name only when it is complete.
 /// Until [`TraceFile::finish`] it is a temporary file beside it, which is removed when dropped.
 #[derive(Debug)]
-pub struct TraceFile(TraceWriter<WholeFile>);
+pub struct TraceFile(TraceWriter<AtomicFile>);
 
 impl TraceFile {
     /// Starts a trace in the format that the extension of `file` names.
@@ -661,7 +661,7 @@ impl TraceFile {
     /// As [`TraceFile::create`].
     pub fn create_noted(file: &Path, notes: &[&str]) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
-        let noted = WholeFile::create(file).and_then(|mut out| {
+        let noted = AtomicFile::create(file).and_then(|mut out| {
             for note in notes {
                 match format {
                     TraceFormat::Csv => writeln!(out, "# {note}")?,

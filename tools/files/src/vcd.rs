@@ -1,9 +1,9 @@
 //! Value change dumps (IEEE 1364) with the signals a and b.
 //! Simulators and logic analysers write them.
 
-use crate::input::InputError;
+use crate::input_error::InputError;
 use crate::lines::Lines;
-use crate::words::quoted;
+use crate::message_text::quoted;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use std::fmt::Write as _;

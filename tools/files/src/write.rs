@@ -2,7 +2,7 @@
 //! A file is written under another name in its folder, made safe on the disk, then renamed. Until then, and
 //! on any error, the previous file stays.
 
-use crate::input::InputError;
+use crate::input_error::InputError;
 use nix::fcntl::{AT_FDCWD, AtFlags};
 use nix::unistd::linkat;
 use std::collections::HashSet;
@@ -61,21 +61,21 @@ pub fn is_no_input(file: &Path) -> Result<(), InputError> {
 /// # Errors
 /// What the file system reports; then nothing is left behind, and the previous file stays.
 pub fn whole(file: &Path, content: &[u8]) -> io::Result<()> {
-    let mut out = WholeFile::create(file)?;
+    let mut out = AtomicFile::create(file)?;
     out.write_all(content)?;
     out.finish()
 }
 
 /// A file that is being written.
-/// It gets its name only in [`WholeFile::finish`]; if it is dropped before, it leaves nothing.
+/// It gets its name only in [`AtomicFile::finish`]; if it is dropped before, it leaves nothing.
 ///
 /// A symbolic link stays; its target is replaced and keeps its permissions. What is not a regular file (a
 /// pipe, a terminal, `/dev/null`) is written directly, because it cannot be replaced.
 #[derive(Debug)]
-pub struct WholeFile(Place);
+pub struct AtomicFile(WriteTarget);
 
 #[derive(Debug)]
-enum Place {
+enum WriteTarget {
     /// A file without a name until it is complete: a killed program leaves nothing.
     Unnamed {
         temporary: File,
@@ -91,7 +91,7 @@ enum Place {
     Through(File),
 }
 
-impl WholeFile {
+impl AtomicFile {
     /// Starts a file.
     ///
     /// # Errors
@@ -99,7 +99,7 @@ impl WholeFile {
     pub fn create(file: &Path) -> io::Result<Self> {
         let before = std::fs::metadata(file).ok();
         if before.as_ref().is_some_and(|m| !m.is_file() && !m.is_dir()) {
-            return Ok(Self(Place::Through(OpenOptions::new().write(true).open(file)?)));
+            return Ok(Self(WriteTarget::Through(OpenOptions::new().write(true).open(file)?)));
         }
         spared(file)?;
         let file = if before.is_some() { std::fs::canonicalize(file)? } else { file.to_owned() };
@@ -115,11 +115,11 @@ impl WholeFile {
             .open(&folder);
         if let Ok(temporary) = unnamed {
             before.map(|before| temporary.set_permissions(before)).transpose()?;
-            return Ok(Self(Place::Unnamed { temporary, folder, file }));
+            return Ok(Self(WriteTarget::Unnamed { temporary, folder, file }));
         }
         let temporary = beside(&folder, mode)?;
         before.map(|before| temporary.as_file().set_permissions(before)).transpose()?;
-        Ok(Self(Place::Beside { temporary, folder, file }))
+        Ok(Self(WriteTarget::Beside { temporary, folder, file }))
     }
 
     /// Gives the file its name, once all of it is safe on the disk.
@@ -129,8 +129,8 @@ impl WholeFile {
     /// then.
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
-            Place::Through(mut out) => out.flush(),
-            Place::Unnamed { temporary, folder, file } => {
+            WriteTarget::Through(mut out) => out.flush(),
+            WriteTarget::Unnamed { temporary, folder, file } => {
                 spared(&file)?;
                 temporary.sync_all()?;
                 let mut named = tempfile::Builder::new();
@@ -141,7 +141,7 @@ impl WholeFile {
                 }
                 synced(&folder)
             }
-            Place::Beside { temporary, folder, file } => {
+            WriteTarget::Beside { temporary, folder, file } => {
                 spared(&file)?;
                 temporary.as_file().sync_all()?;
                 temporary.persist(file).map_err(|e| e.error)?;
@@ -152,9 +152,9 @@ impl WholeFile {
 
     fn file(&mut self) -> &mut File {
         match &mut self.0 {
-            Place::Unnamed { temporary, .. } => temporary,
-            Place::Beside { temporary, .. } => temporary.as_file_mut(),
-            Place::Through(out) => out,
+            WriteTarget::Unnamed { temporary, .. } => temporary,
+            WriteTarget::Beside { temporary, .. } => temporary.as_file_mut(),
+            WriteTarget::Through(out) => out,
         }
     }
 
@@ -193,7 +193,7 @@ fn synced(folder: &Path) -> io::Result<()> {
     }
 }
 
-impl Write for WholeFile {
+impl Write for AtomicFile {
     fn write(&mut self, content: &[u8]) -> io::Result<usize> {
         self.file().write(content)
     }
@@ -221,13 +221,13 @@ mod tests {
     fn a_file_is_there_whole_or_as_before() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.toml");
-        let mut out = WholeFile::create(&file).unwrap();
+        let mut out = AtomicFile::create(&file).unwrap();
         out.write_all(b"half").unwrap();
         assert!(!file.exists());
         drop(out);
         assert!(names(folder.path()).is_empty());
         whole(&file, b"one").unwrap();
-        let mut out = WholeFile::create(&file).unwrap();
+        let mut out = AtomicFile::create(&file).unwrap();
         out.write_all(b"half").unwrap();
         drop(out);
         assert_eq!(fs::read(&file).unwrap(), b"one");
@@ -240,15 +240,15 @@ mod tests {
     fn a_file_being_written_has_no_name() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.toml");
-        let mut out = WholeFile::create(&file).unwrap();
+        let mut out = AtomicFile::create(&file).unwrap();
         out.write_all(b"half").unwrap();
         // A killed program runs no destructor.
-        assert!(!matches!(out.0, Place::Unnamed { .. }) || names(folder.path()).is_empty());
+        assert!(!matches!(out.0, WriteTarget::Unnamed { .. }) || names(folder.path()).is_empty());
         out.finish().unwrap();
-        let mut copied = WholeFile::create(&file).unwrap();
+        let mut copied = AtomicFile::create(&file).unwrap();
         copied.write_all(b"other").unwrap();
-        if let Place::Unnamed { temporary, folder, file } = copied.0 {
-            WholeFile::copied(temporary, &folder, &file).unwrap();
+        if let WriteTarget::Unnamed { temporary, folder, file } = copied.0 {
+            AtomicFile::copied(temporary, &folder, &file).unwrap();
             assert_eq!(fs::read(&file).unwrap(), b"other");
         }
         assert_eq!(names(folder.path()), ["a.toml"]);

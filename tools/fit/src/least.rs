@@ -323,7 +323,7 @@ impl Problem {
     /// Solves, or returns the first parameter that these rows do not determine.
     /// It is not determined together with those before it.
     pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
-        rtec_files::watch::step();
+        rtec_files::computation::step();
         if self.y.is_empty() {
             return Err(0);
         }

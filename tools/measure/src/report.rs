@@ -8,7 +8,7 @@ pub(crate) use of::{ballbar, diagonals, drift, history, plate, positioning, repe
 
 use crate::iso230::Conditions;
 use crate::plot::{Picture, PlotError};
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use rtec_model::record::{Column, Record, span};
 use std::fmt::Write as _;
 

@@ -1,7 +1,7 @@
 //! A self-contained page that compares two probing sessions.
 
 use crate::errors::ErrorReport;
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use std::fmt::Write as _;
 
 /// The head of the page and its comparison of two sessions.

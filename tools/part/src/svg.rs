@@ -2,7 +2,7 @@
 //! Z is to the right, X up, in mm.
 
 use crate::fit::Zx;
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use std::fmt::Write as _;
 
 /// A drawing whose frame grows with its content.

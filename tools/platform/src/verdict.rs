@@ -3,7 +3,7 @@
 use crate::far_side::FarSide;
 use crate::measurement::{Latency, SelftestOptions};
 use crate::selftest::{Measured, MeasuredOn};
-use rtec_control::config::{Config, ConfiguredAxis, Measured as Provenance, floors_ns};
+use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance, floors_ns};
 use rtec_control::protocol::{Rates, explain_fault, word};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::Snapshot;
@@ -54,7 +54,7 @@ impl Verdict {
         &'a self,
         measured: &'a Measured,
         options: &SelftestOptions,
-        provenance: &'a Provenance,
+        provenance: &'a LatencyProvenance,
         backend: &'a str,
     ) -> Document<'a> {
         let of_axes =
@@ -140,7 +140,7 @@ struct RtKeys<'a> {
     detect_ns: u64,
     /// `None` where no write was measured.
     write_ns: Option<u64>,
-    measured: &'a Provenance,
+    measured: &'a LatencyProvenance,
 }
 
 /// The axis of a test without a configuration.

@@ -4,7 +4,7 @@ use crate::gap::Trace;
 use crate::localisation::{LEAST_P, Place};
 use crate::verdict::{Reconciliation, Verdict};
 use rtec_estimate::rows::{Rows, Segment};
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
 use rtec_measure::report::{Run, STYLE, signed_line};
 use rtec_model::effect::{Effect, Search};

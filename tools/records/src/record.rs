@@ -555,9 +555,9 @@ const KEYS: [&str; 14] = [
 
 /// Positions in the sidecar, for findings that show only in the CSV.
 #[derive(Debug, Clone)]
-struct Place(InputError);
+struct SidecarLocation(InputError);
 
-impl Place {
+impl SidecarLocation {
     fn with(self, found: String, expected: &str) -> InputError {
         InputError { found, expected: expected.to_owned(), ..self.0 }
     }
@@ -568,17 +568,17 @@ struct Listed {
     name: String,
     role: Role,
     unit: String,
-    place: Place,
+    place: SidecarLocation,
 }
 
 #[derive(Debug)]
 struct Sidecar {
     file: String,
-    file_error: Place,
+    file_error: SidecarLocation,
     kind: Kind,
     count_um: Option<f64>,
     /// The circle of a ballbar run, and its place in the sidecar.
-    circle: Option<(Circle, Place)>,
+    circle: Option<(Circle, SidecarLocation)>,
     turns: Option<Turns>,
     date: Option<String>,
     note: Option<String>,
@@ -671,17 +671,17 @@ impl Sidecar {
             if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
                 return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));
             }
-            let place = Place(entry.key_error("", ""));
+            let place = SidecarLocation(entry.key_error("", ""));
             columns.push(Listed { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
         }
-        let file_error = Place(file.error("", ""));
+        let file_error = SidecarLocation(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
         Ok(Self { file, file_error, kind: parsed_kind, count_um, circle, turns, date, note, zero, columns })
     }
 }
 
 /// The bar's length and the plane of a ballbar run: both or neither.
-fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, Place)>, InputError> {
+fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, SidecarLocation)>, InputError> {
     const LENGTH: &str = "the bar's nominal length beside `plane`, as radius_mm = 150.0";
     const PLANE: &str =
         "two axes, the angle running from the first towards the second, as plane = [\"x\", \"y\"]";
@@ -709,7 +709,7 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, Place)>, InputError> 
         <[f64; 2]>::try_from(numbers).map_err(|_| v.mismatch(centre))
     };
     let centre_mm = root.get("centre_mm").map(two).transpose()?;
-    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, Place(plane.error("", "")))))
+    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, SidecarLocation(plane.error("", "")))))
 }
 
 /// Reads where a positioning run turned back: at the end targets or beyond.

@@ -196,7 +196,7 @@ pub fn put(
 ) -> io::Result<PathBuf> {
     let name = record.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = name.strip_suffix(".run.toml").unwrap_or(&name).to_owned();
-    if let Some(hidden) = rtec_files::words::unseen(&stem) {
+    if let Some(hidden) = rtec_files::message_text::unseen(&stem) {
         let text = format!("found the name {stem:?} with {hidden:?}, expected one that can be read");
         return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
     }

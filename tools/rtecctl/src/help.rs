@@ -4,7 +4,7 @@ use crate::terminal::flowed;
 use crate::{Cli, VERBS};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory};
-use rtec_files::words::nearest;
+use rtec_files::message_text::nearest;
 use std::ffi::OsString;
 use std::fmt::Write as _;
 

@@ -221,7 +221,7 @@ fn main() -> ExitCode {
     };
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
-    let text = rtec_files::words::whole(error.as_ref());
+    let text = rtec_files::message_text::whole(error.as_ref());
     eprintln!("{} {text}", terminal::toned("rtecctl:", terminal::Tone::Wrong, colour));
     ExitCode::from(exit_code(&error))
 }

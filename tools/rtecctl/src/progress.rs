@@ -2,7 +2,7 @@
 //! It is on standard error, on a terminal only. It disappears when the computation ends or anything else is
 //! printed.
 
-use rtec_files::watch::Watch;
+use rtec_files::computation::ComputationHandle;
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -45,7 +45,7 @@ pub(crate) fn shown<T>(what: &str, work: impl FnOnce() -> T) -> T {
     if !std::io::stderr().is_terminal() {
         return work();
     }
-    let (start, watch) = (Instant::now(), Arc::new(Watch::default()));
+    let (start, watch) = (Instant::now(), Arc::new(ComputationHandle::default()));
     let (done, waiting) = mpsc::channel::<()>();
     std::thread::scope(|scope| {
         let computing = Arc::clone(&watch);

@@ -126,7 +126,7 @@ fn main() -> ExitCode {
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            for line in rtec_files::words::whole(error.as_ref()).lines() {
+            for line in rtec_files::message_text::whole(error.as_ref()).lines() {
                 log::say(Level::Error, line);
             }
             ExitCode::from(exit_code(&error))

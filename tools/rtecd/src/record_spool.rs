@@ -13,7 +13,7 @@ use rtec_control::config::{ConfiguredAxis, ControlConfig};
 use rtec_control::protocol::TripReport;
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_files::words::{quoted, unseen};
+use rtec_files::message_text::{quoted, unseen};
 use rtec_model::record::{Column, Kind, Record, Role, check};
 use rtec_records::record::{parse_log, to_csv, to_sidecar};
 use rtec_records::spool::{self, SpoolLimits};

@@ -22,7 +22,7 @@ use crate::loader::{Loader, Ticket};
 use crate::log::{self, Level};
 use crate::record_spool::{Kept, RecordSpool, Spool};
 use loads::LoadPurpose;
-use rtec_control::config::{Config, ConfiguredAxis, Measured};
+use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance};
 use rtec_control::protocol::{ClientRequest, EventReport, NumberedEvent, Response, word};
 use rtec_correct::Corrector;
 use rtec_files::date;
@@ -34,7 +34,7 @@ use rtec_rt::link::ControlEnd;
 use rtec_rt::setup::{Report, RtSettings, System};
 use rtec_rt::state_file_watch::{Lost, StateFileWatch};
 use rtec_sensors::buses::{Buses, Clock};
-use rtec_sensors::{SensorConfig, Watch};
+use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -199,7 +199,7 @@ impl Session {
             .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.before.times.latched_ns(axis, f)?)))
             .collect();
         let cpu = set_up.wanted.map_or(0, |w| w.cpu);
-        let here = || Measured::here(&config.card, cpu, &System::live());
+        let here = || LatencyProvenance::here(&config.card, cpu, &System::live());
         let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
             latched_ns,
@@ -443,7 +443,8 @@ impl Session {
                 let t_ns = u64::midpoint(capture.trip_ns.0, capture.trip_ns.1);
                 trip.error_um = self.corrector.error_um_at(n, t_ns, trip.position_mm);
                 trip.corrected_mm = trip.error_um.map(|um| trip.position_mm + um / 1000.0);
-                let degc = |w: &Watch| w.value_degc().filter(|_| w.config().role == Role::Temperature);
+                let degc =
+                    |w: &SensorMonitor| w.value_degc().filter(|_| w.config().role == Role::Temperature);
                 trip.degc = self.corrector.watches().iter().map(degc).collect();
                 self.record_spool.trip(n, &self.config.axes, trip, self.time.now_s());
             }

@@ -9,7 +9,7 @@
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
 use crate::feed::Feed;
-use crate::{SensorConfig, SensorSource, Watch};
+use crate::{SensorConfig, SensorMonitor, SensorSource};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug)]
 pub struct Bank {
     root: PathBuf,
-    sensors: Vec<Watch>,
+    sensors: Vec<SensorMonitor>,
     /// Time of each sensor's next reading, s.
     due: Vec<f64>,
     feeds: Vec<Feed>,
@@ -62,7 +62,7 @@ impl Bank {
             }
         }
         let due = vec![f64::NEG_INFINITY; configs.len()];
-        let sensors = configs.into_iter().map(Watch::new).collect();
+        let sensors = configs.into_iter().map(SensorMonitor::new).collect();
         Ok(Self { root: root.to_owned(), sensors, due, feeds, replays, replay_start: None })
     }
 
@@ -73,7 +73,7 @@ impl Bank {
     }
 
     /// The sensors.
-    pub fn sensors(&self) -> &[Watch] {
+    pub fn sensors(&self) -> &[SensorMonitor] {
         &self.sensors
     }
 
@@ -266,7 +266,7 @@ mod tests {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
-        let values: Vec<Option<f64>> = bank.sensors().iter().map(Watch::value_degc).collect();
+        let values: Vec<Option<f64>> = bank.sensors().iter().map(SensorMonitor::value_degc).collect();
         assert_eq!(values, [Some(21.5), Some(22.25)]);
         drop(peer);
         bank.poll(9.0);

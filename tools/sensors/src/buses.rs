@@ -2,7 +2,7 @@
 //! A slow sensor thus delays only those of its own bus.
 
 use crate::bank::Bank;
-use crate::{SensorConfig, SensorSource, Use, Watch, log};
+use crate::{SensorConfig, SensorMonitor, SensorSource, Use, log};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -35,14 +35,14 @@ impl Clock {
 /// `places`: each sensor's bus and index there, in the configuration's order.
 #[derive(Clone, Default)]
 struct Latest {
-    buses: Vec<Arc<Mutex<Vec<Watch>>>>,
+    buses: Vec<Arc<Mutex<Vec<SensorMonitor>>>>,
     places: Vec<(usize, usize)>,
 }
 
 /// All sensors with their last readings.
 pub struct Buses {
     latest: Latest,
-    watches: Vec<Watch>,
+    watches: Vec<SensorMonitor>,
 }
 
 impl Buses {
@@ -87,17 +87,17 @@ impl Buses {
             let (latest, directory) = (latest.clone(), directory.to_owned());
             std::thread::spawn(move || keep_log(&latest, &names, &directory, clock, log_s));
         }
-        Ok(Self { latest, ..Self::of(configs.iter().cloned().map(Watch::new).collect()) })
+        Ok(Self { latest, ..Self::of(configs.iter().cloned().map(SensorMonitor::new).collect()) })
     }
 
     /// Sensors without threads: the caller offers their readings.
-    pub fn of(watches: Vec<Watch>) -> Self {
+    pub fn of(watches: Vec<SensorMonitor>) -> Self {
         Self { latest: Latest::default(), watches }
     }
 
     /// The sensors as last read, in the configuration's order.
     /// A bus whose thread is writing at this moment keeps its previous readings.
-    pub fn look(&mut self) -> &mut [Watch] {
+    pub fn look(&mut self) -> &mut [SensorMonitor] {
         for (own, (bus, place)) in self.watches.iter_mut().zip(&self.latest.places) {
             if let Ok(read) = self.latest.buses[*bus].try_lock() {
                 own.clone_from(&read[*place]);
@@ -107,11 +107,11 @@ impl Buses {
     }
 }
 
-fn lock(shared: &Mutex<Vec<Watch>>) -> MutexGuard<'_, Vec<Watch>> {
+fn lock(shared: &Mutex<Vec<SensorMonitor>>) -> MutexGuard<'_, Vec<SensorMonitor>> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn listen(mut bank: Bank, shared: &Mutex<Vec<Watch>>, clock: Clock) {
+fn listen(mut bank: Bank, shared: &Mutex<Vec<SensorMonitor>>, clock: Clock) {
     let pause = Duration::from_secs_f64(bank.pause_s());
     loop {
         bank.poll(clock.now_s());

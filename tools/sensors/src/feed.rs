@@ -2,7 +2,7 @@
 
 use nix::fcntl::OFlag;
 use nix::sys::socket::{setsockopt, sockopt};
-use rtec_files::words::quoted;
+use rtec_files::message_text::quoted;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Read};

@@ -10,4 +10,4 @@ pub mod log; // the temperatures' log, which a restart reads back
 pub mod trust; // whether a reading is believed: good, replaced by the last good value, or hold
 
 pub use config::{KEYS, SensorConfig, SensorSource, read_tables};
-pub use trust::{SensorFault, Use, Watch};
+pub use trust::{SensorFault, SensorMonitor, Use};

@@ -48,7 +48,7 @@ pub enum Use {
 
 /// One sensor under watch.
 #[derive(Debug, Clone)]
-pub struct Watch {
+pub struct SensorMonitor {
     config: Arc<SensorConfig>,
     good: Option<(f64, f64)>,
     raw: Option<(f64, f64)>,
@@ -84,7 +84,7 @@ impl Reach {
     }
 }
 
-impl Watch {
+impl SensorMonitor {
     /// A sensor that has not been read yet.
     pub fn new(config: SensorConfig) -> Self {
         Self {
@@ -200,8 +200,8 @@ mod tests {
     use crate::SensorSource;
     use crate::config::for_test as config;
 
-    fn watch() -> Watch {
-        Watch::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))
+    fn watch() -> SensorMonitor {
+        SensorMonitor::new(config("T1", SensorSource::OneWire { id: "28-0".into() }))
     }
 
     #[test]
@@ -243,7 +243,7 @@ mod tests {
     fn the_limit_of_a_change_is_over_time_not_per_reading() {
         for (per_s, noise) in [(1.0, 0.0), (20.0, 0.0), (20.0, 0.05), (1000.0, 0.05)] {
             let follows = |k_per_min: f64| {
-                let mut w = Watch::new(SensorConfig { stuck_s: 0.0, ..watch().config().clone() });
+                let mut w = SensorMonitor::new(SensorConfig { stuck_s: 0.0, ..watch().config().clone() });
                 let mut last = 20.0;
                 for n in 0..(120.0 * per_s) as u32 {
                     let t = f64::from(n) / per_s;
@@ -280,7 +280,8 @@ mod tests {
         let channel = |value: f64| {
             let range = [10.0, 80.0];
             let source = SensorSource::OneWire { id: "28-0".into() };
-            let mut w = Watch::new(SensorConfig { range, role: Role::Channel, ..config("c", source) });
+            let mut w =
+                SensorMonitor::new(SensorConfig { range, role: Role::Channel, ..config("c", source) });
             w.offer(0.0, Ok(value));
             w.fault().is_some()
         };
@@ -321,7 +322,7 @@ mod tests {
         let source = SensorSource::OneWire { id: "28-0".into() };
         let temperature = SensorConfig { range: [-20.0, 120.0], ..config("T1", source) };
         let first = |config: SensorConfig, value: f64| {
-            let mut w = Watch::new(config);
+            let mut w = SensorMonitor::new(config);
             w.offer(0.0, Ok(value));
             w.value_degc()
         };
@@ -329,7 +330,7 @@ mod tests {
             assert_eq!(first(temperature.clone(), code), None);
             assert_eq!(first(SensorConfig { role: Role::Coolant, ..temperature.clone() }, code), Some(code));
             assert_eq!(first(SensorConfig::believed("T1", Role::Temperature), code), Some(code));
-            let mut w = Watch::new(temperature.clone());
+            let mut w = SensorMonitor::new(temperature.clone());
             w.offer(0.0, Ok(code + 0.05));
             w.offer(1.0, Ok(code));
             assert_eq!((w.fault(), w.value_degc()), (None, Some(code)), "it was nearly there before");

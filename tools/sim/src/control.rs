@@ -12,7 +12,7 @@ use rtec_model::record::{Axis, Role};
 use rtec_part::cor::FeatureErrors;
 use rtec_part::cor::PointError;
 use rtec_rt::event::{Request, Status};
-use rtec_sensors::{SensorConfig, Watch};
+use rtec_sensors::{SensorConfig, SensorMonitor};
 
 /// Time between two computations of totals, ns.
 /// (NISTIR 4832, Alternate Configurations: every 10 to 20 ms)
@@ -43,7 +43,7 @@ pub(crate) struct Readings<'a> {
 #[derive(Debug)]
 pub(crate) struct Control {
     law: Corrector,
-    watches: Vec<Watch>,
+    watches: Vec<SensorMonitor>,
 }
 
 impl Control {
@@ -56,8 +56,8 @@ impl Control {
         let others = [("rpm".to_owned(), Role::SpindleSpeed), ("wet".to_owned(), Role::Coolant)];
         let loads = NAMES.iter().filter_map(|n| Some((format!("load_{n}"), axis(n)?)));
         let all = temperatures.chain(channels).chain(others).chain(loads);
-        let watches: Vec<Watch> =
-            all.map(|(name, role)| Watch::new(SensorConfig::believed(&name, role))).collect();
+        let watches: Vec<SensorMonitor> =
+            all.map(|(name, role)| SensorMonitor::new(SensorConfig::believed(&name, role))).collect();
         let mut law = Corrector::new(axes, RAMP_UM_S, lead_s, 0.0);
         law.sense(0.0, &watches);
         Self { law, watches }

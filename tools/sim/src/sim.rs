@@ -355,7 +355,7 @@ impl Sim {
 
     /// Runs every 10 ms: heat, the true machine's errors, and new totals.
     fn control(&mut self) -> Result<(), SimError> {
-        rtec_files::watch::step();
+        rtec_files::computation::step();
         let t_s = self.next_control_ns as f64 * 1e-9;
         self.next_control_ns += self.control_ns;
         self.errors.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());

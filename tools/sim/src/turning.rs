@@ -10,7 +10,7 @@ use crate::machine::ControllerSpec;
 use crate::path::AXES;
 use crate::workpiece::Workpiece;
 use rtec_files::InputError;
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use rtec_model::effect::{Effect, Need, STANDARD_DEGC};
 use rtec_model::live::{AxisNow, Frame, Live};
 use rtec_model::machine::Machine;

@@ -4,11 +4,11 @@
 use super::{CardConfig, Config};
 use rtec_correct::Corrector;
 use rtec_files::keys::SourceFile;
+use rtec_files::message_text::quoted;
 use rtec_files::toml::{Document, Table};
 use rtec_files::trace::TraceReader;
-use rtec_files::words::quoted;
 use rtec_model::machine::Machine;
-use rtec_sensors::{SensorSource, Watch, bank};
+use rtec_sensors::{SensorMonitor, SensorSource, bank};
 use std::path::Path;
 
 /// Findings and notes about what the configuration names.
@@ -56,7 +56,7 @@ fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Conf
     }
     let setups = config.axes.iter().map(super::ConfiguredAxis::law).collect();
     let mut law = Corrector::new(setups, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
-    let watches: Vec<Watch> = config.sensors.iter().cloned().map(Watch::new).collect();
+    let watches: Vec<SensorMonitor> = config.sensors.iter().cloned().map(SensorMonitor::new).collect();
     law.sense(0.0, &watches);
     match law.preparer().prepare(machine, &|_| Vec::new()) {
         Ok(prepared) => config.notes.extend(prepared.missing().iter().map(|m| format!("[model] {m}"))),

@@ -9,14 +9,14 @@ use rtec_model::machine::Machine;
 use rtec_model::record::Role;
 use rtec_part::cor::{FeatureErrors, PointError};
 use rtec_rt::event::{MAX_AXES, Mode, Status};
-use rtec_sensors::{SensorConfig, SensorSource, Watch};
+use rtec_sensors::{SensorConfig, SensorMonitor, SensorSource};
 use std::path::Path;
 
 /// A machine of one or more axes whose engine completes each request at once.
 pub(crate) struct Bench {
     pub(crate) corrector: Corrector,
     pub(crate) status: Status,
-    pub(crate) watches: Vec<Watch>,
+    pub(crate) watches: Vec<SensorMonitor>,
     pub(crate) now_s: f64,
 }
 
@@ -68,7 +68,7 @@ impl Bench {
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
         let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
-        let watches: Vec<Watch> = sensors.into_iter().map(Watch::new).collect();
+        let watches: Vec<SensorMonitor> = sensors.into_iter().map(SensorMonitor::new).collect();
         let mut corrector = Corrector::new(["x", "y", "z"].map(axis).to_vec(), ramp_um_s, 0.0, now_s);
         corrector.sense(now_s, &watches);
         Self { corrector, status, watches, now_s }

@@ -1,9 +1,9 @@
 //! The names of a table's columns.
 
 use super::row::{Cell, Row};
-use crate::input::InputError;
+use crate::input_error::InputError;
+use crate::message_text::{cut, nearest, quoted};
 use crate::units;
-use crate::words::{cut, nearest, quoted};
 use std::path::{Path, PathBuf};
 
 /// The columns' names, from the first row.

@@ -3,8 +3,8 @@
 use super::comments::outside_quotes;
 use super::{Parser, has_quote};
 use crate::decimal::{number, plain_decimal};
-use crate::input::InputError;
-use crate::words::{quoted, shown};
+use crate::input_error::InputError;
+use crate::message_text::{quoted, shown};
 use std::borrow::Cow;
 use std::path::Path;
 

@@ -236,7 +236,7 @@ impl<'a> CachedColumns<'a> {
     /// Least squares on all folds, judged by leaving out each in turn.
     /// `None` if the columns are dependent.
     pub(super) fn solve(&mut self) -> Option<Solved> {
-        rtec_files::watch::step();
+        rtec_files::computation::step();
         let response = &self.columns[0];
         let fit = self.roots_of_all.least_squares(&self.all)?;
         let left = left_over(&self.all, &fit) / self.total;

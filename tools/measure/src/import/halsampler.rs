@@ -4,7 +4,7 @@
 
 use super::add_note;
 use super::table::{Form, ImportColumn, table};
-use rtec_files::words::is_comment;
+use rtec_files::message_text::is_comment;
 use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;

@@ -4,7 +4,7 @@
 use super::table::ImportColumn;
 use super::{add_note, finite, record_of};
 use rtec_files::clock::{self, Counted, day, iso8601_ns};
-use rtec_files::words::is_comment;
+use rtec_files::message_text::is_comment;
 use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! Polar plot of small deviations around a circle, enlarged, with a scale.
 
 use super::{Series, look};
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 

@@ -3,7 +3,7 @@
 
 use super::Colour;
 use super::polar::{head, round_up};
-use rtec_files::words::escaped;
+use rtec_files::message_text::escaped;
 use rtec_model::record::span;
 use std::fmt::Write as _;
 

@@ -6,7 +6,7 @@ use crate::document::{pretty, say_line};
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::client::Client;
-use rtec_control::ledger::LedgerExport;
+use rtec_control::ledger_export::LedgerExportSummary;
 use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
 use rtec_driver::quadrature::State;
 use rtec_files::Columns;
@@ -72,9 +72,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             kept.shorten(*last);
         }
         let files = |what| out.join(format!("{}_{what}.csv", axis.name));
-        let told = LedgerExport::of(&kept, axis.window_counts);
-        let LedgerExport { edges, counts, requested, completed, insertions, whole_from_ns, before, .. } =
-            told;
+        let told = LedgerExportSummary::of(&kept, axis.window_counts);
+        let LedgerExportSummary {
+            edges,
+            counts,
+            requested,
+            completed,
+            insertions,
+            whole_from_ns,
+            before,
+            ..
+        } = told;
         let name = &axis.name;
         if edges > MOST_EDGES {
             let text = format!(
@@ -200,7 +208,7 @@ mod tests {
     fn replays(kept: &LedgerPage, counts: i64, requested: i64, completed: i64) {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
-        let told = LedgerExport::of(kept, 50);
+        let told = LedgerExportSummary::of(kept, 50);
         told.write(kept, [&file("t.csv"), &file("r.csv"), &file("i.csv")]).unwrap();
         let again = replayed(&file("t.csv"), &file("r.csv")).unwrap();
         assert_eq!(
@@ -252,7 +260,7 @@ mod tests {
             row((300, 200), (310, 210), 0, 0, 1),
             row((400, 300), (410, 320), 4, 4, 3),
         ];
-        let told = LedgerExport::of(&page(rows, (500, 400)), 50);
+        let told = LedgerExportSummary::of(&page(rows, (500, 400)), 50);
         assert_eq!((told.insertions, told.shadow), (3, 1));
         let says = "the same totals, by 4 insertions (1 of the 3 in shadow mode, which the MTC did not see)";
         assert_eq!((told.compared(3), told.compared(4)), ("the same".to_owned(), says.to_owned()));

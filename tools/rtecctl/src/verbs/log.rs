@@ -8,7 +8,7 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use rtec_control::audit::{self, Anchor, Entry, Line};
 use rtec_files::InputError;
-use rtec_files::words::is_hidden;
+use rtec_files::message_text::is_hidden;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;

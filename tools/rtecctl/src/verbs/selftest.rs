@@ -6,9 +6,9 @@ use crate::document::say_line;
 use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
 use rtec_control::card::{self, Access, OnCard};
-use rtec_control::config::{CardConfig, Config, Measured as Provenance};
+use rtec_control::config::{CardConfig, Config, LatencyProvenance};
 use rtec_files::InputError;
-use rtec_files::write::WholeFile;
+use rtec_files::write::AtomicFile;
 use rtec_platform::selftest::{
     Backend, Latency, Measured, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
     run as measure, run_on_card,
@@ -110,10 +110,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let created = |file: &PathBuf| {
         let unwritable =
             |e: std::io::Error| InputError::whole(file, e.to_string(), "a place that can be written to");
-        WholeFile::create(file).map_err(unwritable)
+        AtomicFile::create(file).map_err(unwritable)
     };
     let histfile = args.histfile.as_ref().map(created).transpose()?;
-    let mut provenance = Provenance::here(&CardConfig::Mock, options.cpu, &System::live());
+    let mut provenance = LatencyProvenance::here(&CardConfig::Mock, options.cpu, &System::live());
     let measured = match &target {
         Target::Simulated(backend) => {
             let card = if *backend == Backend::Mock {
@@ -208,7 +208,7 @@ fn text(
     measured: &Measured,
     options: &SelftestOptions,
     verdict: &Verdict,
-    provenance: &Provenance,
+    provenance: &LatencyProvenance,
     with_histogram: bool,
 ) -> String {
     let mut out = String::new();

@@ -73,7 +73,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     // The belief window of the recording.
     config.axes.iter_mut().for_each(|axis| axis.engine.window_counts = 50);
     let (engine, _card) = engine(&config);
-    let watch = |n: &str| Watch::new(SensorConfig::believed(n, Role::Temperature));
+    let watch = |n: &str| SensorMonitor::new(SensorConfig::believed(n, Role::Temperature));
     let time = Rc::new(Recorded(Cell::new(0.0)));
     let played = Buses::of(["T8", "T18"].map(watch).to_vec());
     let mut session = Session::by(Rc::clone(&time) as _, config, set_up(&engine, false), played);
@@ -241,7 +241,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         [rt]\ndetect_ns = 1000\nwrite_ns = 300\n";
     let foreign = "measured = { card = 'another', kernel = '1.0', cpu = 'any', date = '2026-01-01' }\n";
     let figures = Config::parse(Path::new("rtec.toml"), text).unwrap();
-    let here = format!("{}\n", Measured::here(&figures.card, 0, &System::live()));
+    let here = format!("{}\n", LatencyProvenance::here(&figures.card, 0, &System::live()));
     for (measured, slower, says) in [
         ("", false, &["does not say where", "5000000 edges/s"][..]),
         (foreign, true, &["was measured with card \"another\""]),

@@ -2,7 +2,7 @@
 
 use crate::verbs::suspicions;
 use anyhow::Context;
-use rtec_files::write::WholeFile;
+use rtec_files::write::AtomicFile;
 use rtec_measure::prediction::{self, Failed};
 use rtec_model::machine::Machine;
 use std::path::PathBuf;
@@ -27,7 +27,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let writing = || format!("writing {}", args.out.display());
-    let mut out = WholeFile::create(&args.out).with_context(writing)?;
+    let mut out = AtomicFile::create(&args.out).with_context(writing)?;
     match prediction::write(&machine, &args.record, args.interval, &mut out, &mut suspicions::say) {
         Err(Failed::Input(found)) => return Err(found.into()),
         written => written.with_context(writing)?,

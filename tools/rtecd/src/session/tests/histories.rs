@@ -260,7 +260,10 @@ impl Life {
         *self.world.turns.borrow_mut() = Some(SteppedLoop::new(engine, card, rt, stale_ns));
         let time: Rc<dyn Time> = Rc::clone(&self.world) as Rc<dyn Time>;
         let sensor = |n: &str| {
-            Watch::new(SensorConfig { timeout_s: 0.1, ..SensorConfig::believed(n, Role::Temperature) })
+            SensorMonitor::new(SensorConfig {
+                timeout_s: 0.1,
+                ..SensorConfig::believed(n, Role::Temperature)
+            })
         };
         let played = Buses::of(["T1", "T2"].map(sensor).to_vec());
         let mut session = Session::by(time, self.config.clone(), set_up, played);

@@ -1,7 +1,7 @@
 //! A long computation that another thread waits for.
 //! It counts its steps, and ends early if the other thread stops waiting.
 //!
-//! The computing thread calls [`step`] often; the waiting thread holds the [`Watch`].
+//! The computing thread calls [`step`] often; the waiting thread holds the [`ComputationHandle`].
 
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -10,19 +10,19 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// The state that the computing thread and the waiting thread share.
 #[derive(Debug, Default)]
-pub struct Watch {
+pub struct ComputationHandle {
     given_up: AtomicBool,
     steps: AtomicU64,
 }
 
 thread_local! {
-    static HERE: RefCell<Option<Arc<Watch>>> = const { RefCell::new(None) };
+    static HERE: RefCell<Option<Arc<ComputationHandle>>> = const { RefCell::new(None) };
 }
 
 /// The payload that unwinds an abandoned computation; no panic hook runs for it.
 struct GivenUp;
 
-impl Watch {
+impl ComputationHandle {
     /// Steps so far.
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn steps_are_counted_where_somebody_watches() {
         step();
-        let watch = Arc::new(Watch::default());
+        let watch = Arc::new(ComputationHandle::default());
         assert_eq!(watch.over(|| (0..7).for_each(|_| step())), Some(()));
         step();
         assert_eq!(watch.steps(), 7);
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn what_is_given_up_ends_at_its_next_step() {
-        let watch = Arc::new(Watch::default());
+        let watch = Arc::new(ComputationHandle::default());
         let (begun, wait) = mpsc::channel();
         let computing = std::thread::spawn({
             let watch = Arc::clone(&watch);
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn a_panic_is_no_giving_up() {
-        let watch = Arc::new(Watch::default());
+        let watch = Arc::new(ComputationHandle::default());
         let caught = catch_unwind(AssertUnwindSafe(|| watch.over(|| resume_unwind(Box::new("mistake")))));
         assert!(caught.is_err_and(|why| why.is::<&str>()));
     }

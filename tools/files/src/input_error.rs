@@ -1,7 +1,7 @@
 //! The error type for a file that a person wrote.
 //! It says where, what was found and what was expected.
 
-use crate::words::{cut_at, printable};
+use crate::message_text::{cut_at, printable};
 use std::fmt;
 use std::path::{Path, PathBuf};
 

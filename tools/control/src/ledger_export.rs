@@ -31,7 +31,7 @@ impl LedgerPage {
 
 /// Summary of the files that an axis's ledger is written to.
 #[derive(Debug)]
-pub struct LedgerExport {
+pub struct LedgerExportSummary {
     /// The belief window, counts.
     window: i64,
     /// Time from which every change is known, ns on the card's clock.
@@ -52,7 +52,7 @@ pub struct LedgerExport {
     pub edges: u64,
 }
 
-impl LedgerExport {
+impl LedgerExportSummary {
     /// Summarises the kept changes; `window` is the belief window, counts.
     pub fn of(kept: &LedgerPage, window: i64) -> Self {
         let first = kept.rows.first().copied().unwrap_or_default();
