@@ -21,7 +21,7 @@ pub struct Bank {
 
 /// How much the columns explain of a factor's residual.
 #[derive(Debug, Clone)]
-pub struct Look {
+pub struct ScreeningProducts {
     /// Products with the residual.
     pub along: Vec<f64>,
     /// Products among the columns of each group, after projection on the factor.
@@ -66,7 +66,7 @@ impl Bank {
 
     /// The first look: products of the columns with a factor's residual.
     #[must_use]
-    pub fn look(&self, factor: &Factor) -> Look {
+    pub fn look(&self, factor: &Factor) -> ScreeningProducts {
         let along = self.shares(factor.residual());
         let mut among = vec![0.0; self.count];
         let n = self.n;
@@ -78,7 +78,7 @@ impl Bank {
             };
             among[*at..at + own.len()].copy_from_slice(&own);
         }
-        let mut look = Look { along, among };
+        let mut look = ScreeningProducts { along, among };
         self.take(&mut look, &self.all_shares(factor));
         look
     }
@@ -136,7 +136,7 @@ impl Bank {
     /// Updates a look after further orthonormal columns were added.
     /// `shares` are the bank's products with each of them, `along` their products with the residual before
     /// they were added.
-    pub fn after(&self, look: &mut Look, shares: &[Vec<f64>], along: &[f64]) {
+    pub fn after(&self, look: &mut ScreeningProducts, shares: &[Vec<f64>], along: &[f64]) {
         for (shares, along) in shares.iter().zip(along) {
             add(&mut look.along, -along, shares);
         }
@@ -144,7 +144,7 @@ impl Bank {
     }
 
     /// Projects orthonormal columns out of the products among the bank's columns.
-    fn take(&self, look: &mut Look, shares: &[Vec<f64>]) {
+    fn take(&self, look: &mut ScreeningProducts, shares: &[Vec<f64>]) {
         for share in shares {
             for (columns, at) in &self.groups {
                 let own = &share[columns.clone()];

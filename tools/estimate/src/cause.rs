@@ -5,7 +5,7 @@ use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
 use crate::rows::Rows;
 use crate::setup::{first_after_turn, unknown_centre_columns};
 use rtec_least_squares::dot;
-use rtec_model::effect::{Against, Effect, Need, STANDARD_DEGC, Search};
+use rtec_model::effect::{Against, Effect, Need, ParameterSearch, STANDARD_DEGC};
 use rtec_model::record::Role;
 use std::sync::Arc;
 
@@ -99,8 +99,11 @@ impl Cause {
             Self::Shape(both) => both.1.clone(),
             Self::Map { effect, directions } => {
                 let raw = rows.basis(effect);
-                let size =
-                    effect.description().parameters.iter().find(|p| p.array && p.search == Search::Linear);
+                let size = effect
+                    .description()
+                    .parameters
+                    .iter()
+                    .find(|p| p.array && p.search == ParameterSearch::Linear);
                 let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
                 let of = |d: &Vec<f64>| {
                     let mut out = vec![0.0; rows.n];
@@ -166,8 +169,11 @@ impl Cause {
         match self {
             Self::Shape(_) => None,
             Self::Map { effect, directions } => {
-                let size =
-                    effect.description().parameters.iter().find(|p| p.array && p.search == Search::Linear);
+                let size = effect
+                    .description()
+                    .parameters
+                    .iter()
+                    .find(|p| p.array && p.search == ParameterSearch::Linear);
                 let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
                 let mut heights = vec![0.0; effect.coefficient_count()];
                 for (b, d) in beta.iter().zip(directions.iter()) {
@@ -220,7 +226,7 @@ impl Cause {
 pub fn sizes(effect: &Effect) -> Vec<f64> {
     let law = effect.description();
     let k = effect.coefficient_count();
-    if let Some(i) = law.place(Search::Amplitude) {
+    if let Some(i) = law.place(ParameterSearch::Amplitude) {
         // An amplitude limited by the period is typically a share of the period.
         let by_period = law.searched.wave.and_then(|w| Some(w.most_periods? * w.unit_mm * 1e3));
         let size = by_period.map_or(law.parameters[i].prior_size(), |most| OF_MOST * most * effect.scalar(0));
@@ -230,7 +236,7 @@ pub fn sizes(effect: &Effect) -> Vec<f64> {
         let scaleless = p.typical <= 0.0 && p.plausible[1] > 1e9;
         if scaleless { 0.0 } else { p.prior_size() }
     };
-    let linear = law.parameters.iter().filter(|p| p.search == Search::Linear);
+    let linear = law.parameters.iter().filter(|p| p.search == ParameterSearch::Linear);
     linear.flat_map(|p| vec![of(p); if p.array { effect.width() } else { 1 }]).take(k).collect()
 }
 

@@ -1,7 +1,7 @@
 //! Alternates noise and search until both settle; then gives values and intervals.
 
+mod candidates;
 mod last;
-mod place;
 
 use crate::cause::Shape;
 use crate::effort::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
@@ -12,8 +12,8 @@ use crate::rows::{Noise, Rows};
 use crate::search::{Member, Search, Set, fit, known_again};
 use crate::setup;
 use crate::wander::{self, Wander, wanders};
+use candidates::place;
 use last::Last;
-use place::place;
 use rtec_least_squares::dot;
 use rtec_model::effect::{Dictionary, Difference, Effect};
 use rtec_model::record::{Record, Role};
@@ -43,7 +43,7 @@ impl Rival {
 
 /// A member of the likeliest set.
 #[derive(Debug, Clone)]
-pub struct Found {
+pub struct EstimatedMember {
     /// The effect with its values; none for a shape.
     pub effect: Option<Effect>,
     /// The shape; none for an effect.
@@ -73,7 +73,7 @@ pub struct Found {
 
 /// A known effect of the model that the rows correct.
 #[derive(Debug, Clone)]
-pub struct Moved {
+pub struct RefinedEffect {
     /// Its index in the model.
     pub place: usize,
     /// The effect as estimated from the rows.
@@ -92,7 +92,7 @@ pub struct SetUp {
     /// The response.
     pub response: String,
     /// Kind of the term.
-    pub what: setup::What,
+    pub what: setup::SetUpKind,
     /// Its value, in its unit.
     pub value: f64,
     /// Half width of its 95 % interval.
@@ -117,9 +117,9 @@ pub struct Tried {
 #[derive(Debug, Clone)]
 pub struct Estimate {
     /// The members of the likeliest set, strongest first.
-    pub found: Vec<Found>,
+    pub found: Vec<EstimatedMember>,
     /// The model's own effects as estimated from the rows.
-    pub known: Vec<Moved>,
+    pub known: Vec<RefinedEffect>,
     /// The set-up terms.
     pub set_up: Vec<SetUp>,
     /// The noise.
@@ -167,7 +167,7 @@ pub fn estimate(
             (found, _) = settle(&problem, &mut families, found.noise, Some(left), model);
         }
         for w in &wanders {
-            found.found.push(Found::wander(&rows, w));
+            found.found.push(EstimatedMember::wander(&rows, w));
         }
     }
     for k in &mut found.known {
@@ -324,7 +324,7 @@ fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
     };
     let grow = |from: &Set, compare: &mut dyn FnMut(Set)| {
         let look = search.look_at(from);
-        let seeds = search.seeds(from, &look, false);
+        let seeds = search.screened(from, &look, false);
         let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
         more.filter_map(|seed| search.with(from, &search.refined(&from.factor, seed))).for_each(compare);
     };
@@ -392,7 +392,7 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
     }
 }
 
-impl Found {
+impl EstimatedMember {
     /// A walk without a name.
     fn wander(rows: &Rows<'_>, w: &Wander) -> Self {
         let shape = Shape {

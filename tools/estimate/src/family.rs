@@ -11,7 +11,7 @@ use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::Along;
 use rtec_model::effect::{
-    Dictionary, Difference, Effect, GridHypothesis, Heat, Need, Quantity, Refine, Search as How,
+    Dictionary, Difference, Effect, GridHypothesis, Heat, Need, ParameterSearch, Quantity, Refine,
 };
 use rtec_model::record::{Axis, Record, Role};
 use std::sync::Arc;
@@ -208,7 +208,8 @@ impl Families {
             })
         };
         let reads = |n: Need| law.needs.contains(&n);
-        if let Some(beside) = law.searched.beside.filter(|_| law.place(How::Amplitude).is_some()) {
+        if let Some(beside) = law.searched.beside.filter(|_| law.place(ParameterSearch::Amplitude).is_some())
+        {
             let same = |m: &&Effect| m.description().name == beside && m.axes() == effect.axes();
             let known = model.iter().filter(same).map(|m| m.scalar(0)).collect();
             self.push(effect, Scan::Beside { law: beside, known });

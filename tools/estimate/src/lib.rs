@@ -36,4 +36,6 @@ pub mod wander;
 pub mod wave;
 
 pub use cause::Shape;
-pub use estimate::{Estimate, Found, Moved, Rival, SetUp, Tried, alone, estimate, score, unexplained};
+pub use estimate::{
+    Estimate, EstimatedMember, RefinedEffect, Rival, SetUp, Tried, alone, estimate, score, unexplained,
+};

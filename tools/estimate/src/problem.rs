@@ -6,7 +6,7 @@ use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAILS};
 use crate::rows::{Noise, Rows, Segment};
 use crate::setup::{self, Term};
 use rtec_least_squares::{Factor, add, dot};
-use rtec_model::effect::{Effect, Refine, Search};
+use rtec_model::effect::{Effect, ParameterSearch, Refine};
 use rtec_model::record::rounding_error;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
@@ -30,7 +30,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
         let law = effect.description();
         let width = effect.width();
         if !effect.constraints().is_empty() {
-            let Some(p) = law.place(Search::Linear) else { continue };
+            let Some(p) = law.place(ParameterSearch::Linear) else { continue };
             let along = (0..width).map(|i| (p * width + i, KNOWN_SHARE * effect.get(p)[i])).collect();
             let mut column = rows.predict(effect);
             for x in &mut column {
@@ -45,8 +45,8 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
                 let value = effect.values()[v];
                 let stated = intervals.get(e).and_then(|i| i.get(v).copied().flatten());
                 let share = match (p.search, p.refine) {
-                    (Search::Chosen, _) | (Search::Smooth, Refine::Stays) => 0.0,
-                    (Search::Phase, _) | (_, Refine::Step(_)) => KNOWN_SHARE,
+                    (ParameterSearch::Chosen, _) | (ParameterSearch::Smooth, Refine::Stays) => 0.0,
+                    (ParameterSearch::Phase, _) | (_, Refine::Step(_)) => KNOWN_SHARE,
                     _ => KNOWN_SHARE * value.abs(),
                 };
                 let sd = stated.map_or(share, |half| half / rtec_model::machine::NORMAL_95);
@@ -57,7 +57,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
             }
         }
         // Over many turns the digits of a period leave an error. The phase in the middle stays.
-        if let (Some(t), Some(phase)) = (Turns::of(rows, effect), law.place(Search::Phase)) {
+        if let (Some(t), Some(phase)) = (WaveCycles::of(rows, effect), law.place(ParameterSearch::Phase)) {
             let sd = PERIOD_SHARE * effect.scalar(0);
             let turned = std::f64::consts::TAU * PERIOD_SHARE * t.to_middle;
             let mut column = vec![0.0; rows.n];
@@ -71,14 +71,14 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
 }
 
 /// Turns of a wave over the positions of the rows.
-struct Turns {
+struct WaveCycles {
     /// Over the whole travel.
     over_travel: f64,
     /// From the axis's zero to the middle of the travel.
     to_middle: f64,
 }
 
-impl Turns {
+impl WaveCycles {
     /// The turns of a wave of the model.
     fn of(rows: &Rows<'_>, wave: &Effect) -> Option<Self> {
         let facts = wave.description().searched.wave?;
@@ -96,7 +96,7 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
     let mut model = model.to_vec();
     for e in 0..model.len() {
         let effect = &model[e];
-        let Some(turns) = Turns::of(rows, effect) else { continue };
+        let Some(turns) = WaveCycles::of(rows, effect) else { continue };
         let (period, off) = (effect.scalar(0), turns.over_travel * PERIOD_SHARE);
         if off < OUT_OF_STEP {
             continue;
@@ -135,8 +135,9 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
             let own: Vec<f64> = beta[base.factor.len()..].iter().map(|b| b * 100.0).collect();
             let mut fitted = tried.clone();
             fitted.set_coefficients(&own);
-            if let Some(p) = effect.description().place(Search::Phase) {
-                let um = effect.description().place(Search::Amplitude).map_or(0.0, |a| effect.scalar(a));
+            if let Some(p) = effect.description().place(ParameterSearch::Phase) {
+                let um =
+                    effect.description().place(ParameterSearch::Amplitude).map_or(0.0, |a| effect.scalar(a));
                 let turn = if um < 0.0 { std::f64::consts::PI } else { 0.0 };
                 model[e] = tried.with(&[(p, fitted.scalar(p) + turn)]).unwrap_or_else(|| effect.clone());
             }
@@ -179,7 +180,7 @@ pub enum Units {
 }
 
 /// Everything except the hypotheses, whitened by one noise.
-pub struct Base {
+pub struct Baseline {
     /// The noise by which it is whitened.
     pub noise: Noise,
     /// Set-up terms, then known effects.
@@ -268,7 +269,7 @@ impl<'r> Problem<'r> {
     /// Lines and jumps in time are then part of what a record shows.
     #[must_use]
     pub fn by_hand(mut self) -> Self {
-        use setup::What::{CentreFirst, CentreSecond, Unplaced, Zero};
+        use setup::SetUpKind::{CentreFirst, CentreSecond, Unplaced, Zero};
         self.terms.retain(|t| matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced));
         self
     }
@@ -276,7 +277,7 @@ impl<'r> Problem<'r> {
     /// The same problem with units in question, or not.
     #[must_use]
     pub fn in_units(mut self, units: Units) -> Self {
-        use setup::What::{Air, CentreFirst, CentreSecond, Line, Zero};
+        use setup::SetUpKind::{Air, CentreFirst, CentreSecond, Line, Zero};
         if units == Units::AsWritten {
             return self;
         }
@@ -297,7 +298,7 @@ impl<'r> Problem<'r> {
 
     /// Set-up terms and known effects, whitened by a noise.
     #[must_use]
-    pub fn base(&self, noise: Noise) -> Base {
+    pub fn base(&self, noise: Noise) -> Baseline {
         let whiten = |column: &[f64], by: f64| {
             let mut c: Vec<f64> = column.iter().map(|x| x * by).collect();
             noise.whiten(self.rows, &mut c);
@@ -311,7 +312,7 @@ impl<'r> Problem<'r> {
             factor.push(&whiten(&k.column, 1.0));
         }
         let freedom = (self.rows.n as f64 - factor.freedom()).max(2.0);
-        Base { noise, factor, freedom }
+        Baseline { noise, factor, freedom }
     }
 
     /// First guess of the noise, from the residual after set-up and model.

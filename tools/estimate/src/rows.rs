@@ -114,7 +114,7 @@ impl<'r> Rows<'r> {
         &self,
         effect: &Effect,
         k: usize,
-        fill: impl Fn(&rtec_model::effect::Bound<'_>, usize, &mut [f64]),
+        fill: impl Fn(&rtec_model::effect::EffectColumns<'_>, usize, &mut [f64]),
     ) -> Vec<Vec<f64>> {
         let mut out: Vec<Vec<f64>> = (0..k).map(|_| vec![0.0; self.n]).collect();
         let mut buffer = Vec::new();
@@ -155,7 +155,7 @@ pub fn needs_place(effect: &Effect) -> bool {
     let places = law.needs.iter().filter(|n| matches!(n, Need::Position(_))).count();
     let line = law.needs.len() == 1
         && law.searched.wave.is_none()
-        && law.place(rtec_model::effect::Search::Amplitude).is_none()
+        && law.place(rtec_model::effect::ParameterSearch::Amplitude).is_none()
         && effect.constraints().is_empty();
     places > 0 && !line && !law.after_turn
 }

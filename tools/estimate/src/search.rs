@@ -3,17 +3,17 @@
 //! and left out, until nothing improves the set.
 
 mod grow;
-mod seeds;
+mod screening;
 
-use crate::bank::Look;
+use crate::bank::ScreeningProducts;
 use crate::cause::Cause;
 use crate::effort::{MOST_MEMBERS, MOST_SHAPES};
 use crate::family::{Families, Family, Scan};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
-use crate::problem::{Base, Problem};
+use crate::problem::{Baseline, Problem};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Difference, Effect};
-use seeds::turns_back;
+use screening::turns_back;
 use std::cell::{OnceCell, RefCell};
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -47,8 +47,8 @@ impl Member {
     }
 
     /// The seed that it grew from, with its present non-linear parameters.
-    pub(crate) fn seed(&self) -> Seed {
-        Seed { family: self.family, cause: self.cause.clone(), weight: self.weight, score: 0.0 }
+    pub(crate) fn seed(&self) -> ScreenedHypothesis {
+        ScreenedHypothesis { family: self.family, cause: self.cause.clone(), weight: self.weight, score: 0.0 }
     }
 
     fn set_columns(&mut self, columns: Columns) {
@@ -70,7 +70,7 @@ pub struct Set {
 
 /// A hypothesis to be computed exactly.
 #[derive(Debug, Clone)]
-pub struct Seed {
+pub struct ScreenedHypothesis {
     /// Its family.
     pub family: usize,
     /// Its contribution, with its non-linear parameters.
@@ -88,9 +88,9 @@ pub struct Search<'p> {
     /// The hypotheses that may explain them.
     pub families: &'p Families,
     /// Set-up terms and known effects.
-    pub base: Base,
+    pub base: Baseline,
     /// The quick look after the base only.
-    pub look: Look,
+    pub look: ScreeningProducts,
     /// Rounding errors that rows share; they widen intervals.
     pub rounding: Vec<crate::setup::Term>,
     /// Cached columns of waves, whitened, and their products with the base's columns.
@@ -184,7 +184,7 @@ impl<'p> Search<'p> {
     /// A search of a problem under a noise.
     /// The families' columns must be whitened already.
     #[must_use]
-    pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Base) -> Self {
+    pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Baseline) -> Self {
         let look = families.bank.look(&base.factor);
         let rounding = crate::setup::rounding(problem.rows);
         Self { problem, families, base, look, rounding, waves: RefCell::default() }
@@ -239,7 +239,7 @@ impl<'p> Search<'p> {
     /// The bank's products with a member's columns, after the base, are computed once. Those with the
     /// factor's orthonormal columns follow from R.
     #[must_use]
-    pub fn look_at(&self, set: &Set) -> Look {
+    pub fn look_at(&self, set: &Set) -> ScreeningProducts {
         let bank = &self.families.bank;
         let from = self.base.factor.len();
         let mut new: Columns = Vec::new();
@@ -265,13 +265,13 @@ impl<'p> Search<'p> {
 
     /// A set with one more member; `None` if its values are impossible.
     #[must_use]
-    pub fn with(&self, set: &Set, seed: &Seed) -> Option<Set> {
+    pub fn with(&self, set: &Set, seed: &ScreenedHypothesis) -> Option<Set> {
         self.built(set, self.weighed(set, seed)?.1)
     }
 
     /// One more member of a set, and the set's score with it.
     /// The score is without the correction for whole counts.
-    fn weighed(&self, set: &Set, seed: &Seed) -> Option<(f64, Member)> {
+    fn weighed(&self, set: &Set, seed: &ScreenedHypothesis) -> Option<(f64, Member)> {
         rtec_files::computation::step();
         if set.members.len() >= MOST_MEMBERS {
             return None;

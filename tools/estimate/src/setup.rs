@@ -9,13 +9,13 @@ use crate::priors::{
 };
 use crate::rows::{Rows, Segment, is_placed};
 use crate::smooth::{Kernel, directions, knots, shares};
-use rtec_model::circle::Circle;
-use rtec_model::effect::{Effect, Search};
+use rtec_model::ballbar_circle::Circle;
+use rtec_model::effect::{Effect, ParameterSearch};
 use rtec_model::record::{Column, Kind, Record, Role};
 
 /// Kind of a set-up term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum What {
+pub enum SetUpKind {
     /// The gauge's zero, or the length or size of a bar or ring, µm.
     Zero,
     /// The circle's centre along the first axis of the plane, µm.
@@ -45,7 +45,7 @@ pub enum What {
 #[derive(Debug, Clone)]
 pub struct Term {
     /// Its kind.
-    pub what: What,
+    pub what: SetUpKind,
     /// Index of its record; the first if several share it.
     pub record: usize,
     /// Its column over all rows.
@@ -94,7 +94,7 @@ fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
             }
             shared.push((name, s.response, out.len()));
         }
-        out.push(Term { what: What::Zero, record: s.record, column: own, sd: ZERO_UM });
+        out.push(Term { what: SetUpKind::Zero, record: s.record, column: own, sd: ZERO_UM });
     }
 }
 
@@ -105,7 +105,9 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let radial = rows.responses[s.response].axis().is_some_and(|a| a.as_str() == "r");
         let only = record.responses().count() == 1 && matches!(record.kind, Kind::Probing | Kind::Part);
         let Some(angle) = record.data(&Role::Angle).filter(|_| radial || only) else { continue };
-        for (what, f) in [(What::CentreFirst, f64::cos as fn(f64) -> f64), (What::CentreSecond, f64::sin)] {
+        for (what, f) in
+            [(SetUpKind::CentreFirst, f64::cos as fn(f64) -> f64), (SetUpKind::CentreSecond, f64::sin)]
+        {
             out.push(Term {
                 what,
                 record: s.record,
@@ -144,7 +146,7 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let hours = column(rows, s, |i| t[i] / 3600.0);
         // A creep does not keep its direction for longer.
         let sd = longest_creep(&hours).min(LINE_UM_PER_H);
-        out.push(Term { what: What::Line, record: s.record, column: hours, sd });
+        out.push(Term { what: SetUpKind::Line, record: s.record, column: hours, sd });
     }
 }
 
@@ -157,7 +159,12 @@ fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let length = AIR_UM_S.1.max(0.1 * (last - first));
         for d in directions(&places, Kernel::Rough(length), &[vec![1.0; places.len()]], AIR_DIRECTIONS) {
             let at = |i: usize| shares(&places, t[i]).iter().map(|(k, w)| w * d[*k]).sum();
-            out.push(Term { what: What::Air, record: s.record, column: column(rows, s, at), sd: AIR_UM_S.0 });
+            out.push(Term {
+                what: SetUpKind::Air,
+                record: s.record,
+                column: column(rows, s, at),
+                sd: AIR_UM_S.0,
+            });
         }
     }
 }
@@ -187,7 +194,7 @@ pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
         }
         for p in pauses {
             let step = column(rows, s, |i| f64::from(u8::from(i > p)));
-            out.push(Term { what: What::Jump, record: s.record, column: step, sd: 1.0 });
+            out.push(Term { what: SetUpKind::Jump, record: s.record, column: step, sd: 1.0 });
         }
     }
     out
@@ -261,7 +268,7 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
             for i in group {
                 own[s.rows.start + i] = 1.0;
             }
-            out.push(Term { what: What::Rounding, record: s.record, column: own, sd: q / 12f64.sqrt() });
+            out.push(Term { what: SetUpKind::Rounding, record: s.record, column: own, sd: q / 12f64.sqrt() });
         }
     }
     out
@@ -299,7 +306,7 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
             for i in g {
                 own[s.rows.start + i] = 1.0;
             }
-            out.push(Term { what: What::Rounding, record: s.record, column: own, sd });
+            out.push(Term { what: SetUpKind::Rounding, record: s.record, column: own, sd });
         }
     }
 }
@@ -441,21 +448,21 @@ fn elsewhere(record: &Record) -> Vec<Record> {
 /// Effects of the model in circles of unknown centre.
 fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for effect in model {
-        let sizes: Vec<f64> = match effect.description().place(Search::Amplitude) {
+        let sizes: Vec<f64> = match effect.description().place(ParameterSearch::Amplitude) {
             Some(i) => vec![effect.scalar(i).abs(); effect.coefficient_count()],
             None => effect.coefficients().iter().map(|c| c.abs()).collect(),
         };
         for (record, column) in unknown_centre_columns(rows, effect, &sizes) {
             // Equal lobes of several effects are merged into one term, whose variance is their sum.
             let same = |t: &&mut Term| {
-                t.what == What::Unplaced && t.record == record && proportional(&t.column, &column)
+                t.what == SetUpKind::Unplaced && t.record == record && proportional(&t.column, &column)
             };
             if let Some(t) = out.iter_mut().find(same) {
                 let by = rms(&column) / rms(&t.column);
                 t.sd = t.sd.hypot(by);
                 continue;
             }
-            out.push(Term { what: What::Unplaced, record, column, sd: 1.0 });
+            out.push(Term { what: SetUpKind::Unplaced, record, column, sd: 1.0 });
         }
     }
 }
@@ -502,7 +509,7 @@ pub fn turns(rows: &Rows<'_>) -> Vec<Term> {
                 *x = by * p / 1000.0;
             }
         }
-        Some(Term { what: What::Turn, record: r, column: own, sd: TURN_URAD })
+        Some(Term { what: SetUpKind::Turn, record: r, column: own, sd: TURN_URAD })
     };
     rows.records.iter().enumerate().filter(|(_, r)| r.kind == Kind::Plate).filter_map(of).collect()
 }
@@ -521,7 +528,8 @@ pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
 fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
     for effect in model.iter().filter(|e| e.description().after_turn) {
         let Some(axis) = effect.axes().first() else { continue };
-        let values = [Search::Linear, Search::Smooth].map(|how| effect.description().place(how));
+        let values =
+            [ParameterSearch::Linear, ParameterSearch::Smooth].map(|how| effect.description().place(how));
         let ([Some(um), Some(length)], Some(share)) = (values, rows.share(axis)) else { continue };
         for s in errors(rows) {
             let record = rows.record(s);
@@ -538,7 +546,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
                 here * effect.scalar(um) * (-travel / effect.scalar(length)).exp()
             };
             out.push(Term {
-                what: What::AfterTurn,
+                what: SetUpKind::AfterTurn,
                 record: s.record,
                 column: column(rows, s, spike),
                 sd: 1.0,
@@ -563,8 +571,9 @@ fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
         }
         // As large and as rare as a spike may be, or as large as the model's own spike.
         let spikes = model.iter().filter(|e| e.description().after_turn && e.axes().first() == Some(axis));
-        let own_um = spikes.filter_map(|e| Some(e.scalar(e.description().place(Search::Linear)?).abs()));
+        let own_um =
+            spikes.filter_map(|e| Some(e.scalar(e.description().place(ParameterSearch::Linear)?).abs()));
         let sd = own_um.fold(0.3 * CONTRIBUTION, f64::max);
-        out.push(Term { what: What::AfterTurn, record: s.record, column: own, sd });
+        out.push(Term { what: SetUpKind::AfterTurn, record: s.record, column: own, sd });
     }
 }

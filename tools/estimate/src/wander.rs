@@ -6,7 +6,7 @@ use crate::effort::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
 use crate::problem::Problem;
 use crate::rows::{Noise, Rows};
-use crate::setup::{Term, What};
+use crate::setup::{SetUpKind, Term};
 use crate::smooth::{Kernel, directions, knots, shares};
 use rustfft::{FftPlanner, num_complex::Complex};
 
@@ -107,7 +107,7 @@ pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
             for (i, x) in order.iter().enumerate() {
                 column[s.rows.start + i] = shares(&places, *x).iter().map(|(k, w)| w * d[*k]).sum();
             }
-            out.push(Term { what: What::Wander, record: s.record, column, sd: wander.size });
+            out.push(Term { what: SetUpKind::Wander, record: s.record, column, sd: wander.size });
         }
     }
     out

@@ -9,7 +9,7 @@ use rtec_estimate::search::Search;
 use rtec_estimate::setup::step_of;
 use rtec_estimate::smooth::{Kernel, directions, knots};
 use rtec_estimate::wave::Along;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::Dictionary;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 

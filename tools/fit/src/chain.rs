@@ -5,7 +5,7 @@
 //! their coefficients; the rest of the chain stays fixed. The error is linear in the coefficients except for
 //! products of two small quantities. A second pass includes those.
 
-use crate::least::{Found, Problem, unread};
+use crate::least::{FittedValue, Problem, unread};
 use rtec_files::InputError;
 use rtec_model::chain::{COMPONENTS, Chain};
 use rtec_model::record::{Record, Role};
@@ -181,7 +181,7 @@ pub fn fit(
         let seen = columns.iter().flatten().any(|v| *v != 0.0);
         Ok::<_, InputError>(seen.then_some(columns))
     };
-    let (mut found, mut warnings): (Vec<Found>, Vec<String>) = (Vec::new(), Vec::new());
+    let (mut found, mut warnings): (Vec<FittedValue>, Vec<String>) = (Vec::new(), Vec::new());
     for _ in 0..2 {
         warnings.clear();
         let mut problem = Problem::new(places.len());
@@ -226,7 +226,7 @@ pub fn fit(
             }
         }
     }
-    let term = |(&[j, c, t], f): (&Place, &Found)| {
+    let term = |(&[j, c, t], f): (&Place, &FittedValue)| {
         let joint = &chain.joints[j];
         let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
         TermFound {

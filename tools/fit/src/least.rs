@@ -6,7 +6,7 @@
 //! shared by neighbouring rows therefore do not narrow them. The same is done with stretches of places of
 //! every axis, because an unexplained wave or bend repeats at its place. The widest interval is used.
 
-use crate::places::{self, Left};
+use crate::places::{self, StructuredResidual};
 use crate::statistics::quantile;
 use crate::thermal::{Fitted, Intervals, jackknife_interval, provenance};
 use rtec_files::InputError;
@@ -15,7 +15,7 @@ use rtec_files::text::short;
 use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
-use rtec_model::effect::{Dictionary, Difference, Effect, Missing, Need, Quantity, Search};
+use rtec_model::effect::{Dictionary, Difference, Effect, Missing, Need, ParameterSearch, Quantity};
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, Source};
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 use serde::Serialize;
@@ -29,7 +29,7 @@ const DEPENDENT: f64 = 1e-5;
 
 /// The fitted value of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Found {
+pub(crate) struct FittedValue {
     pub(crate) value: f64,
     pub(crate) interval: [f64; 2],
 }
@@ -46,7 +46,7 @@ pub(crate) struct Problem {
     /// `None` if the zero is known.
     means: Vec<Option<(f64, Vec<f64>)>>,
     /// Readings of a coarse gauge, by response of a record.
-    rounded: Vec<Rounded>,
+    rounded: Vec<QuantisedResponse>,
     /// Causes that were read in coarse steps.
     causes: Vec<CoarseCause>,
     /// Position of an axis at every row, mm, by its name; `None` if it stood still.
@@ -55,7 +55,7 @@ pub(crate) struct Problem {
 
 /// A response that was read in coarse steps.
 #[derive(Debug)]
-struct Rounded {
+struct QuantisedResponse {
     /// Rows that read alike from one side.
     alike: Vec<Vec<usize>>,
     /// Standard deviation of the rounding error that repeats leave.
@@ -124,7 +124,7 @@ impl Problem {
 
     /// Mean residual of a piece, µm: its own zero.
     /// `None` if that is known.
-    fn zero_um(&self, found: &[Found], piece: usize) -> Option<f64> {
+    fn zero_um(&self, found: &[FittedValue], piece: usize) -> Option<f64> {
         let (of_y, of_columns) = self.means[piece].as_ref()?;
         Some(of_y - found.iter().zip(of_columns).map(|(f, m)| f.value * m).sum::<f64>())
     }
@@ -141,7 +141,8 @@ impl Problem {
             let value = if steps.is_coarse() { (reading / steps.step).round() as i64 } else { 0 };
             groups.entry((value, direction.map_or(0, |d| d[i] as i64))).or_default().push(piece.start + i);
         }
-        self.rounded.push(Rounded { alike: groups.into_values().collect(), sd: steps.standard_error() });
+        self.rounded
+            .push(QuantisedResponse { alike: groups.into_values().collect(), sd: steps.standard_error() });
         steps.is_coarse().then(|| {
             let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
             format!(
@@ -272,7 +273,7 @@ impl Problem {
     }
 
     /// RMS over the pieces that `take` chooses: without and with the solution.
-    fn rms_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> [f64; 2] {
+    fn rms_um(&self, found: &[FittedValue], take: impl Fn(usize) -> bool) -> [f64; 2] {
         let (mut before, mut after, mut n) = (0.0, 0.0, 0.0);
         for i in self.pieces.iter().enumerate().filter(|(k, _)| take(*k)).flat_map(|(_, p)| p.clone()) {
             before += self.y[i].powi(2);
@@ -282,7 +283,7 @@ impl Problem {
         [(before / f64::max(n, 1.0)).sqrt(), (after / f64::max(n, 1.0)).sqrt()]
     }
 
-    fn left_um(&self, found: &[Found], i: usize) -> f64 {
+    fn left_um(&self, found: &[FittedValue], i: usize) -> f64 {
         self.y[i] - found.iter().zip(&self.columns).map(|(f, c)| f.value * c[i]).sum::<f64>()
     }
 
@@ -314,7 +315,7 @@ impl Problem {
 
     /// Half width that contains 95 % of the rows in the worst selected piece.
     /// The worst is used because one kind of run may show what another does not.
-    fn half_width_um(&self, found: &[Found], take: impl Fn(usize) -> bool) -> f64 {
+    fn half_width_um(&self, found: &[FittedValue], take: impl Fn(usize) -> bool) -> f64 {
         let own = self.pieces.iter().enumerate().filter(|(k, p)| take(*k) && !p.is_empty());
         own.map(|(_, p)| quantile(p.clone().map(|i| self.left_um(found, i).abs()).collect(), 0.95))
             .fold(1e-9, f64::max)
@@ -322,7 +323,7 @@ impl Problem {
 
     /// Solves, or returns the first parameter that these rows do not determine.
     /// It is not determined together with those before it.
-    pub(crate) fn solve(&self) -> Result<Vec<Found>, usize> {
+    pub(crate) fn solve(&self) -> Result<Vec<FittedValue>, usize> {
         rtec_files::computation::step();
         if self.y.is_empty() {
             return Err(0);
@@ -333,14 +334,14 @@ impl Problem {
         if let Some(k) = (0..self.columns.len()).find(dependent) {
             return Err(k);
         }
-        let mut found: Vec<Found> = Vec::new();
+        let mut found: Vec<FittedValue> = Vec::new();
         for blocks in self.stretches() {
             let of_these = self.jackknifed(&blocks, &solution.values)?;
             if found.is_empty() {
                 found = of_these;
                 continue;
             }
-            let width = |f: &Found| f.interval[1] - f.interval[0];
+            let width = |f: &FittedValue| f.interval[1] - f.interval[0];
             let wider = found.iter_mut().zip(of_these).filter(|(f, other)| width(other) > width(f));
             wider.for_each(|(f, other)| *f = other);
         }
@@ -352,13 +353,13 @@ impl Problem {
     }
 
     /// Values with intervals from leaving out each block in turn.
-    fn jackknifed(&self, blocks: &[usize], values: &[f64]) -> Result<Vec<Found>, usize> {
+    fn jackknifed(&self, blocks: &[usize], values: &[f64]) -> Result<Vec<FittedValue>, usize> {
         let equal = self.equal_rows(blocks);
         let used = (0..BLOCKS).filter(|b| blocks.contains(b));
         let parts = used.map(|b| without(&equal, b)).collect::<Result<Vec<_>, _>>()?;
         let found = values.iter().enumerate().map(|(k, value)| {
             let parts: Vec<f64> = parts.iter().map(|s| s.values[k]).collect();
-            Found { value: *value, interval: jackknife_interval(*value, &parts) }
+            FittedValue { value: *value, interval: jackknife_interval(*value, &parts) }
         });
         Ok(found.collect())
     }
@@ -402,7 +403,7 @@ pub struct NamedReport {
 fn written(
     machine: &mut Machine,
     effects: Vec<Effect>,
-    found: &[Found],
+    found: &[FittedValue],
     records: &[&Record],
     date: &str,
 ) -> Result<Vec<Fitted>, InputError> {
@@ -428,7 +429,7 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
     let usage = |found: String, expected: String| InputError::whole(Path::new("--effects"), found, expected);
     let (name, delta) = text.split_once(':').map_or((text, None), |(n, d)| (n, Some(d)));
     let mut effect = dictionary.effect(name).map_err(|e| usage(e.found, e.expected))?;
-    if effect.description().parameters.iter().any(|p| p.search != Search::Linear || p.array) {
+    if effect.description().parameters.iter().any(|p| p.search != ParameterSearch::Linear || p.array) {
         let found = format!("`{name}`, which is not linear in one number per parameter");
         return Err(usage(
             found,
@@ -470,7 +471,7 @@ fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputErro
 /// Half widths of a response by kind of run, from each piece's response and kind.
 fn by_kind_um(
     problem: &Problem,
-    found: &[Found],
+    found: &[FittedValue],
     piece_of: &[(Role, Option<String>)],
     role: &Role,
 ) -> BTreeMap<String, f64> {
@@ -486,14 +487,18 @@ fn by_kind_um(
 /// Messages about pieces whose residuals are not noise, one line each.
 fn structure(
     problem: &Problem,
-    found: &[Found],
+    found: &[FittedValue],
     owners: &[&Record],
     piece_of: &[(Role, Option<String>)],
 ) -> Vec<String> {
     let of = |n: usize| {
         let (record, role) = (owners[n], &piece_of[n].0);
         let left: Vec<f64> = problem.pieces[n].clone().map(|i| problem.left_um(found, i)).collect();
-        Some(format!("{}: {role}: {}", record.path.display(), Left::of(record, &left, found.len())?))
+        Some(format!(
+            "{}: {role}: {}",
+            record.path.display(),
+            StructuredResidual::of(record, &left, found.len())?
+        ))
     };
     (0..problem.pieces.len()).filter_map(of).collect()
 }

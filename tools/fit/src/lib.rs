@@ -5,7 +5,7 @@
 //! | [`thermal`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
 //! | [`least`] | least squares for named effects and chain terms |
 //! | `places` | residuals that repeat at a place |
-//! | [`quiet`] | temperatures without sensor noise |
+//! | [`denoise`] | temperatures without sensor noise |
 //! | `statistics` | means and quantiles |
 //! | [`workflow`] | a fit from records as users give them, and its document |
 //! | [`validate`] | checks a model on records that it has not seen |
@@ -16,9 +16,9 @@
 //! An example: `cargo run -p rtec-fit --example fit_growth`. The tests run it too.
 
 pub mod chain;
+pub mod denoise;
 pub mod least;
 mod places;
-pub mod quiet;
 mod statistics;
 pub mod thermal;
 pub mod validate;

@@ -62,7 +62,7 @@ pub(crate) fn stretches(p: &[Option<f64>], most: usize) -> Option<Vec<Option<usi
 
 /// A residual that is not noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Left {
+pub(crate) struct StructuredResidual {
     /// RMS of the whole residual, µm.
     rms_um: f64,
     /// Standard deviation of the rows of one place, µm.
@@ -70,7 +70,7 @@ pub(crate) struct Left {
     repeats_um: Option<f64>,
 }
 
-impl Left {
+impl StructuredResidual {
     /// Tests these rows' residuals after a fit of `fitted` parameters.
     /// `None` if they may be noise.
     pub(crate) fn of(record: &Record, left_um: &[f64], fitted: usize) -> Option<Self> {
@@ -114,7 +114,7 @@ impl Left {
     }
 }
 
-impl fmt::Display for Left {
+impl fmt::Display for StructuredResidual {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:.2} µm RMS are left", self.rms_um)?;
         match self.repeats_um {

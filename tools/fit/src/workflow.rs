@@ -17,7 +17,7 @@ use std::path::Path;
 
 /// The options of a fit, as the user gives them.
 #[derive(Debug, Clone, Default)]
-pub struct Asked {
+pub struct FitRequest {
     /// Differences to choose from, as `T0` (to the environment) or `T8-T18`.
     /// Empty for all sensors.
     pub sensors: Vec<String>,
@@ -70,7 +70,7 @@ const SHORT_S: f64 = 1800.0;
 pub fn fit(
     train: Vec<Record>,
     holdout: Vec<Record>,
-    asked: &Asked,
+    asked: &FitRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<Fit, InputError> {
     let doubts = plausible::said(&[train.as_slice(), &holdout].concat(), say);
@@ -132,7 +132,7 @@ pub fn fit(
 pub fn fit_named(
     records: Vec<Record>,
     effects: &[String],
-    asked: &Asked,
+    asked: &FitRequest,
     say: &mut dyn FnMut(Said),
 ) -> Result<NamedFit, InputError> {
     let paths: Vec<_> = records.iter().map(|r| r.path.clone()).collect();

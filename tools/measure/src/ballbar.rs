@@ -15,7 +15,7 @@ use crate::derive::noise;
 use crate::iso230::{Budget, Round, error_axes, lacks};
 use crate::steps::step_of;
 use rtec_files::Result;
-use rtec_model::circle::{Circle, rates, turn_rad};
+use rtec_model::ballbar_circle::{Circle, rates, turn_rad};
 use rtec_model::effect::Dictionary;
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, median, span};

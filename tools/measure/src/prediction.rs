@@ -2,7 +2,7 @@
 
 use crate::{derive, plausible, record};
 use rtec_files::{InputError, Result, Said};
-use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, Reach, Running};
+use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, PiecewisePrediction, Reach};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -58,7 +58,7 @@ pub fn write(
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     }
     pieces.rewind()?;
-    let (mut running, mut asked) = (Running::of(machine), FitRangeCheck::of(machine));
+    let (mut running, mut asked) = (PiecewisePrediction::of(machine), FitRangeCheck::of(machine));
     let looked_over = if interval { Some(look_over(&mut pieces, &mut asked)?) } else { None };
     pieces.rewind()?;
     let mut widths: Vec<HalfWidths<'_>> = Vec::new();

@@ -6,7 +6,7 @@
 
 use crate::iso230::targets;
 use rtec_files::text::short;
-use rtec_model::circle::tick;
+use rtec_model::ballbar_circle::tick;
 use rtec_model::record::{Column, Kind, Record, Role, shared_step, span};
 
 /// Readings with more different values are not coarse.

@@ -77,7 +77,7 @@ pub struct Chain {
 
 /// The axis of a joint, and the temperature difference of each component.
 #[derive(Debug, Clone)]
-pub(crate) struct JointPlaces<A, S> {
+pub(crate) struct JointIndices<A, S> {
     axis: Option<A>,
     deltas: Vec<Option<DifferenceSource<S>>>,
 }
@@ -243,12 +243,12 @@ impl Chain {
         &self,
         axis: impl Fn(&Axis) -> Option<A>,
         sensor: impl Fn(&str) -> S,
-    ) -> Vec<JointPlaces<A, S>> {
+    ) -> Vec<JointIndices<A, S>> {
         let of = |d: &Difference| {
             let (minus, reference_degc) = (d.minus().map(&sensor), d.reference_degc());
             DifferenceSource { sensor: sensor(&d.sensor), minus, reference_degc }
         };
-        let joint = |j: &Joint| JointPlaces {
+        let joint = |j: &Joint| JointIndices {
             axis: j.axis.as_ref().and_then(|(a, _)| axis(a)),
             deltas: j.components.iter().map(|c| c.delta.as_ref().map(of)).collect(),
         };
@@ -259,7 +259,7 @@ impl Chain {
     /// Positions (mm) and temperatures (°C) are given by place. A value without a place is zero.
     pub(crate) fn error_at_um<A, S>(
         &self,
-        places: &[JointPlaces<A, S>],
+        places: &[JointIndices<A, S>],
         position_mm: impl Fn(&A) -> f64,
         degc: impl Fn(&S) -> f64,
     ) -> [f64; 3] {

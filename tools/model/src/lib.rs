@@ -9,7 +9,7 @@
 //! | [`live`] | a model evaluated at one instant, without allocation |
 //! | [`record`] | a run in memory, column by column, over which effects are evaluated |
 //! | `role` | the role and axis of a column |
-//! | [`circle`] | a circular run measured by a bar: the errors of its two axes from the angle |
+//! | [`ballbar_circle`] | a circular run measured by a bar: the errors of its two axes from the angle |
 //! | [`file_kind`] | the kind of a file that was given in place of another (from `rtec-files`) |
 //!
 //! These do not belong here: files of runs (`rtec-measure`), anything that chooses or fits (`rtec-fit`),
@@ -17,8 +17,8 @@
 //!
 //! An example: `cargo run -p rtec-model --example evaluate`. The tests run it too.
 
+pub mod ballbar_circle;
 pub mod chain;
-pub mod circle;
 pub mod effect;
 pub use rtec_files::file_kind;
 pub mod limits;

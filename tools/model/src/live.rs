@@ -11,7 +11,7 @@
 //! An axis whose sensors are lost is held: its temperature differences and lags keep their values. Effects of
 //! its position continue.
 
-use crate::chain::{Chain, JointPlaces};
+use crate::chain::{Chain, JointIndices};
 use crate::effect::{
     Basis, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC, State, sign,
 };
@@ -83,7 +83,7 @@ impl Frame<'_> {
 
 /// The places in a frame of an effect's inputs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Places {
+struct InputIndices {
     /// Of the axes in the effect's name, among the layout's axes.
     axes: [Option<usize>; 3],
     /// Of the sensor, and of the sensor that is subtracted.
@@ -96,7 +96,7 @@ struct Places {
 /// The inputs that effects with the same places share at an instant.
 #[derive(Debug, Clone)]
 struct Reading {
-    places: Places,
+    places: InputIndices,
     /// The inputs, filled at every instant.
     /// While one of a thermal effect's axes is held, its time and ΔT do not change.
     now: Input,
@@ -129,7 +129,7 @@ struct Item {
 
 /// One effect at the last instant.
 #[derive(Debug, Clone, Copy)]
-pub struct Part<'l> {
+pub struct EffectValue<'l> {
     /// The effect that is evaluated.
     pub effect: &'l Effect,
     /// Its value, µm or N; the second one is for a pair's second axis.
@@ -145,7 +145,7 @@ pub struct Part<'l> {
 struct LiveChain {
     chain: Chain,
     /// Per joint: its axis in the layout, and its components' sensors.
-    places: Vec<JointPlaces<usize, usize>>,
+    places: Vec<JointIndices<usize, usize>>,
     /// The places of the axes x, y, z in the layout.
     out: [Option<usize>; 3],
     /// Temperatures of the last instant at which none of its axes was held.
@@ -248,7 +248,7 @@ impl Live {
             }
             let channel = effect.channel().map(|c| find("channel", &layout.channels, c)).transpose()?;
             longest = longest.max(effect.coefficient_count());
-            let places = Places { axes, sensor, minus, reference, channel };
+            let places = InputIndices { axes, sensor, minus, reference, channel };
             let reading = readings.iter().position(|r| r.places == places).unwrap_or_else(|| {
                 readings.push(Reading { places, now: Input::default() });
                 readings.len() - 1
@@ -367,8 +367,8 @@ impl Live {
     }
 
     /// Every effect with its value at the last instant.
-    pub fn parts(&self) -> impl Iterator<Item = Part<'_>> {
-        self.items.iter().map(|i| Part {
+    pub fn parts(&self) -> impl Iterator<Item = EffectValue<'_>> {
+        self.items.iter().map(|i| EffectValue {
             effect: &i.effect,
             value: i.now,
             outside_k: i.outside_k,
@@ -384,7 +384,7 @@ impl Live {
 
 impl Reading {
     fn fill(&mut self, frame: &Frame<'_>) {
-        let Places { axes, sensor, minus, reference, channel } = &self.places;
+        let InputIndices { axes, sensor, minus, reference, channel } = &self.places;
         let nowhere = AxisNow::default();
         let at = |n: usize| axes[n].map_or(&nowhere, |a| &frame.axes[a]);
         let first = at(0);

@@ -2,7 +2,7 @@
 //!
 //! In a file it is a run record (guide, "Run records"), which `rtec-measure` reads and writes.
 
-use crate::circle::{Circle, Derived};
+use crate::ballbar_circle::{Circle, Derived};
 use rtec_files::InputError;
 use rtec_files::text::{open_regular, unreadable};
 use sha2::{Digest, Sha256};
@@ -35,7 +35,7 @@ pub struct Record {
     /// Without a name the record has its own zero.
     pub zero: Option<String>,
     /// Where the axis of a positioning run turned back; `None` if not stated.
-    pub turns: Option<Turns>,
+    pub turns: Option<ReversalPoint>,
     /// The listed columns, in the CSV's order.
     pub columns: Vec<Column>,
     time_s: Vec<f64>,
@@ -50,7 +50,7 @@ pub struct Record {
 
 /// Where the axis of a positioning run turned back.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Turns {
+pub enum ReversalPoint {
     /// So far beyond the end targets, mm; `None` if the distance is not stated.
     Overtravel(Option<f64>),
     /// At the end targets themselves.
@@ -68,7 +68,7 @@ impl Record {
     /// Zero if it turned at them, or if nothing is stated.
     pub fn past_mm(&self) -> f64 {
         match self.turns {
-            Some(Turns::Overtravel(Some(over_mm))) => over_mm,
+            Some(ReversalPoint::Overtravel(Some(over_mm))) => over_mm,
             _ => 0.0,
         }
     }
@@ -76,7 +76,7 @@ impl Record {
     /// Whether the travel since a turn is known for the rows after it.
     pub fn tells_turns(&self) -> bool {
         self.kind != Kind::Positioning
-            || matches!(self.turns, Some(Turns::Overtravel(Some(_)) | Turns::AtTarget))
+            || matches!(self.turns, Some(ReversalPoint::Overtravel(Some(_)) | ReversalPoint::AtTarget))
     }
 
     /// A record made in memory (by the simulator or the recorder).

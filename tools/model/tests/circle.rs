@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_builders::column;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};

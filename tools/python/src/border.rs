@@ -1,7 +1,7 @@
 //! Passes errors and long work between Rust and Python.
 
 use pyo3::prelude::*;
-use rtec_files::watch::Watch;
+use rtec_files::computation::ComputationHandle;
 use rtec_files::{InputError, Said};
 use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -59,7 +59,7 @@ pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
     of: impl FnOnce(&mut dyn FnMut(Said)) -> Result<T, Failure> + Send + 'static,
 ) -> Answered<T> {
-    let watch = Arc::new(Watch::default());
+    let watch = Arc::new(ComputationHandle::default());
     let (send, done) = mpsc::channel::<Done<T>>();
     let watched = Arc::clone(&watch);
     let working = move || {
@@ -92,7 +92,11 @@ fn bug(py: Python<'_>, why: &str) -> PyErr {
 }
 
 /// Waits for the work. Meanwhile it checks Python's signals and calls its hook.
-fn waited<T: Send>(py: Python<'_>, watch: &Watch, mut done: Receiver<Done<T>>) -> PyResult<Done<T>> {
+fn waited<T: Send>(
+    py: Python<'_>,
+    watch: &ComputationHandle,
+    mut done: Receiver<Done<T>>,
+) -> PyResult<Done<T>> {
     let start = Instant::now();
     loop {
         let answer;

@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_measure::plausible;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Column, Kind, Role};
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
 //! Advises the experiment that would separate what these data cannot.
 
 use crate::answer::Finding;
-use crate::extent::{self, GRID_SHARE};
+use crate::grid_aliases::{self, GRID_SHARE};
 use crate::verdict::Verdict;
 use rtec_estimate::Shape;
 use rtec_model::effect::{Dictionary, Effect, Wave};
@@ -22,7 +22,7 @@ fn hidden_leads(effect: &Effect, train: &[Record], dictionary: &Dictionary) -> O
     let screw = dictionary.effect(&format!("screw_periodic.{axis}")).ok()?;
     let leads_mm = screw.description().searched.wave?.usual_mm;
     let shortest = leads_mm.iter().copied().fold(f64::INFINITY, f64::min);
-    let pitch = extent::pitch(&places(axis, train), GRID_SHARE * shortest)?;
+    let pitch = grid_aliases::pitch(&places(axis, train), GRID_SHARE * shortest)?;
     let whole = |lead: &&f64| {
         let turns = pitch / **lead;
         turns > 0.5 && (turns - turns.round()).abs() < GRID_SHARE
@@ -44,10 +44,10 @@ fn other_periods(effect: &Effect, train: &[Record]) -> Option<String> {
     let Wave { unit_mm, usual_mm, .. } = law.searched.wave?;
     let places = places(&effect.axes()[0], train);
     let period_mm = effect.scalar(0) * unit_mm;
-    let pitch = extent::pitch(&places, GRID_SHARE * period_mm)?;
+    let pitch = grid_aliases::pitch(&places, GRID_SHARE * period_mm)?;
     let [lo, hi] = law.parameters[0].bounds;
     let range = [1.0 / (hi * unit_mm), 1.0 / (lo * unit_mm)];
-    let others: Vec<String> = extent::aliases(1.0 / period_mm, pitch, range, 7, usual_mm)
+    let others: Vec<String> = grid_aliases::aliases(1.0 / period_mm, pitch, range, 7, usual_mm)
         .iter()
         .map(|f| 1.0 / (f * unit_mm))
         .filter(|p| (p / effect.scalar(0) - 1.0).abs() > 1e-3)

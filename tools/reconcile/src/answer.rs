@@ -2,7 +2,7 @@
 //! They are effects with a name, shapes without one, and corrections of the model.
 
 use rtec_estimate::problem::Units;
-use rtec_estimate::{Estimate, Found, Rival, Shape};
+use rtec_estimate::{Estimate, EstimatedMember, Rival, Shape};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -53,7 +53,7 @@ pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
 /// Bound on the probability that chance alone gives such odds.
 /// Under chance the mean Bayes factor is one, so a factor of x has a probability below 1/x (Markov's
 /// inequality). The price of one more effect is not part of the prior over names, so it is taken out again.
-fn p_value(f: &Found) -> f64 {
+fn p_value(f: &EstimatedMember) -> f64 {
     (-f.evidence - rtec_estimate::priors::PRICE).exp().min(1.0)
 }
 
@@ -88,7 +88,7 @@ pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, units:
     rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine), start, units, enough)
 }
 
-fn finding(f: &Found, effect: &Effect) -> Finding {
+fn finding(f: &EstimatedMember, effect: &Effect) -> Finding {
     Finding {
         effect: effect.clone(),
         held: f.held.clone(),

@@ -6,7 +6,7 @@ use crate::gap::Gap;
 use crate::localisation::LEAST_P;
 use crate::verdict::{Reconciliation, Refined, SetUp};
 use rtec_estimate::Rival;
-use rtec_model::effect::{Against, Difference, Effect, Search};
+use rtec_model::effect::{Against, Difference, Effect, ParameterSearch};
 use serde_json::{Map, Value, json};
 
 fn sensor_keys(map: &mut Map<String, Value>, sensor: Option<&Difference>) {
@@ -29,7 +29,7 @@ fn parameters(
     let width = effect.width();
     for (i, p) in effect.description().parameters.iter().enumerate() {
         let one = |v: Vec<f64>| if p.array { json!(v) } else { json!(v[0]) };
-        if p.array && p.search == Search::Chosen {
+        if p.array && p.search == ParameterSearch::Chosen {
             beside.insert(p.name.clone(), json!(effect.get(i)));
             continue;
         }

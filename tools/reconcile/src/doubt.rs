@@ -6,7 +6,7 @@
 use crate::answer::stated;
 use crate::gap::{self, Gap};
 use crate::suspected::{about, is_of_clock, is_one_of_several, is_sensor, whole};
-use crate::verdict::Unsaid;
+use crate::verdict::SkippedRecord;
 use rtec_estimate::alone;
 use rtec_estimate::problem::Units;
 use rtec_measure::plausible::{self, Suspicion, What};
@@ -124,9 +124,9 @@ impl Doubts {
     }
 
     /// The given records that are used neither for learning nor for judging, and why.
-    pub(crate) fn unsaid(&self, train: &[Record], holdout: &[Record], model: &Machine) -> Vec<Unsaid> {
+    pub(crate) fn unsaid(&self, train: &[Record], holdout: &[Record], model: &Machine) -> Vec<SkippedRecord> {
         let held = self.holdouts(model).0;
-        let of = |all: &[Record], left: &[Record]| -> Vec<Unsaid> {
+        let of = |all: &[Record], left: &[Record]| -> Vec<SkippedRecord> {
             let gone = all.iter().filter(|r| left.iter().all(|l| l.path != r.path));
             // A record that is given twice is reported once.
             let own = |r: &&Record| self.said.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
@@ -134,7 +134,7 @@ impl Doubts {
             let unsaid = |r: &Record| {
                 let mut why: Vec<&str> = own(&r).iter().map(|s| s.what.name()).collect();
                 why.dedup();
-                Unsaid { record: r.path.display().to_string(), why: why.join(", ") }
+                SkippedRecord { record: r.path.display().to_string(), why: why.join(", ") }
             };
             gone.filter(|r| !again(r)).map(unsaid).collect()
         };

@@ -86,7 +86,7 @@ pub struct Trace {
     /// Whether it was held out.
     pub holdout: bool,
     /// The abscissa of a plot: position, angle or time.
-    pub over: Over,
+    pub over: Abscissa,
     /// Measured minus simulated with the original model.
     pub before: Vec<f64>,
     /// The same with the better model.
@@ -95,7 +95,7 @@ pub struct Trace {
 
 /// The abscissa of a response's rows.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Over {
+pub struct Abscissa {
     /// Its name with its unit.
     pub name: String,
     /// Its value at every row.
@@ -109,7 +109,7 @@ pub struct Over {
 /// An axis that moves by less counts as standing still, mm.
 const STILL_MM: f64 = 1.0;
 
-impl Over {
+impl Abscissa {
     /// The abscissa of a trace: angle of a circle, position, or time.
     /// The position is that of an axis that moves, if possible the response's own.
     fn of(record: &Record, response: &Role) -> Self {
@@ -151,7 +151,7 @@ pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, aft
                 file: record.file.clone(),
                 response: column.role.to_string(),
                 holdout: held,
-                over: Over::of(record, &column.role),
+                over: Abscissa::of(record, &column.role),
                 before,
                 after,
             });

@@ -13,9 +13,9 @@
 //! | `subsample` | a subsample of very many rows |
 //! | `answer` | the estimate as findings |
 //! | `localisation` | where measured and simulated disagree |
-//! | `room` | the sensors that a fit of growth chooses on the same drift |
+//! | `sensor_choice` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained` | a curve in place of what no effect explains |
-//! | `extent` | aliases on a grid of places, for the advice |
+//! | `grid_aliases` | aliases on a grid of places, for the advice |
 //! | `interval` | the prediction interval of the better model |
 //! | `next_run` | the run that would separate an effect from its rivals, planned before it is made |
 //! | `regression` | the regression behind a fit or a verdict, as arrays |
@@ -30,15 +30,15 @@ mod advice;
 mod answer;
 mod document;
 mod doubt;
-mod extent;
 mod gap;
+mod grid_aliases;
 mod interval;
 mod localisation;
 mod mistakes;
 mod next_run;
 mod regression;
 mod report;
-mod room;
+mod sensor_choice;
 mod subsample;
 mod suspected;
 #[cfg(test)]
@@ -52,14 +52,14 @@ mod workflow;
 pub const SEED: u64 = 4832;
 
 pub use answer::Finding;
-pub use gap::{Gap, Over, Trace};
-pub use localisation::Place;
-pub use next_run::{NextRuns, Open, Tells, next_runs};
+pub use gap::{Abscissa, Gap, Trace};
+pub use localisation::ResidualStructure;
+pub use next_run::{ExpectedEvidence, NextRuns, UnresolvedEffect, next_runs};
 pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
 pub use report::{html, pictures};
 pub use rtec_estimate::{Rival, Shape, Tried};
 pub use unexplained::LAWS_FILE;
-pub use verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
+pub use verdict::{Reconciliation, Refined, SetUp, SkippedRecord, Verdict};
 pub use why::why;
 pub use workflow::{find, reconcile};
 

@@ -8,7 +8,7 @@ use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Rows, Segment};
-use rtec_estimate::setup::What;
+use rtec_estimate::setup::SetUpKind;
 use rtec_least_squares::dot;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -17,7 +17,7 @@ use serde::Serialize;
 
 /// Structure of a response against one variable.
 #[derive(Debug, Clone, Serialize)]
-pub struct Place {
+pub struct ResidualStructure {
     /// The response.
     pub response: String,
     /// The variable: a role, `temperature.T3`, `channel.z9`.
@@ -36,7 +36,7 @@ pub struct Place {
     pub near_turns: bool,
 }
 
-impl Place {
+impl ResidualStructure {
     /// The variable, with a wave's period: `position.x, period 10.0 mm`.
     #[must_use]
     pub fn against(&self) -> String {
@@ -105,7 +105,7 @@ pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 
 /// Tests every response against every channel; strongest first.
 /// The residual is that of the original model with its own parameters adjusted to the data.
-pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
+pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<ResidualStructure> {
     let stack = Rows::new(records);
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let mut problem = Problem::new(&stack, &model, &crate::answer::stated(machine));
@@ -116,9 +116,9 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
         // Large effects hide small ones, so each channel is also tested beside stronger ones.
         let role = stack.responses[response].to_string();
         let channels = channels(&stack, &segments);
-        let found: Vec<Option<Place>> =
+        let found: Vec<Option<ResidualStructure>> =
             channels.iter().map(|(against, x)| place(&role, against, x, &residual, sigma, 1.0)).collect();
-        let mut alone: Vec<((String, Vec<f64>), Place)> =
+        let mut alone: Vec<((String, Vec<f64>), ResidualStructure)> =
             channels.into_iter().zip(found).filter_map(|(channel, place)| Some((channel, place?))).collect();
         alone.sort_by(|a, b| b.1.statistic.total_cmp(&a.1.statistic));
         let mut left = vec![residual.clone()];
@@ -145,13 +145,13 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     rate(&mut out);
     // A response without a finding is tested again without the air as a set-up term, because the air can follow
     // any drift.
-    let nowhere = |role: &str| !out.iter().any(|p: &Place| p.counts() && p.response == role);
+    let nowhere = |role: &str| !out.iter().any(|p: &ResidualStructure| p.counts() && p.response == role);
     let roles: Vec<String> = stack.responses.iter().map(ToString::to_string).collect();
     let lost: Vec<usize> = (0..roles.len()).filter(|response| nowhere(&roles[*response])).collect();
     if lost.is_empty() {
         return out;
     }
-    problem.terms.retain(|t| t.what != What::Air);
+    problem.terms.retain(|t| t.what != SetUpKind::Air);
     let (sigmas, before) = left_by(&problem);
     let mut closer = Vec::new();
     for response in lost {
@@ -164,7 +164,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<Place> {
     for p in &mut closer {
         p.q_value = (2.0 * p.q_value).min(1.0);
     }
-    closer.retain(Place::counts);
+    closer.retain(ResidualStructure::counts);
     if !closer.is_empty() {
         out.retain(|p| !closer.iter().any(|c| c.is_of(p)));
         out.append(&mut closer);
@@ -179,17 +179,17 @@ pub(crate) type FoundLater = (f64, Shape, f64);
 
 /// Adds findings of later stages that this test alone does not show.
 /// Their variable is what the law reads.
-pub(crate) fn add_found(places: &mut Vec<Place>, found: impl IntoIterator<Item = FoundLater>) {
+pub(crate) fn add_found(places: &mut Vec<ResidualStructure>, found: impl IntoIterator<Item = FoundLater>) {
     for (statistic, shape, p_value) in found {
-        let reads = |p: &Place| shape.against.contains(&p.against);
-        let of = |p: &Place| p.response == shape.response;
+        let reads = |p: &ResidualStructure| shape.against.contains(&p.against);
+        let of = |p: &ResidualStructure| p.response == shape.response;
         if places.iter().any(|p| p.counts() && of(p) && reads(p)) {
             continue;
         }
         let own = places.iter_mut().filter(|p| of(p) && reads(p));
         match own.max_by(|a, b| a.statistic.total_cmp(&b.statistic)) {
             Some(place) => (place.p_value, place.q_value) = (place.p_value.min(p_value), p_value),
-            None => places.push(Place {
+            None => places.push(ResidualStructure {
                 response: shape.response,
                 against: shape.against.join(" and "),
                 statistic,
@@ -224,14 +224,20 @@ fn of_response<'s>(stack: &'s Rows<'_>, left: &[f64], response: usize) -> (Vec<&
     (segments, residual)
 }
 
-fn strongest_first(places: &mut [Place]) {
+fn strongest_first(places: &mut [ResidualStructure]) {
     places.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then(b.statistic.total_cmp(&a.statistic)));
 }
 
 /// A closer look at one response.
 /// It tests slow changes against time, repeats at each target against the place, and waves over either. Slow
 /// channels are left out, because a drift resembles each of them.
-fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64], sigma: f64) -> Vec<Place> {
+fn closely(
+    role: &str,
+    stack: &Rows<'_>,
+    segments: &[&Segment],
+    residual: &[f64],
+    sigma: f64,
+) -> Vec<ResidualStructure> {
     let mut out = Vec::new();
     for (against, x) in channels(stack, segments) {
         let place = against.starts_with("position.");
@@ -253,7 +259,7 @@ fn closely(role: &str, stack: &Rows<'_>, segments: &[&Segment], residual: &[f64]
 /// The clearest wave of a residual over one channel.
 /// It uses least squares at each frequency (Lomb, Astrophys. Space Sci. 39 (1976) 447), on the residual
 /// without its autocorrelation. The p-value allows for the number of frequencies tried.
-fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<Place> {
+fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) -> Option<ResidualStructure> {
     let n = residual.len();
     let [low, high] = span(x);
     let (span, squares) = (high - low, dot(residual, residual));
@@ -301,7 +307,7 @@ fn wave(response: &str, against: &str, x: &[f64], residual: &[f64], sigma: f64) 
     let (share, frequency) = best;
     let chance = (0.5 * (rows - 3.0) * (-share.min(1.0 - 1e-12)).ln_1p()).exp();
     let p_value = ((last + 1).saturating_sub(first) as f64 * chance).clamp(LEAST_P, 1.0);
-    (frequency > 0.0).then(|| Place {
+    (frequency > 0.0).then(|| ResidualStructure {
         response: response.to_owned(),
         against: against.to_owned(),
         statistic: share,
@@ -321,7 +327,7 @@ fn profile(bins: &[Vec<usize>], x: &[f64], residual: &[f64], sigma: f64) -> Vec<
 
 /// False-discovery rates of places that are sorted by p-value.
 /// Source: Benjamini and Hochberg, J. R. Statist. Soc. B 57 (1995) 289.
-fn rate(places: &mut [Place]) {
+fn rate(places: &mut [ResidualStructure]) {
     let m = places.len() as f64;
     let mut least = 1.0_f64;
     for (i, place) in places.iter_mut().enumerate().rev() {
@@ -428,7 +434,7 @@ fn place(
     residual: &[f64],
     sigma: f64,
     known: f64,
-) -> Option<Place> {
+) -> Option<ResidualStructure> {
     let groups = groups(against, x)?;
     if !against.starts_with(TRAVEL) {
         return judged(response, against, x, residual, sigma, &groups, 0.99, known);
@@ -452,7 +458,7 @@ fn judged(
     bins: &[Vec<usize>],
     remembers: f64,
     known: f64,
-) -> Option<Place> {
+) -> Option<ResidualStructure> {
     let mut bin = vec![0u32; x.len()];
     for (b, rows) in bins.iter().enumerate() {
         for i in rows {
@@ -495,7 +501,7 @@ fn judged(
     }
     let p_value = (larger + 1) as f64 / (tried + 1) as f64;
     let of_turns = against.strip_prefix(TRAVEL);
-    Some(Place {
+    Some(ResidualStructure {
         response: response.to_owned(),
         against: of_turns.map_or_else(|| against.to_owned(), |axis| format!("direction.{axis}")),
         near_turns: of_turns.is_some(),
@@ -551,7 +557,7 @@ fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
 
 /// Removes a channel's means from a residual.
 /// They are taken per place if each has many rows, otherwise per stretch.
-fn flatten(found: &Place, x: &[f64], residual: &mut [f64]) {
+fn flatten(found: &ResidualStructure, x: &[f64], residual: &mut [f64]) {
     let by_place = || places_of(x).or_else(|| stretches(x));
     let groups = if found.near_turns { towards_zero(x) } else { by_place() }.unwrap_or_default();
     take_means(groups, residual);
@@ -709,7 +715,7 @@ mod tests {
             0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240, 0.4262, 0.5719,
             0.6528, 0.7590, 1.0,
         ];
-        let of = |p_value: f64| Place {
+        let of = |p_value: f64| ResidualStructure {
             response: String::new(),
             against: String::new(),
             statistic: 0.0,
@@ -719,7 +725,7 @@ mod tests {
             period: None,
             near_turns: false,
         };
-        let mut all: Vec<Place> = p.map(of).into();
+        let mut all: Vec<ResidualStructure> = p.map(of).into();
         rate(&mut all);
         assert_eq!(all.iter().filter(|p| p.q_value <= 0.05).count(), 4);
     }

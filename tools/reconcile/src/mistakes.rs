@@ -7,7 +7,7 @@ use rtec_estimate::priors::TRAVEL_MM;
 use rtec_estimate::problem::Units;
 use rtec_estimate::{alone, unexplained};
 use rtec_measure::plausible::{Suspicion, What};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role};

@@ -15,7 +15,7 @@ use rtec_least_squares::Factor;
 use rtec_measure::plan::{PlanAxis, Step, TargetRun, target_run};
 use rtec_model::effect::{Against, Dictionary, Difference, Effect, Quantity};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, Turns};
+use rtec_model::record::{Axis, Column, Kind, Record, ReversalPoint, Role};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::path::Path;
@@ -30,7 +30,7 @@ const FREE: f64 = 1e4;
 
 /// An effect that a verdict named, with its unresolved rivals.
 #[derive(Debug, Clone)]
-pub struct Open {
+pub struct UnresolvedEffect {
     /// The effect with its values.
     pub effect: Effect,
     /// Its rivals.
@@ -39,7 +39,7 @@ pub struct Open {
     pub noise: f64,
 }
 
-impl Open {
+impl UnresolvedEffect {
     /// Reads the unresolved effects of a `verdict.json`.
     ///
     /// # Errors
@@ -111,7 +111,7 @@ fn difference(map: &Map<String, Value>) -> Option<Difference> {
 
 /// The expected evidence of a run for an effect against a rival.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Tells {
+pub struct ExpectedEvidence {
     /// The effect.
     pub effect: String,
     /// The rival.
@@ -128,7 +128,7 @@ pub struct NextRuns {
     /// The runs, in the form of a plan.
     pub steps: Vec<Step>,
     /// One entry for every effect and rival.
-    pub tells: Vec<Tells>,
+    pub tells: Vec<ExpectedEvidence>,
 }
 
 /// Whether log odds are beyond chance for one name among this many rivals.
@@ -147,7 +147,7 @@ fn along<'a>(effect: &Effect, axes: &'a [PlanAxis]) -> Option<&'a PlanAxis> {
 /// There is one for each axis and response, on a machine with these axes and this model. If no such run
 /// separates them, the experiment of the rival's law is listed.
 #[must_use]
-pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRuns {
+pub fn next_runs(open: &[UnresolvedEffect], machine: &Machine, axes: &[PlanAxis]) -> NextRuns {
     let mut out = NextRuns { steps: Vec::new(), tells: Vec::new() };
     for o in open.iter().filter(|o| !o.rivals.is_empty()) {
         let rivals: Vec<(&Rival, Option<Effect>)> =
@@ -191,7 +191,7 @@ pub fn next_runs(open: &[Open], machine: &Machine, axes: &[PlanAxis]) -> NextRun
         };
         for (k, (rival, effect)) in rivals.iter().enumerate() {
             match (&step, &found) {
-                (Some(step), Some((_, own))) if told[k] => out.tells.push(Tells {
+                (Some(step), Some((_, own))) if told[k] => out.tells.push(ExpectedEvidence {
                     effect: o.effect.name(),
                     rival: rival.label(),
                     log_odds: Some(own[k]),
@@ -212,13 +212,13 @@ fn response(effect: &Effect) -> String {
     effect.axes().first().map_or_else(String::new, ToString::to_string)
 }
 
-fn not_told(o: &Open, rival: &Rival, effect: Option<&Effect>) -> Tells {
+fn not_told(o: &UnresolvedEffect, rival: &Rival, effect: Option<&Effect>) -> ExpectedEvidence {
     let by = if rival.name == o.effect.name() && rival.sensor.is_some() {
         "a run in which both sensors part: heat one place only, or let the machine cool while the surroundings warm".to_owned()
     } else {
         effect.map_or_else(String::new, |e| e.description().experiment.clone())
     };
-    Tells { effect: o.effect.name(), rival: rival.label(), log_odds: None, by }
+    ExpectedEvidence { effect: o.effect.name(), rival: rival.label(), log_odds: None, by }
 }
 
 /// A rival as an effect.
@@ -258,7 +258,13 @@ struct Simulated {
 }
 
 impl Simulated {
-    fn of(run: &TargetRun, axis: &PlanAxis, open: &Open, truth: &Effect, machine: &Machine) -> Self {
+    fn of(
+        run: &TargetRun,
+        axis: &PlanAxis,
+        open: &UnresolvedEffect,
+        truth: &Effect,
+        machine: &Machine,
+    ) -> Self {
         let model: Vec<Effect> = machine.effects().cloned().collect();
         let rivals = open.rivals.iter().filter_map(|r| r.sensor.as_ref());
         let known = model.iter().chain([&open.effect]).filter_map(|e| e.delta.as_ref());
@@ -332,6 +338,6 @@ fn record(run: &TargetRun, axis: &PlanAxis, response: &str, sensors: &[String]) 
     let warm = |s: &String| Column::new(s, Role::Temperature, k.iter().map(|k| 20.0 + k).collect());
     columns.extend(sensors.iter().map(warm));
     let mut record = Record::new(Path::new("next.run.toml"), Kind::Positioning, columns).ok()?;
-    record.turns = Some(Turns::Overtravel(None));
+    record.turns = Some(ReversalPoint::Overtravel(None));
     Some(record)
 }

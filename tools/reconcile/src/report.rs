@@ -1,13 +1,13 @@
 //! `report.html`: the answer as one page with plots.
 
 use crate::gap::Trace;
-use crate::localisation::{LEAST_P, Place};
+use crate::localisation::{LEAST_P, ResidualStructure};
 use crate::verdict::{Reconciliation, Verdict};
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::message_text::escaped;
 use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
 use rtec_measure::report::{Run, STYLE, signed_line};
-use rtec_model::effect::{Effect, Search};
+use rtec_model::effect::{Effect, ParameterSearch};
 use rtec_model::machine::NORMAL_95;
 use rtec_model::record::span;
 use std::fmt::Write as _;
@@ -113,8 +113,8 @@ fn maps(r: &Reconciliation) -> Vec<Chart> {
 
 fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
     let (law, width) = (effect.description(), effect.width());
-    let knots = law.parameters.iter().position(|p| p.array && p.search == Search::Chosen)?;
-    let values = law.parameters.iter().position(|p| p.array && p.search != Search::Chosen)?;
+    let knots = law.parameters.iter().position(|p| p.array && p.search == ParameterSearch::Chosen)?;
+    let values = law.parameters.iter().position(|p| p.array && p.search != ParameterSearch::Chosen)?;
     let (x, y) = (effect.get(knots), effect.get(values));
     let half = half.get(values * width..(values + 1) * width)?;
     let edge = |sign: f64| y.iter().zip(half).map(|(y, h)| y + sign * h).collect::<Vec<_>>();
@@ -283,7 +283,7 @@ fn term_of(term: &str) -> (String, &'static str) {
 /// the names that were tried.
 #[must_use]
 pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
-    let place = |p: &Place| {
+    let place = |p: &ResidualStructure| {
         let unit = unit_of(&p.response);
         let mean = p.profile.iter().map(|v| (v[0], v[1])).collect();
         let title = format!("{} against {}: {:.1} %", p.response, p.against, 100.0 * p.statistic);
@@ -309,7 +309,7 @@ pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
 }
 
 /// The places that are not due to chance, as many as a page shows.
-fn found(r: &Reconciliation) -> impl Iterator<Item = &Place> {
+fn found(r: &Reconciliation) -> impl Iterator<Item = &ResidualStructure> {
     r.places.iter().filter(|p| p.q_value <= 0.05).take(PLACES)
 }
 

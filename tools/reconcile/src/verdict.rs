@@ -2,9 +2,9 @@
 
 use crate::answer::Finding;
 use crate::gap::{Gap, Trace, chance, unit_of};
-use crate::localisation::Place;
+use crate::localisation::ResidualStructure;
 use rtec_estimate::priors::HELD;
-use rtec_estimate::setup::What;
+use rtec_estimate::setup::SetUpKind;
 use rtec_estimate::{Shape, Tried};
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::Effect;
@@ -88,14 +88,14 @@ impl SetUp {
         let timed = |s: &rtec_estimate::SetUp| records[s.record].column(&Role::Time).is_some();
         // The estimator assumes for a run without times the hours that a creep keeps its direction.
         let runs = |s: &rtec_estimate::SetUp| {
-            if s.what == What::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
+            if s.what == SetUpKind::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
         };
         let name = |s: &rtec_estimate::SetUp| match (s.what, s.response.as_str()) {
-            (What::Zero, "error.r") => "bar_um".to_owned(),
-            (What::Zero, response) => format!("zero_um.{response}"),
-            (What::CentreFirst, _) => "centre_um.0".to_owned(),
-            (What::CentreSecond, _) => "centre_um.1".to_owned(),
-            (What::Line, response) => {
+            (SetUpKind::Zero, "error.r") => "bar_um".to_owned(),
+            (SetUpKind::Zero, response) => format!("zero_um.{response}"),
+            (SetUpKind::CentreFirst, _) => "centre_um.0".to_owned(),
+            (SetUpKind::CentreSecond, _) => "centre_um.1".to_owned(),
+            (SetUpKind::Line, response) => {
                 format!("line_um_per_{}.{response}", if timed(s) { "h" } else { "run" })
             }
             _ => "jump_um".to_owned(),
@@ -118,13 +118,13 @@ pub struct Reconciliation {
     /// The answer in one word.
     pub verdict: Verdict,
     /// Where measured and simulated disagree.
-    pub places: Vec<Place>,
+    pub places: Vec<ResidualStructure>,
     /// Mistakes that the data show; the data concerned were left out.
     pub suspicions: Vec<Suspicion>,
     /// What was left out, one line each: records, rows, sensors.
     pub left_out: Vec<String>,
     /// Records that were left out whole, which the verdict does not cover.
-    pub unsaid: Vec<Unsaid>,
+    pub unsaid: Vec<SkippedRecord>,
     /// Velocities and accelerations that were derived from positions, one line each.
     pub derived: Vec<String>,
     /// Added effects, strongest first, with half widths of their intervals.
@@ -163,14 +163,14 @@ pub struct Reconciliation {
 
 /// A record that was left out whole.
 #[derive(Debug, Clone)]
-pub struct Unsaid {
+pub struct SkippedRecord {
     /// Its sidecar, as the user named it.
     pub record: String,
     /// What it is suspected of.
     pub why: String,
 }
 
-impl fmt::Display for Unsaid {
+impl fmt::Display for SkippedRecord {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { record, why } = self;
         if why.is_empty() { f.write_str(record) } else { write!(f, "{record} ({why})") }

@@ -6,23 +6,23 @@ use crate::answer::{Answer, Finding, analyse, stated};
 use crate::doubt::{self, Doubts, doubts};
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::interval;
-use crate::localisation::{self, Place};
+use crate::localisation::{self, ResidualStructure};
 use crate::mistakes;
-use crate::room;
+use crate::sensor_choice;
 use crate::subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::unexplained::stand_in;
-use crate::verdict::{Reconciliation, Refined, SetUp, Unsaid, Verdict};
+use crate::verdict::{Reconciliation, Refined, SetUp, SkippedRecord, Verdict};
 use rtec_estimate::Rival;
 use rtec_estimate::Shape;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::refit::Refit;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::InputError;
-use rtec_fit::quiet;
+use rtec_fit::denoise;
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::derive::derive;
 use rtec_measure::plausible::Suspicion;
-use rtec_model::effect::{Dictionary, Effect, Heat, Law, Refine, Search};
+use rtec_model::effect::{Dictionary, Effect, Heat, Law, ParameterSearch, Refine};
 use rtec_model::machine::{Machine, Provenance, Source};
 use rtec_model::record::{Kind, Record, Role, span};
 use std::borrow::Cow;
@@ -41,7 +41,7 @@ const CURVE_KNOTS: [usize; 3] = [9, 5, 3];
 ///
 /// # Errors
 /// The model reads a sensor or channel that a record lacks.
-pub fn find(train: &[Record], machine: &Machine, level: f64) -> Result<Vec<Place>, InputError> {
+pub fn find(train: &[Record], machine: &Machine, level: f64) -> Result<Vec<ResidualStructure>, InputError> {
     let options = Options { level, figures: false, ..Options::default() };
     Ok(reconcile(train, &[], machine, &options)?.places)
 }
@@ -190,8 +190,8 @@ fn not_told(used: &[Record], why: &str) -> Shape {
 }
 
 /// What to do about the records that the verdict does not cover.
-fn to_mend(unsaid: &[Unsaid]) -> Vec<String> {
-    let line = |u: &Unsaid| {
+fn to_mend(unsaid: &[SkippedRecord]) -> Vec<String> {
+    let line = |u: &SkippedRecord| {
         format!("{u}: nothing is said of it: mend what the suspicion says, then reconcile again")
     };
     unsaid.iter().map(line).collect()
@@ -355,7 +355,8 @@ impl Work<'_> {
             );
         }
         let next = advice(verdict, effects, shapes, self.train, self.machine.dictionary());
-        let other = self.options.figures.then(|| room::other_sensors(effects, self.train, self.machine));
+        let other =
+            self.options.figures.then(|| sensor_choice::other_sensors(effects, self.train, self.machine));
         let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
         said.into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
@@ -394,7 +395,7 @@ fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record
 fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]) {
     let width = effect.width();
     for (i, p) in effect.description().parameters.iter().enumerate() {
-        if p.search == Search::Chosen {
+        if p.search == ParameterSearch::Chosen {
             continue;
         }
         let values = effect.get(i);
@@ -454,7 +455,7 @@ impl Analysed {
     /// It is the least n that still separates noise from effects. Rows much closer together than the noise's
     /// correlation (a filtered force, sampled fast) repeat the same information.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
-        let quiet: Vec<Record> = train.iter().map(quiet::temperatures).collect();
+        let quiet: Vec<Record> = train.iter().map(denoise::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
         let mut beyond = 1;
         let mut used: Cow<'_, [Record]> = bounded.clone();
@@ -541,7 +542,7 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
         .iter()
         .enumerate()
         .filter(|(i, p)| {
-            (p.search != Search::Chosen || !p.array)
+            (p.search != ParameterSearch::Chosen || !p.array)
                 && half[i * width..(i + 1) * width].iter().any(|h| *h > 0.0)
         })
         .map(|(i, p)| {

@@ -8,9 +8,9 @@ use rtec_files::stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
 use rtec_files::{InputError, Numbers, TableMarks, units};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::file_kind::FileKind;
-use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, Role, Turns, check, hex, range_alone};
+use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, ReversalPoint, Role, check, hex, range_alone};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -294,8 +294,8 @@ pub fn to_sidecar(record: &Record) -> String {
     put("centre_mm", circle.and_then(|c| c.centre_mm).map(|c| toml_edit::Array::from_iter(c).into()));
     let (turns, over_mm) = match record.turns {
         None => (None, None),
-        Some(Turns::AtTarget) => (Some("at_target".into()), None),
-        Some(Turns::Overtravel(over_mm)) => (Some("overtravel".into()), over_mm.map(Into::into)),
+        Some(ReversalPoint::AtTarget) => (Some("at_target".into()), None),
+        Some(ReversalPoint::Overtravel(over_mm)) => (Some("overtravel".into()), over_mm.map(Into::into)),
     };
     put("turns", turns);
     put("over_mm", over_mm);
@@ -579,7 +579,7 @@ struct Sidecar {
     count_um: Option<f64>,
     /// The circle of a ballbar run, and its place in the sidecar.
     circle: Option<(Circle, SidecarLocation)>,
-    turns: Option<Turns>,
+    turns: Option<ReversalPoint>,
     date: Option<String>,
     note: Option<String>,
     zero: Option<String>,
@@ -713,7 +713,7 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, SidecarLocation)>, In
 }
 
 /// Reads where a positioning run turned back: at the end targets or beyond.
-fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<Turns>, InputError> {
+fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<ReversalPoint>, InputError> {
     const TURNS: &str =
         "turns = \"overtravel\" (the axis turned back beyond the end targets) or \"at_target\"";
     let over = root.get("over_mm");
@@ -730,8 +730,8 @@ fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<Turns>, InputError>
     }
     let over_mm = over.map(|v| v.positive("how far beyond the end targets, mm, above zero")).transpose()?;
     match (turns.str(TURNS)?, over_mm) {
-        ("overtravel", over_mm) => Ok(Some(Turns::Overtravel(over_mm))),
-        ("at_target", None) => Ok(Some(Turns::AtTarget)),
+        ("overtravel", over_mm) => Ok(Some(ReversalPoint::Overtravel(over_mm))),
+        ("at_target", None) => Ok(Some(ReversalPoint::AtTarget)),
         ("at_target", Some(_)) => {
             Err(turns.error("`over_mm` beside turns = \"at_target\"", "turns = \"overtravel\""))
         }

@@ -5,7 +5,7 @@ use crate::PaperError;
 use crate::rows::Agreement::{AtLeast, AtMost, Within};
 use crate::rows::Rows;
 use rtec_fit::thermal::Options;
-use rtec_fit::workflow::{self, Asked, Fit};
+use rtec_fit::workflow::{self, Fit, FitRequest};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Need;
 use rtec_model::machine::{Machine, Provenance};
@@ -113,7 +113,7 @@ fn fitted(run: &Run<'_>, wet: &Record) -> Result<Fit, PaperError> {
     let train =
         [wet, record(&runs, "warm-day")?, record(&runs, "shift")?, record(&production, "production-cycle")?];
     let options = Options { base: Some(geometry(run.truth)?), speed: false, ..Options::default() };
-    let asked = Asked { date: Some(20_000), options, ..Asked::default() };
+    let asked = FitRequest { date: Some(20_000), options, ..FitRequest::default() };
     Ok(workflow::fit(train.map(Clone::clone).into(), Vec::new(), &asked, &mut |_| ())?)
 }
 

@@ -1,6 +1,6 @@
 //! The last fit: values and intervals of the set that was found.
 
-use super::{Found, Moved, SetUp};
+use super::{EstimatedMember, RefinedEffect, SetUp};
 use crate::cause::Cause;
 use crate::effort::LAST_STEPS;
 use crate::family::Scan;
@@ -9,7 +9,7 @@ use crate::problem::{chance_of, is_beyond_chance};
 use crate::search::{Search, Set, same_period};
 use crate::setup;
 use rtec_least_squares::dot;
-use rtec_model::effect::{Effect, Refine, Search as How};
+use rtec_model::effect::{Effect, ParameterSearch, Refine};
 use rtec_model::machine::NORMAL_95;
 
 /// The last fit: all linear and non-linear parameters together.
@@ -74,7 +74,7 @@ pub(super) fn bent(search: &Search<'_>, set: &Set, family: usize, effect: &Effec
         scan = wave.map_or(scan, |f| &f.scan);
     }
     let of = |(value, p): (usize, &rtec_model::effect::Parameter)| {
-        if p.search != How::Smooth {
+        if p.search != ParameterSearch::Smooth {
             return None;
         }
         let v = effect.scalar(value);
@@ -82,7 +82,7 @@ pub(super) fn bent(search: &Search<'_>, set: &Set, family: usize, effect: &Effec
             (_, Refine::Step(_)) => (1.0, None),
             (Scan::Wave { along, unit, .. }, _) => {
                 let turns = std::f64::consts::TAU * along.middle() / unit / (v * v);
-                (0.1 * v, law.place(How::Phase).map(|phase| (phase, turns)))
+                (0.1 * v, law.place(ParameterSearch::Phase).map(|phase| (phase, turns)))
             }
             _ => (v.abs(), None),
         };
@@ -220,7 +220,7 @@ impl<'s, 'p> Last<'s, 'p> {
     }
 
     /// Values and half widths of the members.
-    pub(super) fn fill(&self, found: &mut [Found]) {
+    pub(super) fn fill(&self, found: &mut [EstimatedMember]) {
         let rows = self.search.problem.rows;
         for (f, m) in found.iter_mut().zip(&self.members) {
             if f.effect.is_none() {
@@ -276,7 +276,7 @@ impl<'s, 'p> Last<'s, 'p> {
                 }
                 *h = NORMAL_95 * variance.max(0.0).sqrt();
             }
-            if let Some(p) = effect.description().place(How::Phase) {
+            if let Some(p) = effect.description().place(ParameterSearch::Phase) {
                 // An interval of an angle is at most half a turn to either side.
                 half[p] = half[p].min(std::f64::consts::PI);
             }
@@ -296,12 +296,12 @@ impl<'s, 'p> Last<'s, 'p> {
     }
 
     /// Gives a wave that accompanies another the other's period and its interval.
-    pub(super) fn tie_periods(found: &mut [Found]) {
+    pub(super) fn tie_periods(found: &mut [EstimatedMember]) {
         for i in 0..found.len() {
             let Some(effect) = found[i].effect.clone() else { continue };
-            let wave = effect.description().place(How::Amplitude).is_some();
+            let wave = effect.description().place(ParameterSearch::Amplitude).is_some();
             let Some(law) = effect.description().searched.beside.filter(|_| wave) else { continue };
-            let near = |f: &&Found| {
+            let near = |f: &&EstimatedMember| {
                 f.effect.as_ref().is_some_and(|e| {
                     e.description().name == law && e.axes() == effect.axes() && same_period(e, &effect)
                 })
@@ -314,7 +314,7 @@ impl<'s, 'p> Last<'s, 'p> {
     }
 
     /// The model's effects as estimated from the rows.
-    pub(super) fn known(&self, found: &[Found]) -> Vec<Moved> {
+    pub(super) fn known(&self, found: &[EstimatedMember]) -> Vec<RefinedEffect> {
         let problem = self.search.problem;
         let from = problem.terms.len();
         (0..self.model.len())
@@ -352,15 +352,15 @@ impl<'s, 'p> Last<'s, 'p> {
                     }
                 }
                 let after = effect.with_values(&values)?;
-                Some(Moved { place, after, half, beyond_chance: beyond })
+                Some(RefinedEffect { place, after, half, beyond_chance: beyond })
             })
             .collect()
     }
 
     /// Jumps at pauses, which are searched like hypotheses.
-    pub(super) fn jumps(&self, search: &Search<'_>, found: &[Found]) -> Vec<SetUp> {
+    pub(super) fn jumps(&self, search: &Search<'_>, found: &[EstimatedMember]) -> Vec<SetUp> {
         let terms = setup::jumps(search.problem.rows);
-        let of = |(m, f): (&Solved, &Found)| {
+        let of = |(m, f): (&Solved, &EstimatedMember)| {
             let shape = f.shape.as_ref()?;
             let Cause::Shape(both) = &m.cause else { return None };
             let term = terms
@@ -370,7 +370,7 @@ impl<'s, 'p> Last<'s, 'p> {
             Some(SetUp {
                 record: term.record,
                 response: shape.response.clone(),
-                what: setup::What::Jump,
+                what: setup::SetUpKind::Jump,
                 value: self.beta[m.at] * size,
                 half: NORMAL_95 * self.covariance(m.at, m.at).sqrt() * size,
             })
@@ -385,8 +385,8 @@ impl<'s, 'p> Last<'s, 'p> {
 
     pub(super) fn set_up(&self) -> Vec<SetUp> {
         let problem = self.search.problem;
-        let named = |w: setup::What| {
-            use setup::What::{CentreFirst, CentreSecond, Jump, Line, Zero};
+        let named = |w: setup::SetUpKind| {
+            use setup::SetUpKind::{CentreFirst, CentreSecond, Jump, Line, Zero};
             matches!(w, Zero | CentreFirst | CentreSecond | Line | Jump)
         };
         let of = |(i, t): (usize, &setup::Term)| {

@@ -1,7 +1,7 @@
 //! Growth of sets, and exchange and removal of their members.
 
-use super::seeds::moves;
-use super::{Member, Search, Seed, Set, same_period};
+use super::screening::moves;
+use super::{Member, ScreenedHypothesis, Search, Set, same_period};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
 use crate::family::{Family, Scan};
@@ -24,7 +24,7 @@ impl Search<'_> {
         kind: impl Fn(&Family) -> bool,
     ) -> Vec<Set> {
         let look = self.look_at(set);
-        let mut seeds = self.seeds(set, &look, long);
+        let mut seeds = self.screened(set, &look, long);
         seeds.retain(|s| kind(self.family(s.family)));
         let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
         let mut out: Vec<Set> = Vec::new();
@@ -84,7 +84,7 @@ impl Search<'_> {
                 return None;
             }
             let cause = Cause::Effect { effect, free: 2, reference: false };
-            self.with(set, &Seed { family: number, cause, weight: 0.0, score: 0.0 })
+            self.with(set, &ScreenedHypothesis { family: number, cause, weight: 0.0, score: 0.0 })
         };
         let best = self
             .families
@@ -335,7 +335,7 @@ impl Search<'_> {
                 continue;
             }
             let without = self.without(&set, i);
-            let seed = Seed { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
+            let seed = ScreenedHypothesis { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
             let refined = self.refined(&without.factor, &seed);
             let mut members = set.members.clone();
             members[i].set_columns(self.columns(&refined.cause));

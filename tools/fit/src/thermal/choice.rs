@@ -3,7 +3,7 @@
 use super::Options;
 use super::problem::Problem;
 use super::term::pair_of;
-use crate::quiet;
+use crate::denoise;
 use rtec_files::InputError;
 use rtec_model::effect::Difference;
 use rtec_model::record::{Record, Role};
@@ -19,7 +19,7 @@ pub fn select_differences(
     response: &Role,
     options: &Options,
 ) -> Result<Vec<Difference>, InputError> {
-    let quiet: Vec<Record> = train.iter().map(|r| quiet::temperatures(r)).collect();
+    let quiet: Vec<Record> = train.iter().map(|r| denoise::temperatures(r)).collect();
     let problem = Problem::new(&quiet.iter().collect::<Vec<_>>(), response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();
     let terms = problem.select(&all).map_or_else(Vec::new, |s| s.structure.terms);

@@ -68,7 +68,7 @@ pub(super) fn baselines(
 
 /// The result of a fitted model on unseen records.
 #[derive(Default)]
-pub(super) struct Later {
+pub(super) struct HoldoutResult {
     pub(super) rms: Vec<f64>,
     pub(super) coverage: Vec<f64>,
     pub(super) width_um: Vec<f64>,
@@ -79,8 +79,8 @@ pub(super) fn judge_holdouts(
     machine: &Machine,
     holdout: &[&Record],
     response: &Role,
-) -> Result<Later, InputError> {
-    let mut later = Later::default();
+) -> Result<HoldoutResult, InputError> {
+    let mut later = HoldoutResult::default();
     for r in holdout {
         let Some(y) = r.data(response) else {
             return Err(InputError::whole(

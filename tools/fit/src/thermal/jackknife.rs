@@ -6,7 +6,7 @@ use super::judge::independent;
 use super::problem::Problem;
 use super::rows::{Centred, Rows, lags_of};
 use super::term::{Term, relagged, squared};
-use crate::quiet::Spread;
+use crate::denoise::Spread;
 use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_model::machine::NORMAL_95;

@@ -49,7 +49,7 @@ pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
 pub use select::{REDUNDANT, ROUNDS};
 
-use crate::quiet::{Spread, smoothed};
+use crate::denoise::{Spread, smoothed};
 use crate::statistics::mean_square;
 use compare::{baselines, dry_wet, judge_holdouts};
 use effects::effects;

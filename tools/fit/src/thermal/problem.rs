@@ -3,7 +3,7 @@
 
 use super::Options;
 use super::term::{Pair, Term};
-use crate::quiet::Spread;
+use crate::denoise::Spread;
 use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_least_squares::dot;

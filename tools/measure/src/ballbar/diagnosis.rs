@@ -10,8 +10,8 @@ use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::Result;
 use rtec_least_squares::{Directions, orthonormal};
-use rtec_model::circle::{rates, tick};
-use rtec_model::effect::{Bound, Dictionary, Effect, laws};
+use rtec_model::ballbar_circle::{rates, tick};
+use rtec_model::effect::{Dictionary, Effect, EffectColumns, laws};
 use rtec_model::record::{Axis, Role, median, rounding_error};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -458,7 +458,7 @@ impl<'t> Fit<'t> {
         effect: &Effect,
         only: Option<usize>,
         width: usize,
-        fill: impl Fn(&Bound<'_>, usize, &mut [f64]),
+        fill: impl Fn(&EffectColumns<'_>, usize, &mut [f64]),
     ) -> Vec<DVector<f64>> {
         let mut out = vec![DVector::zeros(self.n); width];
         for (i, t) in self.traces.iter().enumerate().filter(|(i, _)| only.is_none_or(|o| o == *i)) {

@@ -6,7 +6,7 @@ use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
 use rtec_files::{InputError, Result, Said};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,7 @@
 use super::stats::{distinct, median, middle_range, quantum, range, spread, steps};
 use super::{Suspicion, What};
 use crate::iso230::{Round, correlation, line};
-use rtec_model::circle::turn_rad;
+use rtec_model::ballbar_circle::turn_rad;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
 
 /// The longest axes of machine tools, mm.

@@ -4,7 +4,7 @@
 
 use crate::circles::{Noise, Run, column, map_without_line, near, one};
 use rtec_measure::ballbar;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::circles::{Noise, Run, column, near, one};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Kind, Record, Role};
 use std::f64::consts::TAU;
 use std::path::Path;

@@ -5,7 +5,7 @@
 
 use crate::circles::{Noise, Run, column, map_without_line, one};
 use rtec_measure::ballbar::{Ballbar, Contribution};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

@@ -35,7 +35,7 @@ pub(crate) type States = [State; 2];
 /// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
 /// once.
 #[derive(Debug, Clone, Default)]
-pub struct Bound<'r> {
+pub struct EffectColumns<'r> {
     rows: usize,
     t: &'r [f64],
     p: [Option<&'r [f64]>; 3],
@@ -58,7 +58,7 @@ pub struct Bound<'r> {
     share: [Option<&'r [f64]>; 2],
 }
 
-impl Bound<'_> {
+impl EffectColumns<'_> {
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows
@@ -115,7 +115,7 @@ impl Bound<'_> {
         self.basis_on(effect, component, &mut States::default(), out);
     }
 
-    /// As [`Bound::basis`], for rows that continue those of `states`.
+    /// As [`EffectColumns::basis`], for rows that continue those of `states`.
     pub(crate) fn basis_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows * effect.coefficient_count(), "one column per coefficient");
         self.projected(component, out, |component, out| {
@@ -148,7 +148,7 @@ impl Bound<'_> {
         self.add_on(effect, component, &mut States::default(), out);
     }
 
-    /// As [`Bound::add`], for rows that continue those of `states`.
+    /// As [`EffectColumns::add`], for rows that continue those of `states`.
     pub(crate) fn add_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows, "one place per row");
         let coefficients = effect.coefficients();
@@ -189,8 +189,8 @@ impl Effect {
     ///
     /// # Errors
     /// A sensor or channel that the record does not have. A quantity that it does not log (velocity, load, …) is
-    /// taken as zero and listed in [`Bound::taken_as_zero`].
-    pub fn bind<'r>(&self, record: &'r Record) -> Result<Bound<'r>, Missing> {
+    /// taken as zero and listed in [`EffectColumns::taken_as_zero`].
+    pub fn bind<'r>(&self, record: &'r Record) -> Result<EffectColumns<'r>, Missing> {
         let named = |data: Option<&'r [f64]>, role: &Role, name: &str| {
             data.ok_or_else(|| Missing {
                 effect: self.name(),
@@ -198,12 +198,12 @@ impl Effect {
                 has: record.names(role).collect::<Vec<_>>().join(", "),
             })
         };
-        let mut bound = Bound {
+        let mut bound = EffectColumns {
             rows: record.rows(),
             t: record.time_s(),
             past_mm: record.past_mm(),
             reference: STANDARD_DEGC,
-            ..Bound::default()
+            ..EffectColumns::default()
         };
         // Only a pair acts on its second axis.
         let acts_on = if self.description().naming == Naming::Pair { 2 } else { 1 };

@@ -142,7 +142,7 @@ pub enum Mechanism {
 
 /// How a fit finds a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Search {
+pub enum ParameterSearch {
     /// The law is linear in it.
     Linear,
     /// Amplitude of a periodic law.
@@ -194,7 +194,7 @@ pub struct Parameter {
     /// Why the bounds are these; empty if there are none.
     pub source: String,
     /// How a fit finds it.
-    pub search: Search,
+    pub search: ParameterSearch,
     /// How a search refines it.
     pub refine: Refine,
     /// One value per knot instead of a single one.
@@ -211,7 +211,7 @@ pub struct Parameter {
 impl Parameter {
     /// A required parameter without bounds.
     /// `plausible` is its range in a sound machine.
-    pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: Search) -> Self {
+    pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: ParameterSearch) -> Self {
         Self {
             name: name.to_owned(),
             unit: unit.to_owned(),
@@ -230,7 +230,7 @@ impl Parameter {
 
     /// A linear parameter of either sign, plausible up to ±`plausible`.
     pub fn linear(name: &str, unit: &str, plausible: f64) -> Self {
-        Self::new(name, unit, [-plausible, plausible], Search::Linear)
+        Self::new(name, unit, [-plausible, plausible], ParameterSearch::Linear)
     }
 
     /// Sets its usual size on machines.
@@ -373,7 +373,7 @@ impl Description {
     }
 
     /// The index of the first parameter that a fit finds in this way.
-    pub fn place(&self, search: Search) -> Option<usize> {
+    pub fn place(&self, search: ParameterSearch) -> Option<usize> {
         self.parameters.iter().position(|p| p.search == search)
     }
 }

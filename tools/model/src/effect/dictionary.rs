@@ -2,7 +2,8 @@
 
 use super::laws::BUILT_IN;
 use super::{
-    Description, Difference, Effect, Law, Naming, Need, Owner, Parameter, Probing, Search, ValueError,
+    Description, Difference, Effect, Law, Naming, Need, Owner, Parameter, ParameterSearch, Probing,
+    ValueError,
 };
 use crate::record::{Axis, Kind, LINEAR, Record, Role};
 use std::sync::Arc;
@@ -227,7 +228,7 @@ fn start_value(p: &Parameter) -> f64 {
     let [lo, hi] = p.plausible;
     match p.search {
         _ if p.default.is_some() => p.default.unwrap_or_default(),
-        Search::Linear | Search::Amplitude | Search::Phase => 0.0,
+        ParameterSearch::Linear | ParameterSearch::Amplitude | ParameterSearch::Phase => 0.0,
         _ if lo > 0.0 => (lo * hi).sqrt(),
         _ => f64::midpoint(lo, hi),
     }

@@ -1,7 +1,8 @@
 //! A smooth function of one position: linear between knots, constant beyond.
 
 use super::{
-    Bound, Description, Effect, Extent, GridHypothesis, Input, Law, Out, Parameter, Search, State, ValueError,
+    Description, Effect, EffectColumns, Extent, GridHypothesis, Input, Law, Out, Parameter, ParameterSearch,
+    State, ValueError,
 };
 
 /// A function of one axis's position, linear between knots.
@@ -39,7 +40,7 @@ impl Law for BrokenLine {
         }
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         out.fill(0.0);
         let (knots, rows) = (effect.get(KNOTS), bound.rows());
         let p_mm = bound.p_mm(self.along);
@@ -126,7 +127,7 @@ const PLACES: std::ops::RangeInclusive<usize> = 4..=48;
 /// The parameters of a map: knots and heights.
 pub(super) fn parameters() -> Vec<Parameter> {
     vec![
-        Parameter::new("knots_mm", "mm", [-1e4, 1e4], Search::Chosen)
+        Parameter::new("knots_mm", "mm", [-1e4, 1e4], ParameterSearch::Chosen)
             .within([-1e6, 1e6], "no axis travels a kilometre")
             .array()
             .telling_apart(),

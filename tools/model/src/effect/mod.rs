@@ -2,7 +2,7 @@
 //!
 //! A [`Law`] is a kind of effect: its formula, parameters, channels, derivative and experiment. An [`Effect`]
 //! is a law with its axes, sensor and parameter values. Every law is written once, as *coefficients × basis*
-//! at one instant. It serves the batch (a [`Bound`] effect over a record), the live path ([`crate::live`])
+//! at one instant. It serves the batch ([`EffectColumns`] over a record), the live path ([`crate::live`])
 //! and fits:
 //!
 //! e(row) = Σₖ coefficientₖ · basisₖ(row; non-linear parameters)
@@ -40,9 +40,9 @@ mod wave;
 pub use crate::role::sign;
 use bound::RADIAL;
 pub(crate) use bound::States;
-pub use bound::{Bound, Missing};
+pub use bound::{EffectColumns, Missing};
 pub use description::{
-    Description, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing, Quantity, Refine, Search,
+    Description, Heat, Mechanism, Naming, Need, Owner, Parameter, ParameterSearch, Probing, Quantity, Refine,
     Searched, Wave,
 };
 pub use dictionary::Dictionary;
@@ -134,7 +134,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
         let mut at = 0;
         for (i, p) in self.describe().parameters.iter().enumerate() {
-            if p.search == Search::Linear {
+            if p.search == ParameterSearch::Linear {
                 let values = effect.get(i);
                 out[at..at + values.len()].copy_from_slice(values);
                 at += values.len();
@@ -146,7 +146,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     fn set_coefficients(&self, effect: &mut Effect, from: &[f64]) {
         let mut at = 0;
         for (i, p) in self.describe().parameters.iter().enumerate() {
-            if p.search == Search::Linear {
+            if p.search == ParameterSearch::Linear {
                 let values = effect.get_mut(i);
                 let n = values.len();
                 values.copy_from_slice(&from[at..at + n]);
@@ -157,7 +157,7 @@ pub trait Law: fmt::Debug + Send + Sync {
 
     /// Number of coefficients of an effect with `n` values per array parameter.
     fn coefficient_count(&self, n: usize) -> usize {
-        self.describe().parameters.iter().filter(|p| p.search == Search::Linear).count() * n
+        self.describe().parameters.iter().filter(|p| p.search == ParameterSearch::Linear).count() * n
     }
 
     /// The range of an axis that the effect's values were stated on, mm.
@@ -192,7 +192,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     fn basis_rows(
         &self,
         effect: &Effect,
-        bound: &Bound<'_>,
+        bound: &EffectColumns<'_>,
         component: usize,
         state: &mut State,
         out: Out<'_>,

@@ -2,7 +2,7 @@
 //!
 //! Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the phase.
 
-use super::{Description, Effect, Input, Law, Out, Parameter, Search, State, ValueError};
+use super::{Description, Effect, Input, Law, Out, Parameter, ParameterSearch, State, ValueError};
 use std::f64::consts::TAU;
 
 /// Indices of period, amplitude and phase among the parameters.
@@ -24,19 +24,19 @@ pub(super) struct Sine {
 
 /// The amplitude of a periodic law: above zero.
 pub(super) fn amplitude(plausible: f64, typical: f64) -> Parameter {
-    Parameter::new("um", "um", [0.0, plausible], Search::Amplitude).typically(typical)
+    Parameter::new("um", "um", [0.0, plausible], ParameterSearch::Amplitude).typically(typical)
 }
 
 /// The phase of a periodic law.
 pub(super) fn phase() -> Parameter {
-    Parameter::new("phase_rad", "rad", [-TAU / 2.0, TAU / 2.0], Search::Phase)
+    Parameter::new("phase_rad", "rad", [-TAU / 2.0, TAU / 2.0], ParameterSearch::Phase)
         .within([-1e3, 1e3], "whole turns change nothing")
         .or(0.0)
 }
 
 /// The period of a wave, of which a model may have several.
 pub(super) fn period(name: &str, unit: &str, bounds: [f64; 2], source: &str) -> Parameter {
-    Parameter::new(name, unit, bounds, Search::Smooth).within(bounds, source).telling_apart()
+    Parameter::new(name, unit, bounds, ParameterSearch::Smooth).within(bounds, source).telling_apart()
 }
 
 /// The coefficients of a periodic law from its amplitude and phase.

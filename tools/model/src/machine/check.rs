@@ -99,8 +99,8 @@ impl Machine {
     /// an axis, or `None` if they are not known.
     pub fn beyond_stated(&self, places_mm: impl Fn(&Axis) -> Option<Vec<f64>>) -> Vec<String> {
         let beyond = |effect: &Effect| {
-            let mut places = Places::default();
-            places.see(effect, &places_mm(Places::axis(effect)?)?);
+            let mut places = MapRange::default();
+            places.see(effect, &places_mm(MapRange::axis(effect)?)?);
             places.beyond_stated(effect)
         };
         self.effects().filter_map(beyond).collect()
@@ -115,7 +115,7 @@ pub struct FitRangeCheck<'m> {
     /// Per effect: the number of rows outside its fitted range, and its lag's state.
     outside: Vec<(usize, States)>,
     /// Per effect: the positions of its axis.
-    places: Vec<Places>,
+    places: Vec<MapRange>,
     /// Per fit and per difference that it saw: the row farthest outside.
     farthest: Vec<Vec<Option<Farthest>>>,
 }
@@ -128,7 +128,7 @@ impl<'m> FitRangeCheck<'m> {
             machine,
             rows: 0,
             outside: vec![(0, States::default()); effects],
-            places: vec![Places::default(); effects],
+            places: vec![MapRange::default(); effects],
             farthest: machine.fits().iter().map(|f| vec![None; f.valid.len()]).collect(),
         }
     }
@@ -143,7 +143,7 @@ impl<'m> FitRangeCheck<'m> {
         }
         for (effect, places) in self.machine.effects().zip(&mut self.places) {
             let of = |axis: &Axis| record.data(&Role::Position(axis.clone()));
-            if let Some(along) = Places::axis(effect).and_then(of) {
+            if let Some(along) = MapRange::axis(effect).and_then(of) {
                 places.see(effect, along);
             }
         }
@@ -222,20 +222,20 @@ impl Farthest {
 
 /// Positions along the axis that an effect's values are stated on, mm.
 #[derive(Debug, Clone)]
-struct Places {
+struct MapRange {
     rows: usize,
     beyond: usize,
     from_mm: f64,
     to_mm: f64,
 }
 
-impl Default for Places {
+impl Default for MapRange {
     fn default() -> Self {
         Self { rows: 0, beyond: 0, from_mm: f64::MAX, to_mm: f64::MIN }
     }
 }
 
-impl Places {
+impl MapRange {
     /// The axis of an effect whose values were stated on a range.
     fn axis(effect: &Effect) -> Option<&Axis> {
         effect.axes().get(effect.stretch_mm()?.0)

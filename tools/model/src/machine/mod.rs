@@ -21,7 +21,7 @@ mod relative_paths;
 mod write;
 
 pub use check::FitRangeCheck;
-pub use evaluate::{HalfWidths, Prediction, Running};
+pub use evaluate::{HalfWidths, PiecewisePrediction, Prediction};
 pub use fit_note::{FitNote, Listed, NORMAL_95, Provenance, Reach, Source, Validity, unknown_um};
 
 use crate::chain::Chain;

@@ -3,7 +3,7 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ pub(crate) fn sample() -> Sample {
         parameters: vec![
             Parameter::linear("um", "um", 50.0)
                 .within([-500.0, 500.0], "half a millimetre per 100 mm is a rope"),
-            Parameter::new("free_mm", "mm", [0.0, 1000.0], Search::Smooth)
+            Parameter::new("free_mm", "mm", [0.0, 1000.0], ParameterSearch::Smooth)
                 .within([-1e4, 1e4], "no reach is longer than ten metres")
                 .refined(Refine::Step(20.0)),
         ],

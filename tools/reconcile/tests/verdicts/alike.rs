@@ -2,7 +2,7 @@
 
 use crate::noise::noise;
 use crate::{answer, record};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Kind, Record};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::TAU;

@@ -6,7 +6,7 @@
 
 use crate::names;
 use rtec_measure::plausible::What;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};

@@ -5,7 +5,7 @@
 
 use crate::{answer, names, record};
 use rtec_measure::plausible::What;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Kind, Record};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};

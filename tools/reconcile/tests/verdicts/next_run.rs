@@ -7,8 +7,8 @@ use crate::noise::noise;
 use rtec_measure::plan::{PlanAxis, TargetRun};
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, Turns};
-use rtec_reconcile::{NextRuns, Open, Options, Verdict, next_runs, reconcile};
+use rtec_model::record::{Axis, Column, Kind, Record, ReversalPoint, Role};
+use rtec_reconcile::{NextRuns, Options, UnresolvedEffect, Verdict, next_runs, reconcile};
 use std::path::Path;
 
 const TRAVEL_MM: f64 = 500.0;
@@ -36,7 +36,7 @@ fn measured(name: &str, run: &TargetRun, (effect, degc): (&Effect, f64), seed: u
         Column::new("e", Role::Error(x), vec![0.0; readings.len()]),
     ];
     let mut record = Record::new(Path::new(&format!("{name}.run.toml")), Kind::Positioning, columns).unwrap();
-    record.turns = Some(Turns::Overtravel(None));
+    record.turns = Some(ReversalPoint::Overtravel(None));
     let mut truth = Machine::ideal("truth");
     truth.push(effect.clone(), rtec_model::machine::Provenance::default()).unwrap();
     let (says, mut dice) = (truth.predict(&record).unwrap().columns.swap_remove(0).1, noise(seed));
@@ -57,7 +57,7 @@ fn ask(train: &[Record]) -> rtec_reconcile::Reconciliation {
 }
 
 fn planned(r: &rtec_reconcile::Reconciliation) -> NextRuns {
-    let of = |(f, _): &(rtec_reconcile::Finding, Vec<f64>)| Open {
+    let of = |(f, _): &(rtec_reconcile::Finding, Vec<f64>)| UnresolvedEffect {
         effect: f.effect.clone(),
         rivals: f.rivals.clone(),
         noise: r.gap[0].floor,
@@ -156,7 +156,7 @@ fn what_no_targets_tell_has_its_experiment() {
         differs: None,
         margin: 0.3,
     };
-    let open = Open { effect: growth, rivals: vec![rival], noise: 0.3 };
+    let open = UnresolvedEffect { effect: growth, rivals: vec![rival], noise: 0.3 };
     let found = next_runs(std::slice::from_ref(&open), &Machine::ideal("m"), &[axis()]);
     assert!(found.steps.is_empty() && found.tells[0].log_odds.is_none(), "{found:?}");
     assert!(found.tells[0].by.contains("heat one place only"), "{found:?}");
@@ -173,7 +173,7 @@ fn a_verdict_s_file_is_read_back() {
     let answer = ask(&[first]);
     std::fs::write(&file, answer.to_json().to_string()).unwrap();
     let dictionary = Machine::ideal("m").dictionary().clone();
-    let read = Open::read(&file, &dictionary).unwrap();
+    let read = UnresolvedEffect::read(&file, &dictionary).unwrap();
     assert_eq!(read.len(), answer.effects.len());
     for (open, (f, _)) in read.iter().zip(&answer.effects) {
         let labels =
@@ -186,6 +186,6 @@ fn a_verdict_s_file_is_read_back() {
         );
     }
     std::fs::write(&file, "{\"effects\":[{\"name\":\"scal.x\"}]}").unwrap();
-    let error = Open::read(&file, &dictionary).unwrap_err().to_string();
+    let error = UnresolvedEffect::read(&file, &dictionary).unwrap_err().to_string();
     assert!(error.contains("verdict.json") && error.contains("scal.x"), "{error}");
 }

@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::noise::noise;
-use rtec_model::effect::{Dictionary, Effect, Search};
+use rtec_model::effect::{Dictionary, Effect, ParameterSearch};
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Kind, Record};
-use rtec_reconcile::{Options, Place, Verdict, find, reconcile};
+use rtec_reconcile::{Options, ResidualStructure, Verdict, find, reconcile};
 use std::f64::consts::TAU;
 
 /// Strokes of X and Y that warm up, and white noise of 1 µm.
@@ -54,7 +54,10 @@ fn with(effect: &Effect, rms_um: f64, mut record: Record) -> Option<Record> {
         return None;
     }
     let mut sized = |um: f64| {
-        for p in parameters.iter().filter(|p| matches!(p.search, Search::Linear | Search::Amplitude)) {
+        for p in parameters
+            .iter()
+            .filter(|p| matches!(p.search, ParameterSearch::Linear | ParameterSearch::Amplitude))
+        {
             effect.set(&p.name, &[um]).ok()?;
         }
         let mut machine = Machine::ideal("m");
@@ -86,7 +89,7 @@ fn every_effect_that_is_named_is_somewhere() {
             let Some(record) = with(effect, rms_um, everything(k as u64 + 1)) else { continue };
             let train = [record];
             let places = find(&train, &ideal, 0.01).unwrap();
-            let somewhere = places.iter().any(Place::counts);
+            let somewhere = places.iter().any(ResidualStructure::counts);
             let later = reconcile(&train, &[], &ideal, &Options::default()).unwrap();
             let said = format!("{} of {rms_um} µm: {} {:?}", effect.name(), later.verdict, later.unexplained);
             assert_eq!(places.len(), later.places.len(), "{said}");
@@ -95,7 +98,9 @@ fn every_effect_that_is_named_is_somewhere() {
             for (f, _) in &later.effects {
                 let needs = f.effect.description().needs.iter();
                 let roles: Vec<String> = needs.map(|n| n.role(f.effect.axes()).to_string()).collect();
-                let of = |p: &Place| p.counts() && roles.iter().any(|r| p.against.starts_with(r.as_str()));
+                let of = |p: &ResidualStructure| {
+                    p.counts() && roles.iter().any(|r| p.against.starts_with(r.as_str()))
+                };
                 let name = f.effect.name();
                 assert!(roles.is_empty() || places.iter().any(of), "{said}: {name} is nowhere");
             }

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::noise::noise;
-use rtec_model::effect::Search;
+use rtec_model::effect::ParameterSearch;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
@@ -35,7 +35,9 @@ fn sizeless(r: &Reconciliation) -> Vec<String> {
     let zero = |(v, half): (&f64, &f64)| *half == 0.0 || v.abs() < *half;
     let of = |(f, half): &(rtec_reconcile::Finding, Vec<f64>)| {
         let law = f.effect.description();
-        let size = |i: &usize| matches!(law.parameters[*i].search, Search::Linear | Search::Amplitude);
+        let size = |i: &usize| {
+            matches!(law.parameters[*i].search, ParameterSearch::Linear | ParameterSearch::Amplitude)
+        };
         let sizes = (0..law.parameters.len()).filter(size);
         let all = sizes.into_iter().all(|i| zero((&f.effect.values()[i], &half[i])));
         all.then(|| format!("{} {:?} ± {half:?}", f.effect.name(), f.effect.values()))

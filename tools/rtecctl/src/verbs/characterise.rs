@@ -6,7 +6,7 @@ mod plan;
 pub(crate) mod record;
 
 use rtec_files::InputError;
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record};
 use std::path::Path;
 

@@ -10,7 +10,9 @@ use anyhow::Context;
 use rtec_files::{InputError, date};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{LAWS_FILE, Options, Place, Reconciliation, Refined, SEED, html, reconcile, why};
+use rtec_reconcile::{
+    LAWS_FILE, Options, Reconciliation, Refined, ResidualStructure, SEED, html, reconcile, why,
+};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -174,7 +176,7 @@ fn found(answer: &Reconciliation) -> String {
     use std::fmt::Write as _;
     let mut s = String::from("Where measured and simulated disagree (false-discovery rate 5 %):\n");
     let found: Vec<_> = answer.places.iter().filter(|p| p.counts()).collect();
-    let line = |p: &Place| {
+    let line = |p: &ResidualStructure| {
         let (response, against, share, p) =
             (&p.response, p.against(), 100.0 * p.statistic, chance(p.p_value));
         format!("{response} against {against}: {share:.1} %, p {p}")

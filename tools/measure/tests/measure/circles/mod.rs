@@ -3,7 +3,7 @@
 #![allow(dead_code, clippy::unwrap_used)] // each test takes what it needs; a test's own helpers
 
 use rtec_measure::ballbar::{self, Ballbar};
-use rtec_model::circle::Circle;
+use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::f64::consts::TAU;

@@ -54,7 +54,7 @@ fn another_angle_on_a_circle_is_said() {
             columns.push(column("y", "position.y", place(f64::sin)));
         }
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm: 150.0, plane, centre_mm: None };
+        let circle = rtec_model::ballbar_circle::Circle { radius_mm: 150.0, plane, centre_mm: None };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();

@@ -17,7 +17,7 @@ fn a_radius_in_inches_or_off_is_said() {
         let e = angles.iter().map(|a| off_um + 2.0 * (2.0 * a).sin() + (a * 97.0).sin()).collect();
         let columns = vec![column("a", "angle", angles), column("e", "error.r", e)];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm, plane, centre_mm: None };
+        let circle = rtec_model::ballbar_circle::Circle { radius_mm, plane, centre_mm: None };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     for inches in [100.0, 150.0, 300.0].map(|mm| mm / 25.4) {
@@ -71,7 +71,7 @@ fn inches_on_a_circle_are_said() {
             column("e", "error.r", angles.iter().map(|a| 2.0 * (2.0 * a).sin()).collect()),
         ];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
-        let circle = rtec_model::circle::Circle { radius_mm, plane, centre_mm: None };
+        let circle = rtec_model::ballbar_circle::Circle { radius_mm, plane, centre_mm: None };
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();

@@ -2,7 +2,8 @@
 //! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Refine, Search,
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Refine,
+    ParameterSearch,
     Searched, State,
 };
 use std::f64::consts::{PI, TAU};
@@ -25,12 +26,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![
             Parameter::linear("um", "um", 500.0).typically(10.0)
                 .within([-10_000.0, 10_000.0], "a bump of 10 mm is another part"),
-            Parameter::new("centre_rad", "rad", [-PI, TAU], Search::Smooth)
+            Parameter::new("centre_rad", "rad", [-PI, TAU], ParameterSearch::Smooth)
                 .within([-1e3, 1e3], "whole turns change nothing")
                 .refined(Refine::Step(0.12))
                 .telling_apart()
                 .cyclic(),
-            Parameter::new("width_rad", "rad", [0.05, TAU], Search::Smooth)
+            Parameter::new("width_rad", "rad", [0.05, TAU], ParameterSearch::Smooth)
                 .within([1e-6, TAU], "at most the whole turn")
                 .refined(Refine::Factor(0.2)),
         ],

@@ -1,7 +1,8 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
+    EffectColumns, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
@@ -19,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![
             Parameter::linear("um", "um", 10_000.0).typically(6.0)
                 .within([-1e6, 1e6], "a metre: a decoder that lost so much has lost the axis"),
-            Parameter::new("at_s", "s", [0.0, 1e6], Search::Chosen)
+            Parameter::new("at_s", "s", [0.0, 1e6], ParameterSearch::Chosen)
                 .within([-1e12, 1e12], "30 000 years: no clock of a log is that far off")
                 .refined(Refine::Moment)
                 .telling_apart(),
@@ -41,7 +42,7 @@ impl Law for LostCounts {
         out[0] = f64::from(now.t_s >= effect.scalar(AT));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         let at_s = effect.scalar(AT);
         for (row, out) in out.iter_mut().enumerate() {
             *out = f64::from(bound.t_s(row) >= at_s);

@@ -2,7 +2,8 @@
 
 use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Search, Searched,
+    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis,
+    ParameterSearch, Searched,
     State, ValueError,
 };
 use std::sync::Arc;
@@ -16,7 +17,7 @@ const LOBES: usize = 1;
 const PHASE: usize = 2;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let lobes = Parameter::new("lobes", "1", [2.0, 12.0], Search::Chosen)
+    let lobes = Parameter::new("lobes", "1", [2.0, 12.0], ParameterSearch::Chosen)
         .within([1.0, 1000.0], "one lobe is an eccentric ring; a thousand are roughness")
         .telling_apart();
     Arc::new(Lobing(Description {

@@ -2,7 +2,8 @@
 //! It fades with the travel since the change.
 
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
+    Description, Effect, Extent, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
+    State,
 };
 use std::sync::Arc;
 
@@ -23,7 +24,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![
             Parameter::linear("um", "um", 100.0).typically(3.0)
                 .within([-1000.0, 1000.0], "a drive that winds up by a millimetre is broken"),
-            Parameter::new("length_mm", "mm", [0.01, 50.0], Search::Smooth)
+            Parameter::new("length_mm", "mm", [0.01, 50.0], ParameterSearch::Smooth)
                 .within([1e-9, 1e6], "a positive length")
                 .refined(Refine::Factor(0.3)),
         ],

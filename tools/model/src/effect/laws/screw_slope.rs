@@ -1,7 +1,7 @@
 //! `screw_slope.A`: the amplitude of a screw's wave grows along the axis.
 
 use crate::effect::wave::{Sine, period, phase};
-use crate::effect::{Description, Law, Need, Parameter, Search, Searched};
+use crate::effect::{Description, Law, Need, Parameter, ParameterSearch, Searched};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -12,7 +12,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "linear displacement over the whole travel with targets that are no whole fraction of the lead".into(),
         parameters: vec![
             period("period_mm", "mm", [0.5, 60.0], "the periods of screw_periodic"),
-            Parameter::new("um_per_m", "um/m", [0.0, 200.0], Search::Amplitude)
+            Parameter::new("um_per_m", "um/m", [0.0, 200.0], ParameterSearch::Amplitude)
                 .typically(4.0)
                 .within([-1000.0, 1000.0], "a screw that wobbles by more than a millimetre does not turn"),
             phase(),

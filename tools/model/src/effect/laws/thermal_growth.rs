@@ -1,7 +1,7 @@
 //! `thermal_growth.A`: a temperature difference moves a point.
 
 use crate::effect::{
-    Bound, Description, Effect, Heat, Input, Law, Need, Out, Parameter,
+    EffectColumns, Description, Effect, Heat, Input, Law, Need, Out, Parameter,
     State,
 };
 use std::sync::Arc;
@@ -50,7 +50,7 @@ impl Law for ThermalGrowth {
         out[1] = d * d;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         let (first, second) = out.split_at_mut(bound.rows());
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
             *a = effect.bounded(bound.delta_k(row));

@@ -2,7 +2,8 @@
 
 use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
-    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search,
+    EffectColumns, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    Refine, ParameterSearch,
     State,
 };
 use std::sync::Arc;
@@ -16,7 +17,7 @@ struct ThermalLag(Description);
 const TAU: usize = 2;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let tau = Parameter::new("tau_s", "s", [30.0, 36_000.0], Search::Smooth)
+    let tau = Parameter::new("tau_s", "s", [30.0, 36_000.0], ParameterSearch::Smooth)
         .within([1e-6, 1e9], "a positive time; a lag of 30 years is no change at all")
         .refined(Refine::TimeConstant(0.35))
         .telling_apart();
@@ -70,7 +71,14 @@ impl Law for ThermalLag {
         out[1] = y * y;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, state: &mut State, out: Out<'_>) {
+    fn basis_rows(
+        &self,
+        effect: &Effect,
+        bound: &EffectColumns<'_>,
+        _: usize,
+        state: &mut State,
+        out: Out<'_>,
+    ) {
         let (first, second) = out.split_at_mut(bound.rows());
         let [lagged, _, input, t_s] = state.x;
         let mut lag = Lag::going_on(effect.scalar(TAU), state.started.then_some([lagged, input, t_s]));

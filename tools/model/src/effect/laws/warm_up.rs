@@ -1,7 +1,8 @@
 //! `warm_up.A`: a drift from the start, without a logged cause.
 
 use crate::effect::{
-    Bound, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, Search, State,
+    EffectColumns, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
@@ -19,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![
             Parameter::linear("um", "um", 500.0).typically(12.0)
                 .within([-10_000.0, 10_000.0], "ten metres of steel 80 K warmer grow by 10 mm"),
-            Parameter::new("tau_s", "s", [30.0, 36_000.0], Search::Smooth)
+            Parameter::new("tau_s", "s", [30.0, 36_000.0], ParameterSearch::Smooth)
                 .within([1e-6, 1e9], "a positive time; 30 years to warm up is no change at all")
                 .refined(Refine::TimeConstant(0.35))
                 .telling_apart(),
@@ -46,7 +47,7 @@ impl Law for WarmUp {
         out[0] = drift(now.t_s, effect.scalar(TAU));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &Bound<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         let tau_s = effect.scalar(TAU);
         for (row, out) in out.iter_mut().enumerate() {
             *out = drift(bound.t_s(row), tau_s);

@@ -2,7 +2,7 @@
 
 use super::super::*;
 use super::{one_of_each, record, value_on};
-use crate::record::Turns;
+use crate::record::ReversalPoint;
 
 /// The effect's value at a row by the guide's formula, from the record's columns.
 fn by_hand(name: &str, r: &Record, row: usize) -> f64 {
@@ -77,7 +77,7 @@ fn slopes_agree_with_central_differences() {
         bound.slopes(&e, component, &mut slopes);
         for i in 0..e.values().len() {
             let p = &e.description().parameters[i / e.width()];
-            if p.search == Search::Chosen {
+            if p.search == ParameterSearch::Chosen {
                 assert!(slopes[i * r.rows()..(i + 1) * r.rows()].iter().all(|s| *s == 0.0));
                 continue;
             }
@@ -192,9 +192,9 @@ fn a_spike_dies_out_on_the_way_that_no_row_shows() {
         Dictionary::default().effect("reversal_spike.x").unwrap().with(&[(0, 4.0), (1, 2.0)]).unwrap();
     for (turns, past_mm) in [
         (None, 0.0),
-        (Some(Turns::AtTarget), 0.0),
-        (Some(Turns::Overtravel(None)), 0.0),
-        (Some(Turns::Overtravel(Some(3.0))), 3.0),
+        (Some(ReversalPoint::AtTarget), 0.0),
+        (Some(ReversalPoint::Overtravel(None)), 0.0),
+        (Some(ReversalPoint::Overtravel(Some(3.0))), 3.0),
     ] {
         run.turns = turns;
         let said = value_on(&spike, &run, "error.x");

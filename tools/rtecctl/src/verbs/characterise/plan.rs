@@ -5,7 +5,7 @@ use crate::say;
 use crate::verbs::{pairs, suspicions};
 use rtec_measure::plan::{self, PlanAxis};
 use rtec_model::machine::Machine;
-use rtec_reconcile::{NextRuns, Open, next_runs};
+use rtec_reconcile::{NextRuns, UnresolvedEffect, next_runs};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -66,7 +66,7 @@ fn give(args: &Args, text: &str, document: &impl serde::Serialize) -> anyhow::Re
 fn telling(args: &Args, verdict: &Path, axes: &[PlanAxis]) -> anyhow::Result<()> {
     plan::check(axes, args.max_rpm, args.ballbar_mm)?;
     let machine = Machine::read_or_ideal(args.model.as_deref(), &args.machine)?;
-    let found = next_runs(&Open::read(verdict, machine.dictionary())?, &machine, axes);
+    let found = next_runs(&UnresolvedEffect::read(verdict, machine.dictionary())?, &machine, axes);
     give(args, &said(&args.machine, &found), &found)
 }
 

@@ -7,7 +7,7 @@ use crate::verbs::{read_records, suspicions};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_fit::thermal::{self, Fitted, Report};
-use rtec_fit::workflow::{self, Asked, Fit};
+use rtec_fit::workflow::{self, Fit, FitRequest};
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine};
 use std::path::{Path, PathBuf};
@@ -83,8 +83,8 @@ pub(crate) struct FitArgs {
 }
 
 impl Common {
-    fn asked(&self) -> anyhow::Result<Asked> {
-        Ok(Asked {
+    fn asked(&self) -> anyhow::Result<FitRequest> {
+        Ok(FitRequest {
             sensors: self.sensors.clone(),
             options: thermal::Options {
                 environment: self.environment.clone(),
@@ -95,11 +95,11 @@ impl Common {
                 base: self.base.as_deref().map(Machine::read).transpose()?,
                 ..thermal::Options::default()
             },
-            ..Asked::default()
+            ..FitRequest::default()
         })
     }
 
-    fn fit(&self, holdout: &[PathBuf], asked: &Asked) -> anyhow::Result<Fit> {
+    fn fit(&self, holdout: &[PathBuf], asked: &FitRequest) -> anyhow::Result<Fit> {
         let (train, holdout) = (read_records(&self.records)?, read_records(holdout)?);
         let done = workflow::fit(train, holdout, asked, &mut suspicions::say)?;
         if let Some(path) = &self.plot {
@@ -110,7 +110,7 @@ impl Common {
 }
 
 pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
-    let asked = Asked { date: Some(0), ..args.common.asked()? };
+    let asked = FitRequest { date: Some(0), ..args.common.asked()? };
     let done = args.common.fit(&[], &asked)?;
     if args.common.json {
         return say_pretty(&done.selection()?);
@@ -128,7 +128,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
     };
     let day = args.date.as_ref().map(day).transpose()?;
     let despite_suspicions = args.despite_suspicions;
-    let mut asked = Asked { date: day, despite_suspicions, ..args.common.asked()? };
+    let mut asked = FitRequest { date: day, despite_suspicions, ..args.common.asked()? };
     asked.options.valid_days = i64::from(args.valid_days);
     if !args.effects.is_empty() {
         return named(args, &asked);
@@ -179,7 +179,7 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 }
 
 /// Fits the effects that the user names, by least squares.
-fn named(args: &FitArgs, asked: &Asked) -> anyhow::Result<()> {
+fn named(args: &FitArgs, asked: &FitRequest) -> anyhow::Result<()> {
     let done =
         workflow::fit_named(read_records(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
     let (machine, report) = (&done.machine, &done.report);

@@ -1,15 +1,15 @@
 //! The candidates for one member: its names, its modes, its rivals.
 
-use super::{Found, Rival, Tried, label};
+use super::{EstimatedMember, Rival, Tried, label};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, MOMENT_ROWS};
 use crate::priors::{HELD, LISTED, SAME_PERIOD};
-use crate::search::{Member, Search, Seed, Set, log_sum, same_period};
+use crate::search::{Member, ScreenedHypothesis, Search, Set, log_sum, same_period};
 use rtec_model::effect::{Effect, Refine};
 
 /// The posterior of the candidates for one member.
-pub(super) struct Place {
-    pub(super) found: Found,
+pub(super) struct CandidatePosterior {
+    pub(super) found: EstimatedMember,
     pub(super) tried: Vec<Tried>,
     pub(super) nothing: bool,
     /// A likelier set, with another cause instead of this member.
@@ -40,7 +40,7 @@ fn add_refined(
     set: &Set,
     without: &Set,
     own: &Member,
-    seeds: &[Seed],
+    seeds: &[ScreenedHypothesis],
     all: &mut Vec<Candidate>,
 ) -> Option<Set> {
     let families = &search.families.list;
@@ -88,11 +88,11 @@ fn add_refined(
 }
 
 /// The posterior of one member: all candidates, given the other members.
-pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
+pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> CandidatePosterior {
     let own = &set.members[member];
     let without = search.without(set, member);
     let look = search.look_at(&without);
-    let seeds = search.seeds(&without, &look, true);
+    let seeds = search.screened(&without, &look, true);
     let families = &search.families.list;
     let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
     // Family, label, effect, log mass.
@@ -152,7 +152,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
     }
     rivals.sort_by(|a, b| a.margin.total_cmp(&b.margin));
     let moments = moments(search, &without, own);
-    let found = Found {
+    let found = EstimatedMember {
         moments,
         effect: own.cause.effect().filter(|_| families[own.family].replaces.is_none()).cloned(),
         shape: match &own.cause {
@@ -169,7 +169,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> Place {
         has_size: true,
         rivals,
     };
-    Place { found, tried: all_tried, nothing: evidence < 0.0, better }
+    CandidatePosterior { found, tried: all_tried, nothing: evidence < 0.0, better }
 }
 
 /// The 95 % interval of a step's moment, over the moments of the rows.

@@ -1,7 +1,7 @@
 //! Candidates to join a set, and their non-linear parameters.
 
-use super::{Columns, Member, Search, Seed, Set, difference, gain, gain_of_one, log_sum};
-use crate::bank::Look;
+use super::{Columns, Member, ScreenedHypothesis, Search, Set, difference, gain, gain_of_one, log_sum};
+use crate::bank::ScreeningProducts;
 use crate::cause::{Cause, Shape};
 use crate::effort::{CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT};
 use crate::family::{Families, Family, Scan};
@@ -9,7 +9,7 @@ use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_
 use crate::rows::Rows;
 use crate::shapes::changing_wave;
 use rtec_least_squares::{Factor, add, dot};
-use rtec_model::effect::{Difference, Effect, Heat, Refine, Search as How};
+use rtec_model::effect::{Difference, Effect, Heat, ParameterSearch, Refine};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -17,9 +17,9 @@ impl Search<'_> {
     /// Seeds worth computing exactly for a set, best first.
     /// `long`: also fine waves over long travel.
     #[must_use]
-    pub fn seeds(&self, set: &Set, look: &Look, long: bool) -> Vec<Seed> {
+    pub fn screened(&self, set: &Set, look: &ScreeningProducts, long: bool) -> Vec<ScreenedHypothesis> {
         let (left, freedom) = (set.factor.left(), self.base.freedom);
-        let mut seeds: Vec<Seed> = Vec::new();
+        let mut seeds: Vec<ScreenedHypothesis> = Vec::new();
         let mut weighed: Option<Vec<f64>> = None;
         for (number, family) in self.families.list.iter().enumerate() {
             if !self.may_join(set, number) {
@@ -38,7 +38,7 @@ impl Search<'_> {
                     if let Some(i) = best {
                         let (_, weight, cause) = &points[i];
                         let total = log_sum(scored.iter().copied());
-                        seeds.push(Seed {
+                        seeds.push(ScreenedHypothesis {
                             family: number,
                             cause: cause.clone(),
                             weight: *weight,
@@ -54,7 +54,12 @@ impl Search<'_> {
                         {
                             let (_, weight, cause) = &points[k];
                             let score = prior + total + scored[k] - scored[i];
-                            seeds.push(Seed { family: number, cause: cause.clone(), weight: *weight, score });
+                            seeds.push(ScreenedHypothesis {
+                                family: number,
+                                cause: cause.clone(),
+                                weight: *weight,
+                                score,
+                            });
                         }
                     }
                 }
@@ -69,7 +74,7 @@ impl Search<'_> {
                         let Some(effect) = effect.with(&[(0, period)]) else { continue };
                         let cause = Cause::Effect { effect, free: 2, reference: false };
                         let score = prior + self.gain(&set.factor, &self.columns(&cause)).total;
-                        seeds.push(Seed { family: number, cause, weight: 0.0, score });
+                        seeds.push(ScreenedHypothesis { family: number, cause, weight: 0.0, score });
                     }
                 }
                 Scan::Wave { along, .. } if along.is_long() && !long => {}
@@ -90,7 +95,13 @@ impl Search<'_> {
 
     /// Seeds of a wave at the peaks of a residual's spectrum.
     /// The residual is `weighed` by the noise. Usual periods near a peak are added.
-    pub(super) fn wave_seeds(&self, number: usize, set: &Set, weighed: &[f64], prior: f64) -> Vec<Seed> {
+    pub(super) fn wave_seeds(
+        &self,
+        number: usize,
+        set: &Set,
+        weighed: &[f64],
+        prior: f64,
+    ) -> Vec<ScreenedHypothesis> {
         let family = self.family(number);
         let Scan::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
         let mut seeds = Vec::new();
@@ -126,7 +137,7 @@ impl Search<'_> {
             if score > best.0 {
                 best = (score, f);
             }
-            seeds.push(Seed { family: number, cause, weight, score });
+            seeds.push(ScreenedHypothesis { family: number, cause, weight, score });
         }
         // A wave without a name need not be a sine. What was seen less than twice does not repeat.
         if family.effect.is_none()
@@ -135,13 +146,13 @@ impl Search<'_> {
         {
             let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
             let gain = self.gain(&set.factor, &self.columns(&cause)).total;
-            seeds.push(Seed { family: number, cause, weight, score: prior + weight + gain });
+            seeds.push(ScreenedHypothesis { family: number, cause, weight, score: prior + weight + gain });
             let weight = weight - f64::from(SAW_PHASES).ln();
             let of = |k| {
                 let cause =
                     saw_tooth(family, best.1, f64::from(k) / f64::from(SAW_PHASES), self.problem.rows.n)?;
                 let gain = self.gain(&set.factor, &self.columns(&cause)).total;
-                Some(Seed { family: number, cause, weight, score: prior + weight + gain })
+                Some(ScreenedHypothesis { family: number, cause, weight, score: prior + weight + gain })
             };
             seeds.extend((0..SAW_PHASES).filter_map(of).max_by(|a, b| a.score.total_cmp(&b.score)));
         }
@@ -154,10 +165,10 @@ impl Search<'_> {
         number: usize,
         sensors: &[String],
         points: &[(usize, f64, Effect)],
-        look: &Look,
+        look: &ScreeningProducts,
         left: f64,
         prior: f64,
-    ) -> Vec<Seed> {
+    ) -> Vec<ScreenedHypothesis> {
         let n = sensors.len();
         let [alone, paired] = Families::sensor_weights(n);
         // The best time constant of each difference: score, weight, grid point.
@@ -193,7 +204,7 @@ impl Search<'_> {
                 let mut effect = points[k].2.clone();
                 effect.delta = Some(difference(sensors, i, j));
                 let cause = Cause::Effect { effect, free: 1, reference: false };
-                Seed { family: number, cause, weight, score: prior + total + score - first }
+                ScreenedHypothesis { family: number, cause, weight, score: prior + total + score - first }
             })
             .collect()
     }
@@ -218,16 +229,21 @@ impl Search<'_> {
     /// The wave of another frequency that looks the same at these positions.
     /// Of several, the one with the highest prior.
     #[must_use]
-    pub fn alike(&self, member: &Member) -> Vec<Seed> {
+    pub fn alike(&self, member: &Member) -> Vec<ScreenedHypothesis> {
         let family = self.family(member.family);
         let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, member.cause.effect()) else {
             return Vec::new();
         };
         let of = |f: f64| {
             let weight = wave_weight(family, f, *unit, along.range(), along.span());
-            Some(Seed { family: member.family, cause: self.wave(family, f, 1)?, weight, score: weight })
+            Some(ScreenedHypothesis {
+                family: member.family,
+                cause: self.wave(family, f, 1)?,
+                weight,
+                score: weight,
+            })
         };
-        let mut all: Vec<Seed> =
+        let mut all: Vec<ScreenedHypothesis> =
             along.alike(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
         all.sort_by(|a, b| b.score.total_cmp(&a.score));
         all.truncate(TRIED);
@@ -239,7 +255,7 @@ impl Search<'_> {
     /// needs. A plain bow is equivalent to a law: guideways that are warmer above than below bend along a
     /// parabola.
     #[must_use]
-    pub fn maps_alike(&self, set: &Set) -> Vec<Seed> {
+    pub fn maps_alike(&self, set: &Set) -> Vec<ScreenedHypothesis> {
         let Some(own) = set.members.last().filter(|m| m.cause.effect().is_some()) else {
             return Vec::new();
         };
@@ -265,7 +281,7 @@ impl Search<'_> {
             let mut maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
             let (_, weight, cause) =
                 maps.find(|p| shows(if is_map { self.columns(&p.2) } else { self.bow(&p.2) }) > ALIKE)?;
-            Some(Seed { family, cause: cause.clone(), weight: *weight, score: f.prior })
+            Some(ScreenedHypothesis { family, cause: cause.clone(), weight: *weight, score: f.prior })
         };
         self.families.list.iter().enumerate().filter_map(of).collect()
     }
@@ -286,7 +302,7 @@ impl Search<'_> {
 
     /// Refines a seed's non-linear parameters to the best explanation.
     #[must_use]
-    pub fn refined(&self, factor: &Factor, seed: &Seed) -> Seed {
+    pub fn refined(&self, factor: &Factor, seed: &ScreenedHypothesis) -> ScreenedHypothesis {
         let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
         let moves = moves(self.family(seed.family), &effect);
         if moves.is_empty() {
@@ -334,7 +350,7 @@ impl Search<'_> {
         // A period that refinement moved out of the usual range is not a usual period.
         let at = |e: Option<&Effect>| self.weight_at(seed.family, e);
         let less = narrower + at(Some(&now)) - at(seed.cause.effect());
-        Seed {
+        ScreenedHypothesis {
             family: seed.family,
             cause: seed.cause.with_effect(now),
             weight: seed.weight + less,
@@ -351,20 +367,20 @@ impl Search<'_> {
 
     /// Richer forms of a seed.
     /// They are growth with a square of ΔT, another reference temperature, and a wave that changes.
-    pub(super) fn richer(seed: &Seed) -> Vec<Seed> {
+    pub(super) fn richer(seed: &ScreenedHypothesis) -> Vec<ScreenedHypothesis> {
         let mut out = Vec::new();
         let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
         let law = effect.description();
         if law.companion.is_some() && effect.delta.is_some() {
             if effect.coefficient_count() > *free {
                 let cause = Cause::Effect { effect: effect.clone(), free: free + 1, reference: false };
-                out.push(Seed { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
+                out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
             let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
             let constant = effect.companion().is_some_and(|c| c.description().constant);
             if !pair && !constant {
                 let cause = Cause::Effect { effect: effect.clone(), free: *free, reference: true };
-                out.push(Seed { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
+                out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
         }
         out
@@ -373,7 +389,7 @@ impl Search<'_> {
     /// A wave whose size changes along its travel, from a seed that is a wave.
     /// It has no name. What comes and goes has its strongest peaks beside its own frequency, so those near the
     /// seed's are tried too.
-    pub(crate) fn changing(&self, factor: &Factor, seed: &Seed) -> Option<Seed> {
+    pub(crate) fn changing(&self, factor: &Factor, seed: &ScreenedHypothesis) -> Option<ScreenedHypothesis> {
         let family = self.family(seed.family);
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         let rows = self.problem.rows;
@@ -400,7 +416,7 @@ impl Search<'_> {
         let near = (-half..=half).filter(|k| *k != 0).filter_map(beside);
         let columns = near.chain(own(&seed.cause.columns(rows))).max_by(|a, b| a.0.total_cmp(&b.0))?.1;
         let cause = Cause::Shape(Arc::new((shape, columns)));
-        Some(Seed { family: number, cause, weight: seed.weight, score: seed.score })
+        Some(ScreenedHypothesis { family: number, cause, weight: seed.weight, score: seed.score })
     }
 
     /// One wave of changing size instead of a wave and another one.
@@ -499,7 +515,7 @@ pub(super) fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
             return None;
         };
         let range = family.range(parameter);
-        (p.search == How::Smooth).then_some(Move { parameter, step, how: p.refine, range })
+        (p.search == ParameterSearch::Smooth).then_some(Move { parameter, step, how: p.refine, range })
     };
     effect.description().parameters.iter().enumerate().filter_map(of).collect()
 }
