@@ -3,7 +3,7 @@
 //! configuration's tables of keys. `rtec-control` compares `protocol.md` with the code.
 
 use rtec_control::protocol::word;
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::record::{Axis, Kind, Role};
 use rtec_rt::event::Fault;
 use rtec_tests::daemon::program;
@@ -80,8 +80,8 @@ fn keys_of_the_files_stand_on_their_pages() {
         ("machine-toml.md", "tools/model/src/effect/project_laws.rs", 12),
         ("chain.md", "tools/model/src/chain.rs", 15),
         ("records.md", "tools/records/src/record.rs", 11),
-        ("records.md", "tools/measure/src/import/own.rs", 8),
-        ("records.md", "tools/measure/src/export/own.rs", 13),
+        ("records.md", "tools/measure/src/import/user_format.rs", 8),
+        ("records.md", "tools/measure/src/export/user_format.rs", 13),
         ("records.md", "tools/measure/src/iso230/conditions.rs", 2),
     ] {
         all_stand(page, &keys_read(&source(file)), least);
@@ -168,7 +168,7 @@ fn every_field_of_a_verdict_stands_on_its_page() {
         "outliers",
         "other_machine",
     ];
-    assert_eq!(What::OtherMachine.name(), names[10]);
+    assert_eq!(MistakeKind::OtherMachine.name(), names[10]);
     let code = source("tools/measure/src/plausible/mod.rs");
     let body = code.split("pub fn name(self)").nth(1).unwrap().split("impl").next().unwrap();
     all_stand("verdict.md", &body.split('"').skip(1).step_by(2).collect::<Vec<_>>(), names.len());

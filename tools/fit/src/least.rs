@@ -14,7 +14,7 @@ use rtec_files::date;
 use rtec_files::text::short;
 use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
-use rtec_measure::steps::{Steps, is_coarse_cause, step_of};
+use rtec_measure::steps::{ReadingResolution, is_coarse_cause, step_of};
 use rtec_model::effect::{Dictionary, Difference, Effect, Missing, Need, ParameterSearch, Quantity};
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, Source};
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
@@ -134,7 +134,7 @@ impl Problem {
     /// error is equal from one side. Returns a message for the user.
     pub(crate) fn rounded_as(&mut self, record: &Record, column: &Column) -> Option<String> {
         let piece = self.pieces.last().cloned()?;
-        let steps = Steps::of_response(record, column)?;
+        let steps = ReadingResolution::of_response(record, column)?;
         let direction = column.role.axis().and_then(|a| record.data(&Role::Direction(a.clone())));
         let mut groups: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
         for (i, reading) in column.data.iter().enumerate() {

@@ -197,7 +197,7 @@ fn in_pieces(
 ) -> Result<Evaluation> {
     // Pieces of equal length, so that none is too short for the checks.
     let pieces = long.rows.div_ceil(most_rows);
-    let mut looked_at = plausible::PieceSuspicions::default();
+    let mut looked_at = plausible::RecordPieceSuspicions::default();
     let rows_at_once = long.rows.div_ceil(pieces);
     let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
     let doubts = looked_at.said(say);
@@ -520,7 +520,7 @@ fn gaps(record: &Record) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plausible::What;
+    use crate::plausible::MistakeKind;
     use std::fmt::Write as _;
 
     /// A drift test on file: rest, spindle with pauses, rest; uneven times.
@@ -603,10 +603,13 @@ mod tests {
             cells[6] += if row == 2500 { 500.0 } else { 0.0 };
         });
         let (found, said) = pieces(&path, 1000);
-        let doubts: Vec<(&str, What, &str)> =
+        let doubts: Vec<(&str, MistakeKind, &str)> =
             found.doubts.iter().map(|d| (d.column.as_str(), d.what, d.rows.as_str())).collect();
-        let want =
-            [("T1", What::Unit, ""), ("f", What::Outliers, "2501"), ("T2", What::Unplugged, "3901-4000")];
+        let want = [
+            ("T1", MistakeKind::Unit, ""),
+            ("f", MistakeKind::Outliers, "2501"),
+            ("T2", MistakeKind::Unplugged, "3901-4000"),
+        ];
         assert_eq!(doubts, want, "{said:?}");
         assert!(said.iter().any(|s| s.contains("in 4 pieces")), "{said:?}");
         assert_eq!(found.document["suspicions"].as_array().map(Vec::len), Some(3));

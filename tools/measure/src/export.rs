@@ -7,18 +7,18 @@
 //! | `beckhoff` | TF5200 and ISG kernel, `kw.ssfk.*` | Beckhoff Infosys, TF5200, 308695435 and 308687883 |
 //! | `siemens` | `$AA_ENC_COMP` | Siemens 6FC5397-1BP40-3BA1, K3, 4.4.2; 808D function manual, p. 106 |
 //! | `siemens_cec` | `$AN_CEC`, one axis's error along another axis | the same, 4.4.3, p. 248 and 249; 802D sl, p. 222 |
-//! | `own` | a format described by the user's file | |
-//! | `order` | options of an export, and messages about it | |
+//! | `user_format` | a format described by the user's file | |
+//! | `request` | options of an export, and messages about it | |
 //!
 //! A controller interpolates the table linearly and holds the end values beyond it. The residual is computed
 //! with the values as written, at places that match no period.
 
 mod beckhoff;
 pub mod linuxcnc;
-pub mod order;
-pub mod own;
+pub mod request;
 mod siemens;
 mod siemens_cec;
+pub mod user_format;
 
 use rtec_files::{InputError, Result, nearest};
 use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
@@ -413,7 +413,7 @@ pub(crate) struct Table {
     /// Constant subtracted from all values so that the reference point is zero, µm.
     /// It shifts the zero of the axis.
     pub constant_um: f64,
-    pub left: Left,
+    pub left: TableResidual,
     /// Largest error between points, µm, which more points could reduce.
     /// With one value for both directions, it is measured against their mean.
     pub between_um: f64,
@@ -421,7 +421,7 @@ pub(crate) struct Table {
 
 /// Residual of the model over the compensated travel, without the constant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Left {
+pub struct TableResidual {
     /// Largest absolute value moving up, µm.
     pub max_up_um: f64,
     /// Largest absolute value moving down, µm.
@@ -430,7 +430,7 @@ pub struct Left {
     pub rms_um: f64,
 }
 
-impl Left {
+impl TableResidual {
     /// Largest absolute value of both directions, µm.
     pub(crate) fn max_um(&self) -> f64 {
         self.max_up_um.max(self.max_down_um)
@@ -572,7 +572,7 @@ impl Table {
             p.up_um = round_to(p.up_um - constant_um, rules.value_um);
             p.down_um = round_to(p.down_um - constant_um, rules.value_um);
         }
-        let (axis, left) = (errors.axis.clone(), Left::default());
+        let (axis, left) = (errors.axis.clone(), TableResidual::default());
         let mut table = Self { axis, points, step_mm, constant_um, left, between_um: 0.0 };
         table.judge(dense, rules.both);
         if !(table.left.max_um().is_finite() && table.between_um.is_finite()) {
@@ -599,7 +599,7 @@ impl Table {
         let (up, down) = (moved(|p| p.up_um, true)?, moved(|p| p.down_um, false)?);
         let largest = |left: &[f64]| left.iter().map(|um| um.abs()).fold(0.0, f64::max);
         let squares: f64 = up.iter().chain(&down).map(|um| um * um).sum();
-        self.left = Left {
+        self.left = TableResidual {
             max_up_um: largest(&up),
             max_down_um: largest(&down),
             rms_um: (squares / (2 * up.len()) as f64).sqrt(),

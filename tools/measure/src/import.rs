@@ -3,7 +3,7 @@
 //! | module | contents | structure from |
 //! |---|---|---|
 //! | `table` | any table with named columns, units, factors and times | |
-//! | `own` | the same, described by the user's file | |
+//! | `user_format` | the same, described by the user's file | |
 //! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no original file was available |
 //! | `etalon` | Etalon's exchange format | ISG kernel documentation, 296430091 |
 //! | `halsampler` | LinuxCNC's `halsampler` | its source, `sampler_usr.c` |
@@ -19,21 +19,21 @@ mod ecmc;
 mod etalon;
 mod halsampler;
 mod linuxcnc;
-mod own;
 mod renishaw;
 pub mod request;
 mod shdr;
 mod table;
+mod user_format;
 
 pub use cmm::cmm_plate;
 pub use ecmc::ecmc_dat;
 pub use etalon::etalon;
 pub use halsampler::{Sampling, halsampler};
 pub use linuxcnc::linuxcnc_comp;
-pub use own::OwnTable;
 pub use renishaw::{any_text, rtl};
 pub use shdr::shdr;
 pub use table::{Form, ImportColumn, table};
+pub use user_format::UserTableFormat;
 
 use rtec_files::Result;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};

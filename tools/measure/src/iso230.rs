@@ -39,7 +39,7 @@ const ALIKE: f64 = 1e-4;
 const APART: f64 = 10.0;
 
 /// A place of a run, with the errors read there by side of approach.
-pub(crate) struct Place {
+pub(crate) struct MeasuredPosition {
     pub(crate) position_mm: f64,
     pub(crate) up: Vec<f64>,
     pub(crate) down: Vec<f64>,
@@ -47,14 +47,14 @@ pub(crate) struct Place {
 
 /// The places of a run, in order.
 /// Without a direction all errors are upwards.
-pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64]) -> Vec<Place> {
+pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64]) -> Vec<MeasuredPosition> {
     let of = |rows: Vec<usize>| {
         let side = |up: bool| -> Vec<f64> {
             let on = |r: &&usize| direction.map_or(up, |d| if up { d[**r] > 0.0 } else { d[**r] < 0.0 });
             rows.iter().filter(on).map(|r| error[*r]).collect()
         };
         let position_mm = rows.iter().map(|r| position[*r]).sum::<f64>() / rows.len() as f64;
-        Place { position_mm, up: side(true), down: side(false) }
+        MeasuredPosition { position_mm, up: side(true), down: side(false) }
     };
     targets(position).into_iter().map(of).collect()
 }
@@ -228,12 +228,12 @@ pub struct Returns {
     pub step: Option<ReturnStep>,
     /// A periodic pattern in the returns, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub turns: Option<Turns>,
+    pub turns: Option<PeriodicPattern>,
 }
 
 /// A periodic pattern of returns: two grippers, four sides of a tool.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Turns {
+pub struct PeriodicPattern {
     /// Period, in returns.
     pub every: usize,
     /// Highest less lowest mean of the phases, µm.
@@ -247,7 +247,7 @@ pub struct Turns {
 /// Fewest returns per phase.
 const ROUNDS: usize = 3;
 
-impl Turns {
+impl PeriodicPattern {
     /// The best period of returns without drift, by analysis of variance.
     fn of(left: &[f64], used: usize) -> Option<Self> {
         let n = left.len();
@@ -433,7 +433,7 @@ impl Returns {
             trend_standard_error_um: Some(error).filter(|error| error.is_finite()),
             trend_p_value: p,
             step: ReturnStep::of(e, left),
-            turns: Turns::of(&residual, 1),
+            turns: PeriodicPattern::of(&residual, 1),
             s_about_trend_um: s_about,
             s_of_neighbours_um: (n > 2.0).then(|| {
                 let squares: f64 = e.windows(2).map(|w| (w[1] - w[0] - slope).powi(2)).sum();

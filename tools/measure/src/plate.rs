@@ -2,7 +2,7 @@
 //!
 //! There are two fits. The plate's owners (SDSS plug plates) fit offset, scale and rotation first, then a
 //! quadrupole to the residual; only that fit is comparable with theirs. If the holes do not fill a square or
-//! a disc, the first fit takes part of the quadrupole. [`Joint`] fits all linear terms at once and does not.
+//! a disc, the first fit takes part of the quadrupole. [`AffineFit`] fits all linear terms at once and does not.
 
 use crate::plot::Vectors;
 use rtec_files::{InputError, Result};
@@ -54,7 +54,7 @@ pub struct Plate {
     /// Standard errors of offset, scale and rotation.
     pub standard_error: PlateErrors,
     /// All linear terms fitted at once.
-    pub joint: Joint,
+    pub joint: AffineFit,
     /// What the data cannot separate.
     pub remark: String,
     /// Residual of every hole after offset, scale and rotation, µm (x, y), in the record's order.
@@ -64,7 +64,7 @@ pub struct Plate {
 /// Terms of a plate's joint fit, or their standard errors if the residual is random.
 /// Error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct JointTerms<Angle> {
+pub struct AffineTerms<Angle> {
     /// Offset of the measured holes, mm; that of [`Plate`] belongs to the other fit.
     pub offset_mm: [f64; 2],
     /// Scale of x, ppm, as the effect `scale.x`.
@@ -86,14 +86,14 @@ pub struct JointTerms<Angle> {
 
 /// Offset, a scale for each axis, squareness and rotation by one fit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Joint {
+pub struct AffineFit {
     /// The terms.
     #[serde(flatten)]
-    pub terms: JointTerms<f64>,
+    pub terms: AffineTerms<f64>,
     /// RMS of the residual's length, µm.
     pub rms_um: f64,
     /// Standard errors of the terms.
-    pub standard_error: JointTerms<Option<f64>>,
+    pub standard_error: AffineTerms<Option<f64>>,
 }
 
 /// Standard errors of a plate's first fit, if the residual is random.
@@ -125,7 +125,7 @@ impl PlateErrors {
         quadrupole: &nalgebra::DMatrix<f64>,
         scale: f64,
         size: f64,
-        joint: &JointTerms<Option<f64>>,
+        joint: &AffineTerms<Option<f64>>,
     ) -> Self {
         let of_size = f64::midpoint(quadrupole[(0, 0)], quadrupole[(1, 1)]).sqrt();
         Self {
@@ -139,7 +139,7 @@ impl PlateErrors {
     }
 }
 
-impl Joint {
+impl AffineFit {
     /// From offsets, µm, and the slopes x on x, y on y, x on y and y on x, µm/mm.
     fn of(fit: &nalgebra::DVector<f64>, covariance: &nalgebra::DMatrix<f64>, rms_um: f64) -> Self {
         let error = |of: &[(usize, f64)]| {
@@ -154,7 +154,7 @@ impl Joint {
         let parts = [500.0 * error(&[(2, 1.0), (3, -1.0)]), squareness_error / 2.0];
         let quadrupole_error = (f64::midpoint(parts[0].powi(2), parts[1].powi(2))).sqrt();
         Self {
-            terms: JointTerms {
+            terms: AffineTerms {
                 offset_mm: [fit[0] / 1000.0, fit[1] / 1000.0],
                 scale_x_ppm: sx,
                 scale_y_ppm: sy,
@@ -164,7 +164,7 @@ impl Joint {
                 quadrupole_deg: ((c + d).atan2(sx - sy) / 2.0).to_degrees(),
             },
             rms_um,
-            standard_error: JointTerms {
+            standard_error: AffineTerms {
                 offset_mm: [0, 1].map(|i| error(&[(i, 1.0)]) / 1000.0),
                 scale_x_ppm: 1000.0 * error(&[(2, 1.0)]),
                 scale_y_ppm: 1000.0 * error(&[(3, 1.0)]),
@@ -282,7 +282,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
     for (i, d) in record.channel(NOMINAL_DIAMETER).unwrap_or_default().iter().enumerate() {
         kinds.entry(format!("{d}")).or_default().push(i);
     }
-    let joint = Joint::of(&fit_all, &of_all, rms_of(&left_all, &all) / 1000.0);
+    let joint = AffineFit::of(&fit_all, &of_all, rms_of(&left_all, &all) / 1000.0);
     let (a, b) = (fit[2], fit[3]);
     let scale = a.hypot(b);
     let rotation = b.atan2(a);

@@ -16,14 +16,14 @@ const FEWEST_REPEATS: usize = 6;
 
 /// Resolution and noise of a response's readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Steps {
+pub struct ReadingResolution {
     /// The step q that all readings are multiples of, in the column's unit.
     pub step: f64,
     /// Standard deviation σ before rounding; 0 if most repeats are equal.
     pub noise: f64,
 }
 
-impl Steps {
+impl ReadingResolution {
     /// From readings; `repeats` are rows that differ by noise alone.
     /// `None` for readings without a step, or too few repeats.
     pub fn of(readings: &[f64], repeats: &[Vec<usize>]) -> Option<Self> {
@@ -101,8 +101,8 @@ pub fn said(record: &Record, responses: bool) -> Vec<String> {
     let mut said = Vec::new();
     for column in record.responses().filter(|_| responses) {
         let [low, high] = span(&column.data);
-        let matters = |steps: &Steps| steps.is_coarse() && high - low < MANY_STEPS * steps.step;
-        if let Some(steps) = Steps::of_response(record, column).filter(matters) {
+        let matters = |steps: &ReadingResolution| steps.is_coarse() && high - low < MANY_STEPS * steps.step;
+        if let Some(steps) = ReadingResolution::of_response(record, column).filter(matters) {
             let unit = if matches!(column.role, Role::Error(_)) { "µm" } else { column.unit.as_str() };
             let (role, step, half) = (&column.role, short(steps.step), short(steps.half_width()));
             said.push(format!(

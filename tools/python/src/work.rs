@@ -123,11 +123,11 @@ pub(crate) struct FitAsked {
 }
 
 impl FitAsked {
-    fn asked(self) -> Result<workflow::Asked, Failure> {
+    fn asked(self) -> Result<workflow::FitRequest, Failure> {
         if !(3..=50).contains(&self.folds) {
             return Err(bad("folds", self.folds.to_string(), "3 to 50 blocks"));
         }
-        Ok(workflow::Asked {
+        Ok(workflow::FitRequest {
             sensors: self.sensors,
             date: self.date.map(|text| day(&text)).transpose()?,
             despite_suspicions: self.despite_suspicions,

@@ -9,7 +9,7 @@ use crate::suspected::{about, is_of_clock, is_one_of_several, is_sensor, whole};
 use crate::verdict::SkippedRecord;
 use rtec_estimate::alone;
 use rtec_estimate::problem::Units;
-use rtec_measure::plausible::{self, Suspicion, What};
+use rtec_measure::plausible::{self, MistakeKind, Suspicion};
 use rtec_model::effect::{Effect, Heat};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
@@ -59,7 +59,7 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
         together.into_iter().partition(|s| holdout.iter().any(|r| about(s, r)));
     // If two records have opposite signs and the model accuses the training, the hold-out is not accused.
     let turned = |s: &Suspicion| {
-        s.what == What::Sign && of_train.iter().any(|t| (t.what, &t.column) == (s.what, &s.column))
+        s.what == MistakeKind::Sign && of_train.iter().any(|t| (t.what, &t.column) == (s.what, &s.column))
     };
     of_holdout.retain(|s| !turned(s));
     said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
@@ -72,7 +72,7 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
 /// Outlying readings count only if the model does not explain them.
 fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
     let mut found = plausible::suspicions(records);
-    let is_wild = |s: &Suspicion| s.what == What::Outliers && !s.is_of_sensor();
+    let is_wild = |s: &Suspicion| s.what == MistakeKind::Outliers && !s.is_of_sensor();
     if found.iter().any(is_wild) {
         let model: Vec<Effect> = machine.effects().cloned().collect();
         let beside = |r: &Record| {
@@ -108,13 +108,13 @@ impl Doubts {
         let before = self.train.len();
         let said = std::mem::take(&mut self.said);
         let of_clock = |r: &Record| said.iter().any(|s| about(s, r) && is_of_clock(s, r));
-        self.drop_where(|r| of_clock(r).then_some(What::Unit));
+        self.drop_where(|r| of_clock(r).then_some(MistakeKind::Unit));
         self.said = said;
         self.train.len() < before
     }
 
     /// Leaves out the training records with a mistake, the last one first.
-    fn drop_where(&mut self, mistake: impl Fn(&Record) -> Option<What>) {
+    fn drop_where(&mut self, mistake: impl Fn(&Record) -> Option<MistakeKind>) {
         for record in std::mem::take(&mut self.train).into_iter().rev() {
             match mistake(&record) {
                 Some(what) => self.left_out.push(format!("{}: all of it ({what})", record.path.display())),
@@ -130,7 +130,7 @@ impl Doubts {
             let gone = all.iter().filter(|r| left.iter().all(|l| l.path != r.path));
             // A record that is given twice is reported once.
             let own = |r: &&Record| self.said.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
-            let again = |r: &&Record| own(r).iter().any(|s| s.what == What::Doubled && whole(s, r));
+            let again = |r: &&Record| own(r).iter().any(|s| s.what == MistakeKind::Doubled && whole(s, r));
             let unsaid = |r: &Record| {
                 let mut why: Vec<&str> = own(&r).iter().map(|s| s.what.name()).collect();
                 why.dedup();
@@ -220,7 +220,7 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<Rec
     }
     let mut left = if keep.len() < record.rows() { record.select(&keep) } else { record.clone() };
     left.columns.retain(|c| !sensors.contains(&c.name.as_str()) || !is_sensor(record, &c.name));
-    let still = |s: &&Suspicion| s.what == What::Stuck && s.rows.is_empty() && about(s, record);
+    let still = |s: &&Suspicion| s.what == MistakeKind::Stuck && s.rows.is_empty() && about(s, record);
     for gauge in said.iter().filter(still).map(|s| &s.column) {
         if is_one_of_several(&left, gauge) {
             left.columns.retain(|c| c.name != *gauge);
@@ -271,7 +271,7 @@ pub(crate) fn other_machines(
                     "the model that leaves {floor:.2} {unit} of the training leaves {after:.2} {unit} of this hold-out: another \
                      machine, or another state of it?"
                 );
-                found.push((k, Suspicion::new(record, "", What::OtherMachine, &[], text)));
+                found.push((k, Suspicion::new(record, "", MistakeKind::OtherMachine, &[], text)));
                 break;
             }
         }

@@ -6,7 +6,7 @@ use crate::answer::{Answer, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
 use rtec_estimate::problem::Units;
 use rtec_estimate::{alone, unexplained};
-use rtec_measure::plausible::{Suspicion, What};
+use rtec_measure::plausible::{MistakeKind, Suspicion};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
@@ -31,7 +31,7 @@ impl Mistake {
     fn units(&self) -> Units {
         let set_up = |c: &Column| c.role == Role::Time || c.role.is_response();
         let asked = self.corrected.columns.iter().any(|c| c.name == self.said.column && set_up(c));
-        if self.said.what == What::Unit && asked { Units::Any } else { Units::AsWritten }
+        if self.said.what == MistakeKind::Unit && asked { Units::Any } else { Units::AsWritten }
     }
 }
 
@@ -138,7 +138,7 @@ pub(crate) fn of_training(
         }
         tried.sort_by(|a, b| b.0.total_cmp(&a.0));
         // Keeps the likeliest mistake of each kind in each column.
-        let mut kinds: Vec<(usize, What, String)> = Vec::new();
+        let mut kinds: Vec<(usize, MistakeKind, String)> = Vec::new();
         tried.retain(|(_, k, m)| {
             let kind = (*k, m.said.what, m.said.column.clone());
             let new = !kinds.contains(&kind);
@@ -378,10 +378,15 @@ const PARTS: [(&str, Which); 4] = [
 /// All mistakes that a record may carry.
 #[expect(clippy::too_many_lines, reason = "one list, in the order of the words page")]
 fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake> {
+    use MistakeKind::{Direction, Sign, Swapped, Unit};
     let mut out = Vec::new();
     let rows = record.rows() as f64;
     let as_logged = agreement(record);
-    let mut add = |what: What, column: &str, text: String, corrected: Option<Record>, jacobian: f64| {
+    let mut add = |what: MistakeKind,
+                   column: &str,
+                   text: String,
+                   corrected: Option<Record>,
+                   jacobian: f64| {
         if let Some(corrected) = corrected {
             let jacobian = jacobian + agreement(&corrected) - as_logged;
             out.push(Mistake { said: Suspicion::new(record, column, what, &[], text), corrected, jacobian });
@@ -391,7 +396,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     for c in record.responses() {
         let own = |o: &Column| o.name == c.name;
         add(
-            What::Sign,
+            Sign,
             &c.name,
             only("with the other sign: nominal minus measured?"),
             changed(record, &own, &|x| -x),
@@ -402,13 +407,13 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         let changes = c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0);
         for (by, text) in units.iter().filter(|_| changes) {
             let text = only(&format!("{by} times as large: {text}"));
-            add(What::Unit, &c.name, text, changed(record, &own, &|x| by * x), rows * by.ln());
+            add(Unit, &c.name, text, changed(record, &own, &|x| by * x), rows * by.ln());
         }
     }
     if record.responses().count() > 1 {
         let all = |o: &Column| o.role.is_response();
         add(
-            What::Sign,
+            Sign,
             "",
             only("with the other signs: nominal minus measured?"),
             changed(record, &all, &|x| -x),
@@ -418,7 +423,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     let motion = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
     if let Some(first) = record.columns.iter().find(|c| motion(c)) {
         let text = only("with the directions exchanged");
-        add(What::Direction, &first.name, text, changed(record, &motion, &|x| -x), 0.0);
+        add(Direction, &first.name, text, changed(record, &motion, &|x| -x), 0.0);
     }
     let kinds: [fn(&Role) -> bool; 6] = [
         |r| matches!(r, Role::Position(_)),
@@ -449,22 +454,22 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                 "with {} {by} times this: given in {unit}, called {}?",
                 first.name, first.unit
             ));
-            add(What::Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), likelier);
+            add(Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), likelier);
         }
     }
     let load = |c: &Column| matches!(c.role, Role::Load(_));
     if let Some(first) = record.columns.iter().find(|c| load(c)) {
         let text = only("with the loads in the other direction");
-        add(What::Sign, &first.name, text, changed(record, &load, &|x| -x), 0.0);
+        add(Sign, &first.name, text, changed(record, &load, &|x| -x), 0.0);
     }
     if let Some(wet) = record.columns.iter().find(|c| c.role == Role::Coolant) {
         let text = only(&format!("with {} the other way round: 1 while it is off?", wet.name));
-        add(What::Swapped, &wet.name, text, changed(record, &|c| c.role == Role::Coolant, &|x| 1.0 - x), 0.0);
+        add(Swapped, &wet.name, text, changed(record, &|c| c.role == Role::Coolant, &|x| 1.0 - x), 0.0);
     }
     let warm = |c: &Column| c.role == Role::Temperature;
     if let Some(first) = record.columns.iter().find(|c| warm(c)) {
         let text = only("with its temperatures read as degrees Fahrenheit");
-        add(What::Unit, &first.name, text, changed(record, &warm, &|x| (x - 32.0) / 1.8), 0.0);
+        add(Unit, &first.name, text, changed(record, &warm, &|x| (x - 32.0) / 1.8), 0.0);
     }
     let angle = |c: &Column| c.role == Role::Angle;
     if let Some(first) = record.columns.iter().find(|c| angle(c)) {
@@ -475,10 +480,10 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             ("with the angle from the other axis", |x| 0.5 * PI - x),
         ];
         for (text, of) in mirrored {
-            add(What::Direction, &first.name, only(text), changed(record, &angle, &of), 0.0);
+            add(Direction, &first.name, only(text), changed(record, &angle, &of), 0.0);
         }
         add(
-            What::Unit,
+            Unit,
             &first.name,
             only("with the angle in degrees"),
             changed(record, &angle, &|x| x * PI / 180.0),
@@ -489,7 +494,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         for radius_mm in BARS_MM.into_iter().filter(|r| (r / circle.radius_mm - 1.0).abs() > 0.05) {
             let text = only(&format!("with a bar of {radius_mm} mm, stated {} mm", circle.radius_mm));
             let other = Circle { radius_mm, ..circle.clone() };
-            add(What::Unit, "radius_mm", text, rebuilt(record, record.columns.clone(), Some(other)), 0.0);
+            add(Unit, "radius_mm", text, rebuilt(record, record.columns.clone(), Some(other)), 0.0);
         }
     }
     // Another axis's name, or two axes exchanged.
@@ -534,7 +539,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                 let sound =
                     |u: &Record| said_of(u, model) >= said_of(record, model) && paired(u) >= paired(record);
                 let corrected = renamed(record, &swap).filter(|u| part == "run" || sound(u));
-                add(What::Swapped, column, only(&text), corrected, 0.0);
+                add(Swapped, column, only(&text), corrected, 0.0);
             }
         }
     }
@@ -549,7 +554,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
         for b in &sensors[i + 1..] {
             if read.iter().any(|r| r == a || r == b) {
                 let text = only(&format!("with {a} and {b} exchanged"));
-                add(What::Swapped, a, text, with_sensors_exchanged(record, a, b), 0.0);
+                add(Swapped, a, text, with_sensors_exchanged(record, a, b), 0.0);
             }
         }
     }

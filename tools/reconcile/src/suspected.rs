@@ -1,6 +1,6 @@
 //! The subject of a suspicion: a record, a column, the clock.
 
-use rtec_measure::plausible::{Suspicion, What};
+use rtec_measure::plausible::{MistakeKind, Suspicion};
 use rtec_model::record::{Column, Record, Role};
 
 /// Whether the suspicion is about this record.
@@ -28,20 +28,22 @@ pub(crate) fn is_one_of_several(record: &Record, name: &str) -> bool {
 /// Whether it doubts the unit of the record's time.
 pub(crate) fn is_of_clock(s: &Suspicion, record: &Record) -> bool {
     let time = |c: &Column| c.name == s.column && c.role == Role::Time;
-    s.what == What::Unit && record.columns.iter().any(time)
+    s.what == MistakeKind::Unit && record.columns.iter().any(time)
 }
 
 /// Whether it is about the whole record, whose meaning is then unknown.
 pub(crate) fn whole(s: &Suspicion, record: &Record) -> bool {
     match s.what {
         // A wrong unit of time leaves positions, sensors and errors valid. Only lags depend on it.
-        What::Unit if is_of_clock(s, record) => false,
-        What::Unit | What::Sign | What::Direction | What::OtherMachine => !is_sensor(record, &s.column),
-        What::Swapped => true,
+        MistakeKind::Unit if is_of_clock(s, record) => false,
+        MistakeKind::Unit | MistakeKind::Sign | MistakeKind::Direction | MistakeKind::OtherMachine => {
+            !is_sensor(record, &s.column)
+        }
+        MistakeKind::Swapped => true,
         // A gauge that was never read has no error to explain.
-        What::Stuck => s.rows.is_empty() && is_dead(record, &s.column),
-        What::Doubled => s.column.is_empty() && s.rows.is_empty(),
-        What::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
+        MistakeKind::Stuck => s.rows.is_empty() && is_dead(record, &s.column),
+        MistakeKind::Doubled => s.column.is_empty() && s.rows.is_empty(),
+        MistakeKind::Range => !is_sensor(record, &s.column) && s.rows.is_empty(),
         _ => false,
     }
 }

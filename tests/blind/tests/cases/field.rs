@@ -4,7 +4,7 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 
@@ -145,9 +145,9 @@ fn mistakes_in_angle_bar_and_axis_are_said() {
         return;
     }
     let cases = [
-        ("14", ["m6", "lin-x", "lin-y"], What::Direction),
-        ("14", ["m4", "lin-x", "lin-y"], What::Unit),
-        ("15", ["m10", "lin-x", "bb-xy"], What::Swapped),
+        ("14", ["m6", "lin-x", "lin-y"], MistakeKind::Direction),
+        ("14", ["m4", "lin-x", "lin-y"], MistakeKind::Unit),
+        ("15", ["m10", "lin-x", "bb-xy"], MistakeKind::Swapped),
     ];
     for (case, train, what) in cases {
         let Some(r) = shop(case, &train, &[]) else { return };

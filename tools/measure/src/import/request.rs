@@ -1,6 +1,6 @@
 //! Options of an import: the file, its format and contents.
 
-use super::{Form, ImportColumn, OwnTable, Sampling, add_note};
+use super::{Form, ImportColumn, Sampling, UserTableFormat, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
@@ -163,7 +163,7 @@ impl ImportRequest {
             ImportFormat::Csv => table(file, text, &columns()?, &form, kind()?, out)?,
             ImportFormat::Own => {
                 let path = self.form.as_deref().unwrap_or(Path::new("--form"));
-                OwnTable::parse(path, &rtec_files::text::read(path)?)?.read(file, text, out)?
+                UserTableFormat::parse(path, &rtec_files::text::read(path)?)?.read(file, text, out)?
             }
             ImportFormat::CmmPlate => cmm_plate(file, text, out)?,
             ImportFormat::Rtl => rtl(file, text, &axis()?, out)?,

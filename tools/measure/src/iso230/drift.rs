@@ -9,7 +9,7 @@ pub(crate) use long::LongDrift;
 
 use super::{Budget, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
-use figures::{Look, Sums};
+use figures::{FirstPass, SecondPass};
 use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
@@ -209,11 +209,11 @@ fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scat
 fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usize> + Clone) -> Figures {
     let degc: Vec<&[f64]> = record.temperatures().map(|c| c.data.as_slice()).collect();
     let of = |row: usize| (t[row], e[row], degc.as_slice(), row);
-    let mut sums = Sums::new(degc.len());
+    let mut sums = FirstPass::new(degc.len());
     for row in rows.clone() {
         sums.see(of(row));
     }
-    let mut look = Look::at(sums);
+    let mut look = SecondPass::at(sums);
     for row in rows {
         look.see(of(row));
     }

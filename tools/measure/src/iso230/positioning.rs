@@ -2,11 +2,11 @@
 
 use super::conditions::REFERENCE_DEGC;
 use super::{
-    ALIKE, Conditions, Expansion, Place, Uncertainty, alike, lacks, largest, mean_and_s, mean_of,
+    ALIKE, Conditions, Expansion, MeasuredPosition, Uncertainty, alike, lacks, largest, mean_and_s, mean_of,
     no_temperature, places, range, spread, targets,
 };
 use crate::plot::{Chart, Colour, Series, Style};
-use crate::steps::Steps;
+use crate::steps::ReadingResolution;
 use rtec_files::Result;
 use rtec_files::text::short;
 use rtec_model::record::{Axis, Column, Record, Role, mean};
@@ -249,7 +249,7 @@ impl Run<'_> {
 
     /// The targets with these errors.
     fn list_of(&self, error: &[f64]) -> Vec<Target> {
-        let of = |Place { position_mm, up, down }: Place| {
+        let of = |MeasuredPosition { position_mm, up, down }: MeasuredPosition| {
             let (mean_up, mean_down) = (mean_of(&up), mean_of(&down));
             let [s_up, s_down] = [&up, &down].map(|v| mean_and_s(v).map(|m| m.1));
             let reversal = mean_up.zip(mean_down).map(|(u, d)| u - d);
@@ -347,7 +347,8 @@ impl Run<'_> {
     /// Rounding error of the means in a coarse gauge; adds a warning.
     fn resolution(&mut self, unit: &str) -> Option<Resolution> {
         let column = Column { data: self.error.clone(), ..self.column.clone() };
-        let steps = Steps::of_response(self.record, &column).filter(Steps::is_coarse)?;
+        let steps =
+            ReadingResolution::of_response(self.record, &column).filter(ReadingResolution::is_coarse)?;
         let (step, mean_within) = (steps.step, steps.half_width());
         let reversal_within = 2.0 * mean_within;
         let [q, mean, reversal] = [step, mean_within, reversal_within].map(short);

@@ -2,7 +2,7 @@
 //! The error across it, less a least-squares line over the travel (ISO 230-1:2012; its text was not
 //! available).
 
-use super::{Place, lacks, line, mean_of, spread};
+use super::{MeasuredPosition, lacks, line, mean_of, spread};
 use crate::plot::{Chart, Colour};
 use rtec_files::Result;
 use rtec_model::record::{Axis, Record, Role};
@@ -111,7 +111,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
     let direction = record.way(axis);
     let mut places = Vec::new();
     let mut spreads: Vec<f64> = Vec::new();
-    for Place { position_mm, up, down } in super::places(position, direction, error) {
+    for MeasuredPosition { position_mm, up, down } in super::places(position, direction, error) {
         spreads.extend([&up, &down].into_iter().filter(|v| v.len() > 1).filter_map(spread));
         let (up_um, down_um) = (mean_of(&up), mean_of(&down));
         let Some(mean_um) = up_um.zip(down_um).map(|(u, d)| f64::midpoint(u, d)).or(up_um).or(down_um) else {

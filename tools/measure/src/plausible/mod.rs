@@ -10,24 +10,24 @@
 //! | `sensors` | one temperature or channel against the others: unplugged, range, unit, jump, outliers, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run against one another |
 //! | `rows` | duplicated rows, outliers and constant stretches of responses |
-//! | `lone` | outliers in records of few rows |
+//! | `few_rows` | outliers in records of few rows |
 //! | `slips` | a position with a misplaced decimal point or a lost digit |
 //! | `stuck` | a frozen sensor, by its noise at other times and by the other sensors |
 //! | `repeats` | single approaches far from the others to the same target |
-//! | `peaks` | where a short peak is physical, and in which orders rows are neighbours |
+//! | `physical_peaks` | where a short peak is physical, and in which orders rows are neighbours |
 //! | `pieces` | a record too long for memory, piece by piece |
-//! | `between` | records against one another: repeated, a sign, a unit, two sensors exchanged |
+//! | `between_records` | records against one another: repeated, a sign, a unit, two sensors exchanged |
 //! | `step` | a lasting step of an error; it may be lost counts, so it is no suspicion |
 //! | `sensor_regression` | regression of a sensor on other sensors |
-//! | `turned` | rows against other rows: direction, sign or unit wrong from a row on, exchanged columns, a clock put forward |
+//! | `within_record` | rows against other rows: direction, sign or unit wrong from a row on, exchanged columns, a clock put forward |
 //! | `units` | minutes, hours, inches |
 //! | `stats` | medians, robust spreads, differences |
 
-mod between;
+mod between_records;
 pub(crate) mod clock;
-mod lone;
+mod few_rows;
 mod motion;
-mod peaks;
+mod physical_peaks;
 mod pieces;
 mod repeats;
 mod rows;
@@ -37,12 +37,12 @@ mod slips;
 mod stats;
 mod step;
 mod stuck;
-mod turned;
 mod units;
+mod within_record;
 
-pub use between::repeated;
+pub use between_records::repeated;
 pub use motion::agreement;
-pub use pieces::PieceSuspicions;
+pub use pieces::RecordPieceSuspicions;
 pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
@@ -62,7 +62,7 @@ rtec_files::choice! {
     /// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
     #[derive(PartialOrd, Ord, Hash, Serialize)]
     #[serde(rename_all = "snake_case")]
-    pub enum What {
+    pub enum MistakeKind {
         Unit = "unit", "Another unit than the column states.";
         Sign = "sign", "The opposite sign.";
         Direction = "direction", "A direction of approach that contradicts the movement or is constant.";
@@ -77,14 +77,14 @@ rtec_files::choice! {
     }
 }
 
-impl What {
+impl MistakeKind {
     /// The name in JSON documents.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
 }
 
-impl fmt::Display for What {
+impl fmt::Display for MistakeKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
@@ -100,7 +100,7 @@ pub struct Suspicion {
     /// Rows from 1 without header and comments, such as `3-9,14`; empty for all rows.
     pub rows: String,
     /// Kind of the mistake.
-    pub what: What,
+    pub what: MistakeKind,
     /// One line: what was seen, and what it looks like.
     pub text: String,
     /// Whether the column is a temperature or a channel.
@@ -114,7 +114,7 @@ pub struct Suspicion {
 impl Suspicion {
     /// A suspicion against a column.
     /// `rows` count from 0 in this record; none means all.
-    pub fn new(record: &Record, column: &str, what: What, rows: &[usize], text: String) -> Self {
+    pub fn new(record: &Record, column: &str, what: MistakeKind, rows: &[usize], text: String) -> Self {
         let sensor = record.columns.iter().any(|c| c.name == column && is_sensor(c));
         let (of, path) = (record.rows(), record.path.display().to_string());
         let rows: Vec<usize> = rows.iter().map(|row| record.first_row() + row).collect();
@@ -124,14 +124,14 @@ impl Suspicion {
     /// A record with the same rows as another one.
     pub fn again(first: &Record, record: &Record) -> Self {
         let text = format!("holds the same rows as {}: it says nothing more", first.path.display());
-        Self::new(record, "", What::Doubled, &[], text)
+        Self::new(record, "", MistakeKind::Doubled, &[], text)
     }
 
     /// Whether it concerns at most a tenth of the rows, and the others are good.
     pub fn is_few(&self) -> bool {
         !self.rows.is_empty()
             && self.row_list().len() as f64 <= FEW * self.of as f64
-            && self.what != What::Jump
+            && self.what != MistakeKind::Jump
     }
 
     /// Whether it concerns a temperature or a channel.
@@ -196,16 +196,18 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
         slips::look(record, &mut found);
         repeats::look(record, &mut found);
         units::look(record, &mut found);
-        turned::look(record, &mut found);
+        within_record::look(record, &mut found);
     }
     stuck::look(records, &mut found);
-    between::look(records, &mut found);
+    between_records::look(records, &mut found);
     // Jumps in several records show that something is switched.
     let jumps = |s: &Suspicion, all: &[Suspicion]| {
-        all.iter().filter(|o| o.what == What::Jump && o.column == s.column && o.record != s.record).count()
+        all.iter()
+            .filter(|o| o.what == MistakeKind::Jump && o.column == s.column && o.record != s.record)
+            .count()
     };
     let all = found.clone();
-    found.retain(|s| s.what != What::Jump || jumps(s, &all) == 0);
+    found.retain(|s| s.what != MistakeKind::Jump || jumps(s, &all) == 0);
     found
 }
 
@@ -247,8 +249,12 @@ pub fn enter(document: &mut serde_json::Value, found: &[Suspicion]) {
 pub fn refuse(found: &[Suspicion], records: &[&Path]) -> Result<()> {
     let learned = |s: &&Suspicion| records.iter().any(|r| r.display().to_string() == s.record);
     let wrong = |s: &&Suspicion| {
-        let dead = s.what == What::Stuck && s.rows.is_empty();
-        (dead || matches!(s.what, What::Unit | What::Sign | What::Direction | What::Swapped))
+        let dead = s.what == MistakeKind::Stuck && s.rows.is_empty();
+        (dead
+            || matches!(
+                s.what,
+                MistakeKind::Unit | MistakeKind::Sign | MistakeKind::Direction | MistakeKind::Swapped
+            ))
             && !s.is_of_sensor()
     };
     let Some(first) = found.iter().filter(learned).find(wrong) else { return Ok(()) };
@@ -283,7 +289,9 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
             say(Said::Warning(format!("{file}: left out of the fit: {sensors}, {rows} rows")));
         }
     }
-    let kept = found.iter().filter(|s| matches!(s.what, What::Unit | What::Sign | What::Direction));
+    let kept = found
+        .iter()
+        .filter(|s| matches!(s.what, MistakeKind::Unit | MistakeKind::Sign | MistakeKind::Direction));
     for s in kept.filter(|s| !out.sensor(&s.column)) {
         say(Said::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
     }
@@ -343,7 +351,7 @@ pub fn every_row<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Re
 
 /// Pairs of sensors that are exchanged from a row of their record on.
 pub(crate) fn exchanged(doubts: &[Suspicion]) -> Vec<[&Suspicion; 2]> {
-    let is_one = |d: &&Suspicion| d.what == What::Swapped && d.sensor && !d.rows.is_empty();
+    let is_one = |d: &&Suspicion| d.what == MistakeKind::Swapped && d.sensor && !d.rows.is_empty();
     let all: Vec<&Suspicion> = doubts.iter().filter(is_one).collect();
     let pairs = all.windows(2).filter(|w| w[0].record == w[1].record && w[0].rows == w[1].rows);
     pairs.map(|w| [w[0], w[1]]).collect()
@@ -396,7 +404,8 @@ pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> 
     let mut held_rows = 0;
     for column in record.columns.iter_mut().filter(|c| is_sensor(c)) {
         // After a step a prediction uses the readings: nothing shows which level was right.
-        let is_bad = |d: &&Suspicion| d.is_not_taken() && d.what != What::Jump && d.column == column.name;
+        let is_bad =
+            |d: &&Suspicion| d.is_not_taken() && d.what != MistakeKind::Jump && d.column == column.name;
         let bad = found.iter().filter(is_bad);
         let bad: BTreeSet<usize> = bad
             .flat_map(|d| if d.rows.is_empty() { (0..rows).collect() } else { d.row_list() })
@@ -420,8 +429,14 @@ pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> 
 impl Suspicion {
     /// Whether its rows are misread or duplicated.
     fn misreads_rows(&self) -> bool {
-        let misread =
-            matches!(self.what, What::Doubled | What::Outliers | What::Stuck | What::Unplugged | What::Range);
+        let misread = matches!(
+            self.what,
+            MistakeKind::Doubled
+                | MistakeKind::Outliers
+                | MistakeKind::Stuck
+                | MistakeKind::Unplugged
+                | MistakeKind::Range
+        );
         misread && !self.rows.is_empty()
     }
 
@@ -433,12 +448,13 @@ impl Suspicion {
     /// Whether a sensor has no valid reading in these rows, or in any row.
     pub(crate) fn is_not_taken(&self) -> bool {
         self.is_of_sensor()
-            && (self.misreads_rows() || matches!(self.what, What::Unplugged | What::Stuck | What::Jump))
+            && (self.misreads_rows()
+                || matches!(self.what, MistakeKind::Unplugged | MistakeKind::Stuck | MistakeKind::Jump))
     }
 
     /// Whether the whole column is lost: all rows are bad, or a step leaves two levels.
     fn is_of_column(&self) -> bool {
-        self.rows.is_empty() || self.what == What::Jump
+        self.rows.is_empty() || self.what == MistakeKind::Jump
     }
 }
 
@@ -455,7 +471,8 @@ pub struct Unusable {
 pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     let mut out = Unusable::default();
     for s in suspicions {
-        let is_kept = matches!(s.what, What::Sign | What::Direction | What::OtherMachine);
+        let is_kept =
+            matches!(s.what, MistakeKind::Sign | MistakeKind::Direction | MistakeKind::OtherMachine);
         if s.sensor && !is_kept && !s.is_few() {
             out.sensors.insert(s.column.clone());
         } else if s.misreads_rows() {

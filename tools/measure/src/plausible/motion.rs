@@ -1,7 +1,7 @@
 //! Checks positions, directions, speeds, times and errors against one another.
 
 use super::stats::{distinct, median, middle_range, quantum, range, spread, steps};
-use super::{Suspicion, What};
+use super::{MistakeKind, Suspicion};
 use crate::iso230::{Round, correlation, line};
 use rtec_model::ballbar_circle::turn_rad;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
@@ -53,7 +53,7 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let by_hand = record.kind == Kind::Drift && usual % 900.0 == 0.0 && usual <= 14_400.0;
     if usual >= limit && !by_hand || long || epoch_ms {
         let text = format!("rows are {usual} s apart, which looks like milliseconds");
-        out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, &t.name, MistakeKind::Unit, &[], text));
         return;
     }
     // A spreadsheet counts days from 1900: 36 526 to 58 000 are dates of this century.
@@ -63,14 +63,14 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         let text = format!(
             "begins at {start:.3} in steps of {usual:.5}, which looks like the days of a spreadsheet"
         );
-        out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, &t.name, MistakeKind::Unit, &[], text));
         return;
     }
     let Some(at) = (0..between.len()).max_by(|a, b| between[*a].total_cmp(&between[*b])) else { return };
     if between[at] > LONGEST_PAUSE_S.max(1000.0 * usual) {
         let days = between[at] / DAY_S;
         let text = format!("steps by {days:.1} days: a clock that was set, or two runs in one file");
-        out.push(Suspicion::new(record, &t.name, What::Jump, &[at + 1], text));
+        out.push(Suspicion::new(record, &t.name, MistakeKind::Jump, &[at + 1], text));
     }
 }
 
@@ -91,7 +91,7 @@ fn angle(record: &Record, out: &mut Vec<Suspicion>) {
     let looks = nice * 10 >= a.data.len() * 9 || coarse || whole;
     if range(&a.data) > 80.0 && lo >= -3601.0 && hi <= 3601.0 && looks {
         let text = format!("from {lo} to {hi} rad, which looks like degrees");
-        out.push(Suspicion::new(record, &a.name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, &a.name, MistakeKind::Unit, &[], text));
     } else {
         beside_positions(record, a, out);
     }
@@ -115,7 +115,7 @@ fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
         let how = if off(-1.0) < OTHER_ANGLE_RAD { ": it runs the other way round" } else { "" };
         let off = format!("off by {:.3} rad in the middle{how}", off(1.0));
         let text = format!("is not the angle of the positions from {a} towards {b}: {off}");
-        out.push(Suspicion::new(record, &angle.name, What::Swapped, &[], text));
+        out.push(Suspicion::new(record, &angle.name, MistakeKind::Swapped, &[], text));
     }
 }
 
@@ -129,7 +129,7 @@ fn actual(record: &Record, p: &Column, e: &Column, out: &mut Vec<Suspicion>) -> 
         if (slope / per_mm - 1.0).abs() < 2e-3 && left < 2e-3 * per_mm * range(&p.data) {
             let text =
                 format!("follows {} one to one: the position reached in {unit}, not the error", p.name);
-            out.push(Suspicion::new(record, &e.name, What::Swapped, &[], text));
+            out.push(Suspicion::new(record, &e.name, MistakeKind::Swapped, &[], text));
             return true;
         }
     }
@@ -228,7 +228,7 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
     let by_ramp = ramp(&e.data) && turns * 5 > n;
     if by_direction || by_places || by_ramp {
         let text = format!("moves as a position does, and {} as an error: the two look exchanged", p.name);
-        out.push(Suspicion::new(record, &e.name, What::Swapped, &[], text));
+        out.push(Suspicion::new(record, &e.name, MistakeKind::Swapped, &[], text));
         return true;
     }
     false
@@ -263,7 +263,7 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         }
         format!("moves over {size:.3} mm only, which looks like metres")
     };
-    out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
+    out.push(Suspicion::new(record, &p.name, MistakeKind::Unit, &[], text));
 }
 
 /// Detects the positions of one axis in the column of another.
@@ -284,7 +284,7 @@ fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
         let text = format!(
             "moves as {axis} is said to, which stands still: the positions of {axis}, in the column of {only}?"
         );
-        out.push(Suspicion::new(record, &p.name, What::Swapped, &[], text));
+        out.push(Suspicion::new(record, &p.name, MistakeKind::Swapped, &[], text));
     }
 }
 
@@ -320,7 +320,7 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
     } else {
         return;
     };
-    out.push(Suspicion::new(record, &d.name, What::Direction, &[], text));
+    out.push(Suspicion::new(record, &d.name, MistakeKind::Direction, &[], text));
 }
 
 /// Checks a logged speed against positions and times of a run sampled in motion.
@@ -351,8 +351,8 @@ fn speed(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
         (about(1.0 / 60.0), t, "looks like minutes (or the speed like m/s by 16.7): speeds say so"),
     ];
     let (column, what, text) = match looks.into_iter().find(|l| l.0) {
-        Some((_, column, text)) => (column, What::Unit, text),
-        None if ratio < 0.0 && r < -0.9 => (v, What::Sign, "has the sign opposite to the movement"),
+        Some((_, column, text)) => (column, MistakeKind::Unit, text),
+        None if ratio < 0.0 && r < -0.9 => (v, MistakeKind::Sign, "has the sign opposite to the movement"),
         None => return,
     };
     out.push(Suspicion::new(record, &column.name, what, &[], text.to_owned()));
@@ -409,7 +409,7 @@ fn error_unit(record: &Record, e: &Column, out: &mut Vec<Suspicion>) {
     } else {
         return;
     };
-    out.push(Suspicion::new(record, &e.name, What::Unit, &[], text));
+    out.push(Suspicion::new(record, &e.name, MistakeKind::Unit, &[], text));
 }
 
 #[cfg(test)]

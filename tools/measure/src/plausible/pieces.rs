@@ -1,19 +1,19 @@
 //! Suspicions in a record that is too long for memory, piece by piece.
 
-use super::{Suspicion, What, steps_of, suspicions};
+use super::{MistakeKind, Suspicion, steps_of, suspicions};
 use rtec_files::Said;
 use rtec_model::record::Record;
 
 /// Suspicions of the pieces of a record read so far.
 #[derive(Debug, Default)]
-pub struct PieceSuspicions {
+pub struct RecordPieceSuspicions {
     /// Per piece: its rows as `first-last`, from 1, and its suspicions.
     found: Vec<(String, Vec<Suspicion>)>,
     steps: Vec<String>,
     rows: usize,
 }
 
-impl PieceSuspicions {
+impl RecordPieceSuspicions {
     /// Adds the suspicions of the next piece.
     pub fn see(&mut self, piece: &Record) {
         let one = std::slice::from_ref(piece);
@@ -37,7 +37,7 @@ impl PieceSuspicions {
                 let pieces = pieces_with(s);
                 let everywhere = s.rows.is_empty() && pieces == self.found.len();
                 // Jumps in several pieces show that something is switched.
-                let switched = s.what == What::Jump && s.sensor && pieces > 1;
+                let switched = s.what == MistakeKind::Jump && s.sensor && pieces > 1;
                 if switched || everywhere && number > 0 {
                     continue;
                 }

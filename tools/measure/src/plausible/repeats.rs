@@ -1,8 +1,8 @@
 //! Single approaches to a target that are far from the others to the same target.
 
-use super::peaks::{read_along, stays};
+use super::physical_peaks::{read_along, stays};
 use super::stats::{distinct, median, range};
-use super::{Suspicion, What};
+use super::{MistakeKind, Suspicion};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 
 /// An approach is an outlier above this multiple of the approaches' robust spread.
@@ -14,7 +14,7 @@ const WORST: f64 = 14.0;
 /// Columns with known outliers are skipped.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
     for c in record.measured().filter(|_| record.kind == Kind::Positioning) {
-        let known = |s: &Suspicion| s.what == What::Outliers && s.is_of(record, c);
+        let known = |s: &Suspicion| s.what == MistakeKind::Outliers && s.is_of(record, c);
         let Some(axis) = read_along(record, c).filter(|_| !out.iter().any(known)) else { continue };
         let (Some(p), Some(d)) = (record.position(axis), record.direction(axis)) else {
             continue;
@@ -50,7 +50,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
                 rows.len(),
                 away.len()
             );
-            out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+            out.push(Suspicion::new(record, &c.name, MistakeKind::Outliers, &rows, text));
         }
     }
 }

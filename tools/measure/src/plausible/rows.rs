@@ -1,9 +1,9 @@
 //! Duplicated rows, and outliers and constant stretches of responses.
 
-use super::lone::{self, Lone};
-use super::peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
+use super::few_rows::{self, FewRowOutliers};
+use super::physical_peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
 use super::stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
-use super::{Suspicion, What};
+use super::{MistakeKind, Suspicion};
 use crate::steps::repeats;
 use rtec_model::record::{Column, Record, Role};
 use statrs::distribution::{Beta, Binomial, ContinuousCDF as _, DiscreteCDF as _};
@@ -29,7 +29,7 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
         }
         // The other rows are checked as if these were interpolated.
         let without = Column { data: bridged(&c.data, &same), ..c.clone() };
-        let Lone { mut rows, spread } = wild(record, &without);
+        let FewRowOutliers { mut rows, spread } = wild(record, &without);
         rows.retain(|row| same.binary_search(row).is_err());
         rows.extend(same);
         rows.sort_unstable();
@@ -38,7 +38,7 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
         let text = format!(
             "{far} of {n} rows are far off those beside them, as {as_one:.2} (the others spread by {spread:.2})"
         );
-        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Outliers, &rows, text));
     }
 }
 
@@ -110,13 +110,13 @@ fn doubled(record: &Record, out: &mut Vec<Suspicion>) {
     };
     if told {
         let text = format!("{} of {n} rows are the row before once more", next.len());
-        out.push(Suspicion::new(record, "", What::Doubled, &next, text));
+        out.push(Suspicion::new(record, "", MistakeKind::Doubled, &next, text));
         return;
     }
     let copies = pasted(record, &measured, &same);
     if !copies.is_empty() {
         let text = format!("{} of {n} rows repeat earlier ones in every measured value", copies.len());
-        out.push(Suspicion::new(record, "", What::Doubled, &copies, text));
+        out.push(Suspicion::new(record, "", MistakeKind::Doubled, &copies, text));
     }
 }
 
@@ -244,7 +244,7 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     let n = c.data.len();
     if n >= FLAT && distinct(&c.data) == 1 && !as_coarse_as_others(record, all, c) {
         let text = format!("reads {} in every row, as no gauge that is read does", c.data[0]);
-        out.push(Suspicion::new(record, &c.name, What::Stuck, &[], text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Stuck, &[], text));
         return;
     }
     if n < 40 {
@@ -270,18 +270,18 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
     if long || noisy && (length - 1) as f64 * alike.max(0.1).ln() + (n as f64).ln() < (1e-5_f64).ln() {
         let rows: Vec<usize> = (best.0..best.1).collect();
         let text = format!("reads {} in {length} rows on end, as it does nowhere else", c.data[best.0]);
-        out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Stuck, &rows, text));
     }
 }
 
 /// Rows far from their neighbours in time and in position and direction.
-fn wild(record: &Record, c: &Column) -> Lone {
+fn wild(record: &Record, c: &Column) -> FewRowOutliers {
     let n = c.data.len();
-    if lone::is_small_sample(n) {
-        return lone::of_response(record, c);
+    if few_rows::is_small_sample(n) {
+        return few_rows::of_response(record, c);
     }
-    if n < lone::FEW || range(&c.data) <= 0.0 {
-        return Lone::default();
+    if n < few_rows::FEW || range(&c.data) <= 0.0 {
+        return FewRowOutliers::default();
     }
     let may_peak = excused(record);
     let mut orders = vec![vec![(0..n).collect()]];
@@ -303,9 +303,9 @@ fn wild(record: &Record, c: &Column) -> Lone {
         lefts.push((left, vec![true; n], scale));
     }
     let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else {
-        return Lone::default();
+        return FewRowOutliers::default();
     };
-    let none = Lone { rows: Vec::new(), spread: scale };
+    let none = FewRowOutliers { rows: Vec::new(), spread: scale };
     if scale <= 0.0 {
         return none;
     }
@@ -340,7 +340,7 @@ fn wild(record: &Record, c: &Column) -> Lone {
     }
     let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
     let few = rows.len() as f64 <= FEW_ROWS * n as f64;
-    if enough && few && 2 * bulk <= rows.len() { Lone { rows, spread: scale } } else { none }
+    if enough && few && 2 * bulk <= rows.len() { FewRowOutliers { rows, spread: scale } } else { none }
 }
 
 /// Robust standard deviation; from the 90th percentile if most values are 0.

@@ -1,9 +1,9 @@
 //! Checks one temperature or channel against the others of its record.
 
-use super::lone;
+use super::few_rows;
 use super::rows::bridged;
 use super::stats::{distinct, median, quantum, spread, steps};
-use super::{Suspicion, What, is_sensor};
+use super::{MistakeKind, Suspicion, is_sensor};
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role, span};
 
@@ -25,7 +25,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
             loose(record, c, out);
         }
         let found = &out[before..];
-        if found.iter().all(|s| s.what != What::Unit && !s.rows.is_empty()) {
+        if found.iter().all(|s| s.what != MistakeKind::Unit && !s.rows.is_empty()) {
             let rows: Vec<usize> =
                 found.iter().flat_map(Suspicion::row_list).map(|row| row - record.first_row()).collect();
             let data = bridged(&c.data, &rows);
@@ -73,7 +73,13 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
         let all = rows.len() == c.data.len();
         let codes: Vec<String> = codes.iter().map(|(code, why)| format!("{code} degC: {why}")).collect();
         let text = format!("reads {}{}", codes.join(", and "), if all { "" } else { " in some rows" });
-        out.push(Suspicion::new(record, &c.name, What::Unplugged, if all { &[] } else { &rows }, text));
+        out.push(Suspicion::new(
+            record,
+            &c.name,
+            MistakeKind::Unplugged,
+            if all { &[] } else { &rows },
+            text,
+        ));
         return;
     }
     if let Some((rows, step_k)) = frozen(record, c) {
@@ -82,7 +88,7 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
             "reads {degc} degC row after row behind a step of {step_k:.1} K, as a sensor that fails does"
         );
         let rows: Vec<usize> = rows.collect();
-        out.push(Suspicion::new(record, &c.name, What::Unplugged, &rows, text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Unplugged, &rows, text));
         return;
     }
     let beyond: Vec<usize> =
@@ -93,7 +99,7 @@ fn unplugged(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Susp
     let [lo, hi] = span(beyond.iter().map(|i| c.data[*i]));
     let all = beyond.len() == c.data.len();
     let text = format!("reads {lo:.1} to {hi:.1} degC, outside the {} to {} of a machine", DEGC[0], DEGC[1]);
-    out.push(Suspicion::new(record, &c.name, What::Range, if all { &[] } else { &beyond }, text));
+    out.push(Suspicion::new(record, &c.name, MistakeKind::Range, if all { &[] } else { &beyond }, text));
 }
 
 /// Step that no body makes between two rows before constant readings, K.
@@ -136,7 +142,7 @@ fn loose(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
         let text = format!(
             "scatters by {noise:.1} K from row to row, as no body's temperature does: a loose contact or an open input"
         );
-        out.push(Suspicion::new(record, &c.name, What::Unplugged, &[], text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Unplugged, &[], text));
     }
 }
 
@@ -165,7 +171,7 @@ fn kelvin(v: &[f64]) -> bool {
 fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion>) {
     if kelvin(&c.data) {
         let text = format!("reads {:.1} degC, which looks like kelvin", c.data[0]);
-        out.push(Suspicion::new(record, &c.name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Unit, &[], text));
         return;
     }
     let [lo, hi] = span(&c.data);
@@ -185,7 +191,7 @@ fn unit(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
         let start = c.data[0];
         let text =
             format!("starts at {start:.1} degC, which looks like degrees Fahrenheit ({celsius:.1} degC)");
-        out.push(Suspicion::new(record, &c.name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Unit, &[], text));
     }
 }
 
@@ -221,7 +227,7 @@ fn jump(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspicion
     }
     let (from, to) = (c.data[at], c.data[at + 1]);
     let text = format!("jumps from {from:.2} to {to:.2} degC between two rows, and stays");
-    out.push(Suspicion::new(record, &c.name, What::Jump, &[at + 1], text));
+    out.push(Suspicion::new(record, &c.name, MistakeKind::Jump, &[at + 1], text));
 }
 
 /// Rows on either side over which slopes are compared.
@@ -291,7 +297,7 @@ fn misread(record: &Record, c: &Column, others: &[&Column], out: &mut Vec<Suspic
     let Some(first) = rows.first() else { return false };
     let (bad, n, degc) = (rows.len(), c.data.len(), c.data[*first]);
     let text = format!("{bad} of {n} values far from those before and after, as {degc:.2} degC");
-    out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+    out.push(Suspicion::new(record, &c.name, MistakeKind::Outliers, &rows, text));
     true
 }
 
@@ -398,8 +404,8 @@ fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
     let alone = |i: usize, off: f64| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * off.abs());
     if n < SHORTEST {
         let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
-        let found = lone::is_small_sample(n)
-            .then(|| lone::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
+        let found = few_rows::is_small_sample(n)
+            .then(|| few_rows::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
         return found.map_or_else(Vec::new, |found| found.rows);
     }
     let (left, limit) = (off_near(&c.data), limit_k(&c.data));
@@ -422,7 +428,7 @@ fn copies(record: &Record, out: &mut Vec<Suspicion>) {
         }
         if let Some(first) = columns[..k].iter().find(|f| f.data == c.data) {
             let text = format!("the same in every row as {}", first.name);
-            out.push(Suspicion::new(record, &c.name, What::Doubled, &[], text));
+            out.push(Suspicion::new(record, &c.name, MistakeKind::Doubled, &[], text));
         }
     }
 }

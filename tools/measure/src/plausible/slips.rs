@@ -2,7 +2,7 @@
 //! Other rows between the same places, or the course of the run, show where the axis was.
 
 use super::stats::{median, middle_range, steps};
-use super::{Suspicion, What};
+use super::{MistakeKind, Suspicion};
 use rtec_model::record::{Column, Record, Role};
 
 /// Fewest rows that show the course of a run.
@@ -42,7 +42,7 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         let more = if n > 1 { format!(", as in {n} rows") } else { String::new() };
         let slip = "a slip of the decimal point, or of a digit";
         let text = format!("goes to {at} where the run goes through {meant}: {slip}{more}");
-        out.push(Suspicion::new(record, &c.name, What::Outliers, &rows, text));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Outliers, &rows, text));
     }
 }
 

@@ -1,7 +1,7 @@
 //! Steps of an error between two rows that stay.
 //! They may be a mistake or the machine's own, so they are reported but are no suspicion.
 
-use super::peaks::excused;
+use super::physical_peaks::excused;
 use super::stats::{median, spread, steps};
 use rtec_model::record::{Column, Kind, Record, Role};
 

@@ -2,7 +2,7 @@
 
 use super::sensor_regression::{SensorRegression, sensor_regression};
 use super::stats::{longest_run, quantum, range, steps};
-use super::{Suspicion, What};
+use super::{MistakeKind, Suspicion};
 use rtec_model::effect::sign;
 use rtec_model::record::{Column, Record, Role, span};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -28,7 +28,7 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
         let (record, before) = (&records[k], out.len());
         for c in record.temperatures() {
             let known: Vec<&Suspicion> = out[..before].iter().filter(|s| s.is_of(record, c)).collect();
-            if known.iter().any(|s| s.rows.is_empty() || s.what == What::Jump) {
+            if known.iter().any(|s| s.rows.is_empty() || s.what == MistakeKind::Jump) {
                 continue;
             }
             if let Some((start, end)) = stands_still(records, k, c) {
@@ -43,7 +43,7 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
                     if all { "every row".to_owned() } else { format!("{} rows on end", end - start) };
                 let text =
                     format!("reads {} degC in {stretch}, as a sensor that is alive does not", c.data[start]);
-                out.push(Suspicion::new(record, &c.name, What::Stuck, &rows, text));
+                out.push(Suspicion::new(record, &c.name, MistakeKind::Stuck, &rows, text));
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Minutes or hours called seconds and inches called millimetres, in one record.
 
 use super::stats::{distinct, median, range};
-use super::{Suspicion, What};
+use super::{MistakeKind, Suspicion};
 use crate::iso230::{Round, line};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use std::collections::VecDeque;
@@ -38,7 +38,7 @@ fn bar(record: &Record, out: &mut Vec<Suspicion>) {
         let name = record.column(&Role::Angle).map_or("", |c| c.name.as_str());
         let radius = circle.radius_mm;
         let text = format!("radius_mm = {radius} is shorter than any bar and looks like inches: {mm:.0} mm");
-        out.push(Suspicion::new(record, name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, name, MistakeKind::Unit, &[], text));
     }
 }
 
@@ -57,7 +57,7 @@ fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
             "runs on a circle of {radius:.4} mm radius, smaller than any bar's and of {inches:.0} mm if it were inches"
         );
         for c in [a, b] {
-            out.push(Suspicion::new(record, &c.name, What::Unit, &[], text.clone()));
+            out.push(Suspicion::new(record, &c.name, MistakeKind::Unit, &[], text.clone()));
         }
     }
 }
@@ -98,7 +98,7 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     } else {
         return;
     };
-    out.push(Suspicion::new(record, &p.name, What::Unit, &[], text));
+    out.push(Suspicion::new(record, &p.name, MistakeKind::Unit, &[], text));
 }
 
 /// Residual ratio (over rows / over positions) below which a slope may be drift.
@@ -132,7 +132,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
     if let [error] = taken[..] {
         let (own, name, cold) = (error.data[0], &sensor.name, sensor.data[0]);
         let text = format!("begins at {own:.2} where {name} begins at {cold:.2}: the two look exchanged");
-        out.push(Suspicion::new(record, &error.name, What::Swapped, &[], text));
+        out.push(Suspicion::new(record, &error.name, MistakeKind::Swapped, &[], text));
     }
 }
 
@@ -153,7 +153,7 @@ fn heat(record: &Record, out: &mut Vec<Suspicion>) {
         let text = format!(
             "temperatures go half their way in {half:.2} s, faster than a machine warms, which looks like {unit}"
         );
-        out.push(Suspicion::new(record, &t.name, What::Unit, &[], text));
+        out.push(Suspicion::new(record, &t.name, MistakeKind::Unit, &[], text));
     }
 }
 
@@ -221,7 +221,7 @@ fn circle(record: &Record, out: &mut Vec<Suspicion>) {
     let (radius, stated) = (round.radius, circle.radius_mm);
     let text = format!("runs on a circle of {radius:.3} mm radius, and radius_mm is {stated}{looks}");
     for column in [a, b] {
-        out.push(Suspicion::new(record, &column.name, What::Unit, &[], text.clone()));
+        out.push(Suspicion::new(record, &column.name, MistakeKind::Unit, &[], text.clone()));
     }
 }
 

@@ -7,7 +7,7 @@ use rtec_files::Said;
 use rtec_measure::evaluation::{Evaluation, EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::order::{ExportFormat, TableOrder};
+use rtec_measure::export::request::{ExportFormat, ExportRequest};
 use rtec_measure::import;
 use rtec_measure::iso230::{self, Returns};
 use rtec_measure::plausible;
@@ -131,7 +131,7 @@ fn every_format_states_what_its_table_leaves_applied() {
     let written = "line = \"{position};{forward};{reverse}\"\nvalue = \"error\"\nposition_unit = \"mm\"\nvalue_unit = \"mm\"\n\
                    position_decimals = 4\nvalue_decimals = 5\nmax_points = 400\n";
     std::fs::write(&form, written).unwrap();
-    let order = |format: ExportFormat, unit: Unit| TableOrder {
+    let order = |format: ExportFormat, unit: Unit| ExportRequest {
         axis: "x".to_owned(),
         wanted: TableRange { from_mm: -254.0, to_mm: 0.0, step_mm: None, limit_um: 0.5, most: None },
         temperatures_degc: Vec::new(),
@@ -340,7 +340,7 @@ fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
             for (row_s, tick_s) in [(10.0, 0.1), (0.2, 1.0), (0.97, 1.0)] {
                 let record = run(seed, step, scatter, row_s, tick_s);
                 let found = plausible::suspicions(std::slice::from_ref(&record));
-                let doubled = found.iter().find(|s| s.what == plausible::What::Doubled);
+                let doubled = found.iter().find(|s| s.what == plausible::MistakeKind::Doubled);
                 assert!(doubled.is_none(), "{seed} {step} {scatter} {row_s}: {doubled:?}");
             }
             let found = iso230::positioning(&run(seed, step, scatter, 10.0, 0.1)).unwrap().remove(0);
@@ -358,7 +358,7 @@ fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
         });
         let pasted = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap();
         let found = plausible::suspicions(&[pasted]);
-        assert!(found.iter().any(|s| s.what == plausible::What::Doubled), "{seed}: {found:?}");
+        assert!(found.iter().any(|s| s.what == plausible::MistakeKind::Doubled), "{seed}: {found:?}");
     }
     assert!(changes <= 9, "{changes} of 240 with a drift or a step");
 }
@@ -383,8 +383,9 @@ fn a_wild_reading_is_named_along_any_axis() {
             let columns = both.columns.iter().map(own).collect();
             let record = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns).unwrap();
             let found = plausible::suspicions(&[record]);
-            let is_it =
-                |s: &&plausible::Suspicion| s.what == plausible::What::Outliers && s.row_list() == [wild];
+            let is_it = |s: &&plausible::Suspicion| {
+                s.what == plausible::MistakeKind::Outliers && s.row_list() == [wild]
+            };
             named += usize::from(found.iter().find(is_it).is_some());
         }
         assert_eq!(named, 20, "{role}");
@@ -458,7 +459,7 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
                  knots_mm = [0.0, 100.0, 250.0, 400.0]\num = [0.0, 6.0, -4.0, 2.0]\n[[effect]]\nname = \"scale.y\"\nppm = 30.0\n\
                  [[effect]]\nname = \"reversal.y\"\num = 5.0\n[[effect]]\nname = \"scale.x\"\nppm = -20.0\n";
     let machine = Machine::parse(Path::new("m.toml"), model).unwrap();
-    let order = |positive_moves_up: Option<bool>, format: ExportFormat| TableOrder {
+    let order = |positive_moves_up: Option<bool>, format: ExportFormat| ExportRequest {
         axis: "y".to_owned(),
         wanted: TableRange { from_mm: 0.0, to_mm: 400.0, step_mm: None, limit_um: 0.3, most: None },
         temperatures_degc: Vec::new(),
@@ -503,7 +504,7 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
         let e = order(None, format).of(&machine).unwrap_err().to_string();
         assert!(e.contains("own position"), "{e}");
     }
-    let none = TableOrder { along: Some("z".to_owned()), ..order(Some(true), ExportFormat::SiemensCec) };
+    let none = ExportRequest { along: Some("z".to_owned()), ..order(Some(true), ExportFormat::SiemensCec) };
     let e = none.of(&machine).unwrap_err().to_string();
     assert!(e.contains("an axis that an error of y depends on: x"), "{e}");
 }

@@ -5,7 +5,7 @@
 
 use rtec_files::InputError;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, OwnTable, Sampling};
+use rtec_measure::import::{self, Form, ImportColumn, Sampling, UserTableFormat};
 use rtec_model::record::{Axis, Kind, Record, Role};
 use std::path::Path;
 
@@ -386,7 +386,7 @@ fn a_table_is_read_as_a_file_of_ones_own_describes_it() {
                 e = { column = \"U / V\", role = \"error.z\", factor = 12.5, add = -3.0, unit = \"um\" }\n";
     let table = "Messung 3\n; ; ;\nZeit;T1;U / V;x\n0;68,0;0,24;\n1;69,8;1,0;a // so\n";
     let read = |form: &str, table: &str| {
-        OwnTable::parse(Path::new("f.toml"), form)
+        UserTableFormat::parse(Path::new("f.toml"), form)
             .and_then(|f| f.read(Path::new("m.txt"), table, Path::new(TO)))
     };
     let record = read(form, table).unwrap();

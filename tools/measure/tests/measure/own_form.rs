@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::export::own::OwnForm;
+use rtec_measure::export::user_format::UserFormat;
 use std::path::Path;
 
 /// The number of the last point must be one, too.
@@ -14,7 +14,7 @@ fn points_are_counted_from_a_number_that_has_others_behind_it() {
              value_decimals = 1\nmax_points = 128\nfirst_index = {first}\n"
         )
     };
-    let parse = |first| OwnForm::parse(Path::new("f.toml"), &form(first), 0.0);
+    let parse = |first| UserFormat::parse(Path::new("f.toml"), &form(first), 0.0);
     assert!(parse(1).is_ok() && parse(-5).is_ok());
     let e = parse(i64::MAX).unwrap_err();
     assert_eq!((e.line, e.found.as_str()), (7, "first_index = 9223372036854775807"));

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::steps::Steps;
+use rtec_measure::steps::ReadingResolution;
 use rtec_model::record::shared_step;
 
 #[test]
@@ -22,7 +22,7 @@ fn pairs(n: usize) -> Vec<Vec<usize>> {
 #[test]
 fn steps_without_noise_stay_in_the_mean() {
     let readings = [10.0, 10.0, 0.0, 0.0, 10.0, 10.0, 20.0, 20.0, 0.0, 0.0, 10.0, 10.0];
-    let steps = Steps::of(&readings, &pairs(12)).unwrap();
+    let steps = ReadingResolution::of(&readings, &pairs(12)).unwrap();
     assert_eq!((steps.step, steps.is_coarse(), steps.half_width()), (10.0, true, 5.0));
     assert!((steps.standard_error() - 10.0 / 12f64.sqrt()).abs() < 1e-12);
 }
@@ -30,12 +30,12 @@ fn steps_without_noise_stay_in_the_mean() {
 #[test]
 fn noise_of_a_step_takes_the_rounding_out() {
     let readings = [0.0, 3.0, 1.0, -1.0, 2.0, 0.0, -2.0, 1.0, 1.0, -1.0, 0.0, 2.0, -1.0, 1.0];
-    let steps = Steps::of(&readings, &pairs(14)).unwrap();
+    let steps = ReadingResolution::of(&readings, &pairs(14)).unwrap();
     assert!(!steps.is_coarse() && steps.half_width() < 1e-3, "{steps:?}");
 }
 
 #[test]
 fn readings_without_a_step_have_none() {
     let readings: Vec<f64> = (0..40).map(|i| f64::from(i * i) * 0.013_7).collect();
-    assert_eq!(Steps::of(&readings, &pairs(40)), None);
+    assert_eq!(ReadingResolution::of(&readings, &pairs(40)), None);
 }

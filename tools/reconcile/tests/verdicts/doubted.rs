@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::names;
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -94,7 +94,7 @@ fn doubled_rows_of_a_circle_are_said() {
     let record = crate::record("a", Kind::Ballbar, columns).with_circle(circle).unwrap();
     let said = crate::answer("", &[record], &[]);
     let [s] = &said.suspicions[..] else { panic!("{:?}", said.suspicions) };
-    assert!(s.what == What::Doubled && s.text.starts_with("40 of 240 rows"), "{s:?}");
+    assert!(s.what == MistakeKind::Doubled && s.text.starts_with("40 of 240 rows"), "{s:?}");
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn a_bad_sensor_of_a_holdout_changes_nothing_that_is_learned() {
     assert_eq!((clean.verdict, names(&clean)), (Verdict::Named, vec!["scale.x".to_owned()]));
     spoil(&mut later, "T8", |_, _| 999.9);
     let bad = answer(&[train], &[later]);
-    assert!(bad.suspicions.iter().any(|s| s.what == What::Unplugged && s.record.contains("later")));
+    assert!(bad.suspicions.iter().any(|s| s.what == MistakeKind::Unplugged && s.record.contains("later")));
     assert_eq!(names(&bad), names(&clean));
     assert_eq!(bad.model.effects().collect::<Vec<_>>(), clean.model.effects().collect::<Vec<_>>());
     assert!(bad.left_out.iter().any(|l| l.contains("later") && l.contains("T8")), "{:?}", bad.left_out);
@@ -115,7 +115,7 @@ fn a_bad_sensor_of_a_holdout_changes_nothing_that_is_learned() {
 fn the_training_given_again_as_a_holdout_is_no_holdout() {
     let train = run("a", 3, 160);
     let r = answer(std::slice::from_ref(&train), std::slice::from_ref(&train));
-    assert!(r.suspicions.iter().any(|s| s.what == What::Doubled), "{:?}", r.suspicions);
+    assert!(r.suspicions.iter().any(|s| s.what == MistakeKind::Doubled), "{:?}", r.suspicions);
     assert!(r.gap.iter().all(|g| g.holdout.is_none() && g.blocked.is_some()));
     assert_eq!(names(&r), ["scale.x"]);
 }
@@ -171,7 +171,7 @@ fn a_sensor_that_stops_midway_is_stuck() {
     let held = (train.temperature("T1").unwrap()[80] * 100.0).round() / 100.0;
     spoil(&mut train, "T1", |i, v| if i < 80 { (v * 100.0).round() / 100.0 } else { held });
     let r = answer(&[train, good], &[]);
-    let stuck = r.suspicions.iter().find(|s| s.what == What::Stuck).unwrap();
+    let stuck = r.suspicions.iter().find(|s| s.what == MistakeKind::Stuck).unwrap();
     assert_eq!((stuck.column.as_str(), stuck.rows.as_str()), ("T1", "81-160"), "{:?}", r.suspicions);
     assert_eq!(names(&r), ["scale.x"]);
 }
@@ -182,7 +182,7 @@ fn doubted_records_name_nothing() {
     let mut train = run("a", 12, 160);
     spoil(&mut train, "e", |_, v| -v);
     let r = answer(&[train], &[]);
-    assert!(r.suspicions.iter().any(|s| s.what == What::Sign), "{:?}", r.suspicions);
+    assert!(r.suspicions.iter().any(|s| s.what == MistakeKind::Sign), "{:?}", r.suspicions);
     assert!(r.effects.is_empty() && r.verdict == Verdict::UnknownEffect, "{}", r.verdict);
     assert!(r.left_out[0].contains("all of it (sign)"), "{:?}", r.left_out);
     // The model is unchanged, so the gap is unchanged.
@@ -199,8 +199,8 @@ fn a_clean_holdout_is_not_accused_of_the_trainings_sign() {
     let (mut train, later) = (run("a", 13, 160), run("later", 14, 160));
     spoil(&mut train, "e", |_, v| -v);
     let r = answer(&[train], &[later]);
-    let said: Vec<(What, &str)> = r.suspicions.iter().map(|s| (s.what, s.record.as_str())).collect();
-    assert_eq!(said, [(What::Sign, "a.run.toml")], "{:?}", r.suspicions);
+    let said: Vec<(MistakeKind, &str)> = r.suspicions.iter().map(|s| (s.what, s.record.as_str())).collect();
+    assert_eq!(said, [(MistakeKind::Sign, "a.run.toml")], "{:?}", r.suspicions);
     assert!(r.gap[0].holdout.is_some_and(|[before, after]| (before - after).abs() < 1e-12), "{:?}", r.gap);
 }
 
@@ -224,7 +224,7 @@ fn an_exchange_that_explains_more_than_a_missing_growth_is_said() {
     let machine = Machine::parse(Path::new("machine.toml"), MODEL).unwrap();
     let said = |records: &[Record]| {
         let r = reconcile(records, &[], &machine, &Options::default()).unwrap();
-        let swapped = r.suspicions.iter().filter(|s| s.what == What::Swapped);
+        let swapped = r.suspicions.iter().filter(|s| s.what == MistakeKind::Swapped);
         // One or both of the pair may be reported.
         let mut records: Vec<String> = swapped.map(|s| s.record.clone()).collect();
         records.dedup();

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::names;
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
@@ -31,7 +31,7 @@ fn swap(record: &mut Record, a: &str, b: &str) {
     record.columns[a].data = y;
 }
 
-fn kinds(r: &Reconciliation) -> Vec<(What, &str)> {
+fn kinds(r: &Reconciliation) -> Vec<(MistakeKind, &str)> {
     r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
 }
 
@@ -64,7 +64,12 @@ fn positions_or_errors_of_two_axes_exchanged_are_said() {
             assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]));
             swap(&mut run, pair[0], pair[1]);
             let r = with_model(model, &run);
-            assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Swapped, pair[0])], 0), "{}", r.to_json());
+            assert_eq!(
+                (kinds(&r), names(&r).len()),
+                (vec![(MistakeKind::Swapped, pair[0])], 0),
+                "{}",
+                r.to_json()
+            );
         }
         let turned = with_model(model, &plate(seed, |x, y| [-0.06 * y, 0.06 * x]));
         assert_eq!((kinds(&turned), names(&turned)), (vec![], vec!["rotation.x.y".to_owned()]));
@@ -90,7 +95,7 @@ fn inches_that_only_the_model_shows_are_said() {
         assert_eq!(kinds(&with_model(&model(given), &run(ppm, 1.0))), [], "{given} for {ppm}");
     }
     let r = with_model(&model(25.0), &run(24.0, 25.4));
-    assert_eq!((kinds(&r), r.refined.len()), (vec![(What::Unit, "x")], 0), "{}", r.to_json());
+    assert_eq!((kinds(&r), r.refined.len()), (vec![(MistakeKind::Unit, "x")], 0), "{}", r.to_json());
 }
 
 /// The same with a reversal that the model lacks.
@@ -122,7 +127,7 @@ fn inches_beside_a_missing_effect_are_said() {
         clean.to_json()
     );
     let r = with_model(model, &run(25.4));
-    assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Unit, "x")], 0), "{}", r.to_json());
+    assert_eq!((kinds(&r), names(&r).len()), (vec![(MistakeKind::Unit, "x")], 0), "{}", r.to_json());
     assert!(r.refined.is_empty() && r.suspicions[0].text.contains("inch"), "{:?}", r.suspicions);
 }
 
@@ -169,7 +174,7 @@ fn exchanged_errors_that_the_model_does_not_show_are_said() {
     assert_eq!((kinds(&clean), clean.verdict), (vec![], Verdict::Named), "{}", clean.to_json());
     swap(&mut run, "ex", "ez");
     let r = with_model(model, &run);
-    assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Swapped, "ex")], 0), "{}", r.to_json());
+    assert_eq!((kinds(&r), names(&r).len()), (vec![(MistakeKind::Swapped, "ex")], 0), "{}", r.to_json());
 }
 
 /// A drift test of a spindle whose housing follows a bearing late.
@@ -214,7 +219,7 @@ fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
         assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]), "{}", clean.to_json());
         for (minutes, revolutions, column) in [(true, false, "t"), (false, true, "rpm")] {
             let r = with_model(WARM, &warming(seed, minutes, revolutions));
-            assert_eq!(kinds(&r), [(What::Unit, column)], "{}", r.to_json());
+            assert_eq!(kinds(&r), [(MistakeKind::Unit, column)], "{}", r.to_json());
             assert!(names(&r).is_empty() && r.refined.is_empty(), "{}", r.to_json());
         }
         let r = with_model("name = \"m\"\n", &warming(seed, false, false));
@@ -246,7 +251,7 @@ fn an_axis_that_stands_is_no_other_unit() {
         let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 54.0\n[[effect]]\nname = \"reversal.x\"\num = 10.2\n";
         let model = Machine::parse(Path::new("m.toml"), model).unwrap();
         let r = reconcile(&[record], &[], &model, &Options::default()).unwrap();
-        let said = r.suspicions.iter().any(|s| s.what == What::Unit);
+        let said = r.suspicions.iter().any(|s| s.what == MistakeKind::Unit);
         assert_eq!(said, doubted, "at {at_mm} mm, stroke {stroke_mm} mm: {:?}", r.suspicions);
     }
 }
@@ -285,7 +290,7 @@ fn inputs_that_only_the_model_shows_as_mistaken_are_said() {
     for seed in repetitions(1..=3) {
         let clean = with_model(model, &run(seed, ""));
         assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]), "{}", clean.to_json());
-        for (what, column) in [(What::Swapped, "wet"), (What::Unit, "Px")] {
+        for (what, column) in [(MistakeKind::Swapped, "wet"), (MistakeKind::Unit, "Px")] {
             let r = with_model(model, &run(seed, column));
             assert_eq!((kinds(&r), r.refined.len()), (vec![(what, column)], 0), "{}", r.to_json());
         }
@@ -296,7 +301,7 @@ fn inputs_that_only_the_model_shows_as_mistaken_are_said() {
 #[test]
 fn accelerations_in_metres_that_only_the_model_shows_are_said() {
     let model = "name = \"m\"\n[[effect]]\nname = \"inertia.x\"\nkg = 210.0\n[[effect]]\nname = \"friction_coulomb.x\"\nN = 55.0\n";
-    for (per, said) in [(1.0, vec![]), (1000.0, vec![(What::Unit, "ax")])] {
+    for (per, said) in [(1.0, vec![]), (1000.0, vec![(MistakeKind::Unit, "ax")])] {
         let mut d = Dice::new(11);
         let mut columns: Vec<Vec<f64>> = vec![Vec::new(); 5];
         for i in 0..400_i32 {

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::{answer, names, record};
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Kind, Record};
@@ -268,7 +268,7 @@ fn a_gauge_that_stands_still_says_nothing() {
     };
     let said = answer("", &[steady("a", 1), steady("b", 2)], &[]);
     assert_eq!(said.verdict, Verdict::NothingMissing, "{:?}", said.unexplained);
-    assert!(said.suspicions.iter().all(|s| s.what != What::Unit), "{:?}", said.suspicions);
+    assert!(said.suspicions.iter().all(|s| s.what != MistakeKind::Unit), "{:?}", said.suspicions);
 }
 
 /// What is missing in this run, with a curve where nothing has a name.

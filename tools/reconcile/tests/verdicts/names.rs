@@ -4,7 +4,7 @@
 
 use crate::names;
 use crate::noise::noise;
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Kind, Record, Role};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
@@ -205,7 +205,7 @@ fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
         assert!(right.suspicions.is_empty(), "{:?}", right.suspicions);
         of(&mut run, "p", &|_, p| p / by);
         let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
-        assert_eq!(r.suspicions.iter().map(|s| s.what).collect::<Vec<_>>(), [What::Unit], "{by}");
+        assert_eq!(r.suspicions.iter().map(|s| s.what).collect::<Vec<_>>(), [MistakeKind::Unit], "{by}");
     }
 }
 

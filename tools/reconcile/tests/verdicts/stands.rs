@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::{answer, record};
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::record::{Kind, Record, Role};
 use rtec_reconcile::Verdict;
 use test_needs::dice::Dice;
@@ -121,7 +121,7 @@ fn the_saw_of_a_gauge_in_steps_is_no_finding() {
             said.effects,
             said.unexplained
         );
-        assert!(said.suspicions.iter().all(|s| s.what != What::Unit), "{:?}", said.suspicions);
+        assert!(said.suspicions.iter().all(|s| s.what != MistakeKind::Unit), "{:?}", said.suspicions);
     }
 }
 

@@ -4,14 +4,14 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::{answer, names, record};
-use rtec_measure::plausible::What;
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::record::{Column, Kind, Record};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::{PI, TAU};
 use test_needs::dice::Dice;
 use test_needs::repetitions;
 
-fn kinds(r: &Reconciliation) -> Vec<(What, &str)> {
+fn kinds(r: &Reconciliation) -> Vec<(MistakeKind, &str)> {
     r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
 }
 
@@ -107,7 +107,7 @@ const RIGHT: [&str; 3] = ["position.x", "direction.x", "error.x"];
 fn positions_in_another_axis_s_column_are_said() {
     for roles in [["position.y", "direction.x", "error.x"], ["position.y", "direction.y", "error.x"]] {
         let r = answer(STROKES, &[strokes("a", 1, roles, 1.0)], &[]);
-        assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Swapped, "p")], 0), "{}", r.to_json());
+        assert_eq!((kinds(&r), names(&r).len()), (vec![(MistakeKind::Swapped, "p")], 0), "{}", r.to_json());
     }
     // A true straightness is not reported as exchanged columns, because the model has nothing similar.
     let model = "[[effect]]\nname = \"scale.x\"\nppm = -40.0\n[[effect]]\nname = \"reversal.x\"\num = 9.0\n";
@@ -121,7 +121,7 @@ fn errors_in_thousandths_of_an_inch_are_said() {
     assert_eq!(kinds(&answer(STROKES, &[strokes("a", 1, RIGHT, 1.0)], &[])), []);
     for (per_um, text) in [(25.4, "thousandths of an inch"), (25.4e3, "")] {
         let r = answer(STROKES, &[strokes("a", 1, RIGHT, per_um)], &[]);
-        assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Unit, "e")], 0), "{}", r.to_json());
+        assert_eq!((kinds(&r), names(&r).len()), (vec![(MistakeKind::Unit, "e")], 0), "{}", r.to_json());
         assert!(r.suspicions[0].text.contains(text), "{:?}", r.suspicions);
     }
 }
@@ -169,7 +169,7 @@ fn no_gap_is_narrower_for_a_hold_out_that_is_suspected() {
         *e += 40.0 * (i as f64 / 9.0).sin();
     }
     let r = answer("effect = []\n", &[train], &[good, strange]);
-    assert_eq!(kinds(&r), [(What::OtherMachine, "")], "{:?}", r.suspicions);
+    assert_eq!(kinds(&r), [(MistakeKind::OtherMachine, "")], "{:?}", r.suspicions);
     let [with, without] = [r.gap[0].holdout.unwrap()[1], r.gap[0].without_strangers.unwrap()[1]];
     assert!(with > 15.0 && without < 0.4, "{}", r.to_json());
     assert!(r.gap[0].closed().is_none_or(|c| c < 0.2), "{}", r.to_json());
@@ -182,12 +182,12 @@ fn a_gauge_that_stands_still_names_nothing() {
     let mut run = strokes("a", 1, RIGHT, 1.0);
     run.columns[2].data.fill(7.5);
     let r = answer("effect = []\n", std::slice::from_ref(&run), &[]);
-    assert_eq!((kinds(&r), names(&r).len()), (vec![(What::Stuck, "e")], 0), "{}", r.to_json());
+    assert_eq!((kinds(&r), names(&r).len()), (vec![(MistakeKind::Stuck, "e")], 0), "{}", r.to_json());
     assert_eq!(r.verdict, Verdict::UnknownEffect, "{}", r.to_json());
     let other = strokes("b", 2, ["position.x", "direction.x", "error.z"], 1.0).columns.swap_remove(2);
     run.columns.push(Column { name: "ez".into(), ..other });
     let r = answer("effect = []\n", &[run], &[]);
-    assert_eq!(kinds(&r), [(What::Stuck, "e")], "{}", r.to_json());
+    assert_eq!(kinds(&r), [(MistakeKind::Stuck, "e")], "{}", r.to_json());
     assert!(!names(&r).is_empty() && names(&r).iter().all(|n| n.contains(".z")), "{}", r.to_json());
 }
 
@@ -244,7 +244,7 @@ fn a_reversal_opposite_to_the_model_s_is_no_mistake_in_the_directions() {
         let reversal = r.model.effects().find(|e| e.name() == "reversal.x").unwrap();
         assert!((reversal.values()[0] + 7.0).abs() < 0.3, "{}", r.to_json());
         let exchanged = answer(model, &[run(seed, 3.5, -1.0)], &[]);
-        assert_eq!(kinds(&exchanged), [(What::Direction, "dir")], "{}", exchanged.to_json());
+        assert_eq!(kinds(&exchanged), [(MistakeKind::Direction, "dir")], "{}", exchanged.to_json());
     }
 }
 

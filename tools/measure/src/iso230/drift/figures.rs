@@ -12,7 +12,7 @@ pub(super) type Row<'d> = (f64, f64, &'d [&'d [f64]], usize);
 
 /// First pass: sums that the second pass needs.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Sums {
+pub(super) struct FirstPass {
     rows: usize,
     first_s: f64,
     last_s: f64,
@@ -22,7 +22,7 @@ pub(super) struct Sums {
     degc: Vec<(f64, usize)>,
 }
 
-impl Sums {
+impl FirstPass {
     pub(super) fn new(sensors: usize) -> Self {
         Self { degc: vec![(0.0, 0); sensors], ..Self::default() }
     }
@@ -137,8 +137,8 @@ impl SensorSums {
 
 /// Second pass over the same rows in the same order.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Look {
-    of: Sums,
+pub(super) struct SecondPass {
+    of: FirstPass,
     seen: usize,
     /// Number of rows in 1 % of all, at least one.
     few: usize,
@@ -156,8 +156,8 @@ pub(super) struct Look {
     sensors: Vec<SensorSums>,
 }
 
-impl Look {
-    pub(super) fn at(of: Sums) -> Self {
+impl SecondPass {
+    pub(super) fn at(of: FirstPass) -> Self {
         let n = of.rows as f64;
         Self {
             few: (of.rows / 100).max(1),

@@ -1,7 +1,7 @@
 //! A drift test of any number of rows in bounded memory.
 //! It reads the file three times; leaving rows out takes three more.
 
-use super::figures::{Look, Row, Sums};
+use super::figures::{FirstPass, Row, SecondPass};
 use super::scatter::Scatter;
 use super::spans::{Span, Spans, State, TURNS_RPM};
 use super::{Drift, Figures, Phase, charts_of, displaced};
@@ -74,7 +74,7 @@ impl LongDrift {
         };
         let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
         let (mut errors, mut degc): (Vec<Outline>, Vec<Outline>) = (Vec::new(), Vec::new());
-        let (mut moves, mut usual) = (Moves::default(), Usual::default());
+        let (mut moves, mut usual) = (MotionDetector::default(), Usual::default());
         while let Some(record) = pieces.next_record(PIECE_ROWS)? {
             let Some(t) = record.data(&Role::Time).filter(|_| !moves.see(&record)) else { return Ok(None) };
             let rpm = record.data(&Role::SpindleSpeed);
@@ -139,22 +139,22 @@ impl LongDrift {
     /// Reads the file twice; `each` gets its rows in pieces of `rows_at_once`.
     pub(crate) fn drift(&mut self, rows_at_once: usize, mut each: impl FnMut(&Record)) -> Result<Vec<Drift>> {
         let (responses, sensors) = (self.errors.len(), self.degc.len());
-        let none = vec![Sums::new(sensors); responses];
+        let none = vec![FirstPass::new(sensors); responses];
         let (mut whole, mut by_span) = (none.clone(), vec![none; self.spans.len()]);
         self.walk(rows_at_once, &mut each, |span, response, row| {
             whole[response].see(row);
             by_span[span][response].see(row);
         })?;
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
-        let looks = |of: Vec<Sums>| of.into_iter().map(Look::at).collect::<Vec<_>>();
+        let looks = |of: Vec<FirstPass>| of.into_iter().map(SecondPass::at).collect::<Vec<_>>();
         let (mut whole, mut now) = (looks(whole), Vec::new());
         let mut scatters = vec![Scatter::default(); responses];
         let mut phases: Vec<Vec<Figures>> = vec![Vec::new(); responses];
         let head = self.head.clone();
-        let figures = |look: &Look| look.figures(head.temperatures().map(|c| c.name.as_str()));
+        let figures = |look: &SecondPass| look.figures(head.temperatures().map(|c| c.name.as_str()));
         let mut by_span = by_span.into_iter();
         let mut present = None;
-        let mut close = |looks: Vec<Look>| {
+        let mut close = |looks: Vec<SecondPass>| {
             phases.iter_mut().zip(&looks).for_each(|(phases, look)| phases.push(figures(look)));
         };
         self.walk(PIECE_ROWS, &mut |_: &Record| (), |span, response, row| {
@@ -234,11 +234,11 @@ impl LongDrift {
 
 /// Whether an axis moves from one row to the next.
 #[derive(Default)]
-struct Moves {
+struct MotionDetector {
     before: Vec<f64>,
 }
 
-impl Moves {
+impl MotionDetector {
     fn see(&mut self, record: &Record) -> bool {
         let axes: Vec<&[f64]> = record.axes(Role::Position).filter_map(|a| record.position(a)).collect();
         let from = |n: usize, p: &[f64]| self.before.get(n).copied().unwrap_or(p[0]);

@@ -4,7 +4,7 @@ use super::{
     Clean, Machine, Mistake, again, along, by_name, column, drift, positioning, record, rounded, to_and_fro,
     two_drift, warming,
 };
-use rtec_measure::plausible::{What, suspicions};
+use rtec_measure::plausible::{MistakeKind, suspicions};
 use rtec_model::record::{Column, Kind, Record, Role};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
@@ -31,9 +31,9 @@ fn positions_in_another_axis_s_column_are_said() {
         suspicions(&[record("line", Kind::Positioning, columns)])
     };
     for still in [false, true] {
-        let said: Vec<(What, String)> =
+        let said: Vec<(MistakeKind, String)> =
             of("direction.x", still).into_iter().map(|s| (s.what, s.column)).collect();
-        assert_eq!(said, [(What::Swapped, "y".to_owned())]);
+        assert_eq!(said, [(MistakeKind::Swapped, "y".to_owned())]);
         assert_eq!(of("direction.y", still), []);
     }
 }
@@ -58,21 +58,21 @@ fn another_angle_on_a_circle_is_said() {
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
-    let is = |what: What| vec![(what, "a".to_owned())];
+    let is = |what: MistakeKind| vec![(what, "a".to_owned())];
     for rows in [500, 777, 7200] {
         for turns in [0.5, 1.0, 2.0] {
             for positions in [false, turns > 0.9] {
                 assert_eq!(said(record(rows, turns, |a| a, positions)), [], "{rows} {turns}");
                 let degrees = record(rows, turns, f64::to_degrees, positions);
-                assert_eq!(said(degrees), is(What::Unit), "{rows} {turns} {positions}");
+                assert_eq!(said(degrees), is(MistakeKind::Unit), "{rows} {turns} {positions}");
             }
         }
     }
     // From another axis, the other way round; late by a third of a degree is none.
     assert_eq!(said(record(720, 2.0, |a| a + 0.005, true)), []);
     assert_eq!(said(record(720, 2.0, |a| a + TAU, true)), []);
-    assert!(said(record(720, 2.0, |a| a + TAU / 4.0, true)).contains(&is(What::Swapped)[0]));
-    assert!(said(record(720, 2.0, |a| -a, true)).contains(&is(What::Swapped)[0]));
+    assert!(said(record(720, 2.0, |a| a + TAU / 4.0, true)).contains(&is(MistakeKind::Swapped)[0]));
+    assert!(said(record(720, 2.0, |a| -a, true)).contains(&is(MistakeKind::Swapped)[0]));
 }
 
 /// A gauge that stands for a stretch, and two sensors in each other's place, in one of two records or on the way: most are said, and
@@ -101,14 +101,14 @@ fn stretches_and_exchanges_are_said() {
         r[k] = again(&r[k]);
         r
     }
-    const KINDS: [(&str, Clean, Mistake, What, f64); 4] = [
-        ("a gauge stands for a stretch, drift", drift, stands, What::Stuck, 0.8),
-        ("a gauge stands for a stretch, positioning", positioning, stands, What::Stuck, 0.5),
+    const KINDS: [(&str, Clean, Mistake, MistakeKind, f64); 4] = [
+        ("a gauge stands for a stretch, drift", drift, stands, MistakeKind::Stuck, 0.8),
+        ("a gauge stands for a stretch, positioning", positioning, stands, MistakeKind::Stuck, 0.5),
         (
             "two sensors exchanged in one of two records",
             two_drift,
             |r, d| crossed(r, d, 0),
-            What::Swapped,
+            MistakeKind::Swapped,
             0.4,
         ),
         (
@@ -118,7 +118,7 @@ fn stretches_and_exchanges_are_said() {
                 let at = r[0].rows() / 3 + d.below(r[0].rows() / 2);
                 crossed(r, d, at)
             },
-            What::Swapped,
+            MistakeKind::Swapped,
             0.5,
         ),
     ];
@@ -178,13 +178,13 @@ fn signs_and_copies_of_cycles_are_said() {
         assert_eq!(said(&|_, e| e), [], "{seed}");
         for cycle in 0..5 {
             let found = said(&|i, e| if i / 22 == cycle { -e } else { e });
-            assert!(found.iter().any(|s| s.what == What::Sign), "{seed}, {cycle}: {found:?}");
+            assert!(found.iter().any(|s| s.what == MistakeKind::Sign), "{seed}, {cycle}: {found:?}");
         }
         // A screw that is worn in its middle gives that too: backlash that changes along the axis.
         assert_eq!(said(&|i, e| if i / 11 % 2 == 1 { -e } else { e }), [], "{seed}");
         let own = cycles(seed)[3].data.clone();
         let found = said(&|i, e| if i / 22 == 3 { own[i - 22] } else { e });
-        assert!(found.iter().any(|s| s.what == What::Doubled), "{seed}: {found:?}");
+        assert!(found.iter().any(|s| s.what == MistakeKind::Doubled), "{seed}: {found:?}");
     }
 }
 
@@ -224,5 +224,5 @@ fn time_and_repeat_exchanged_are_said() {
     let cycle: Vec<f64> = (0..n).map(|i| (i / 24 + 1) as f64).collect();
     assert_eq!(suspicions(&[with(time.clone(), cycle.clone())]), []);
     let found = suspicions(&[with(cycle, time)]);
-    assert!(found.iter().any(|s| (s.what, s.column.as_str()) == (What::Swapped, "t")), "{found:?}");
+    assert!(found.iter().any(|s| (s.what, s.column.as_str()) == (MistakeKind::Swapped, "t")), "{found:?}");
 }

@@ -5,7 +5,10 @@ use super::{
     long_axis, one, patched, plate, positioning, positioning_timed, probing, repeated, rows_again, scaled,
     two_drift, warming, warming_through, wild,
 };
-use rtec_measure::plausible::{What, steps_of, suspicions};
+use rtec_measure::plausible::MistakeKind::{
+    self, Direction, Doubled, Jump, Outliers, Range, Sign, Stuck, Swapped, Unit, Unplugged,
+};
+use rtec_measure::plausible::{steps_of, suspicions};
 use rtec_model::record::Record;
 use test_needs::dice::Dice;
 use test_needs::{cases, repetitions};
@@ -24,27 +27,21 @@ fn slipped(mut r: Record, name: &str, d: &mut Dice, by: f64) -> Record {
 }
 
 /// Name, the clean records, the mistake, what must be said, and of which column ("" for any).
-const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
-    ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
-    ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], What::Unit, "x"),
-    ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], What::Unit, "X"),
-    ("error in mm", positioning, |r, _| vec![scaled(one(r), "e", 1e-3, 0.0)], What::Unit, "e"),
-    ("error in m", drift, |r, _| vec![scaled(one(r), "e", 1e-6, 0.0)], What::Unit, "e"),
-    ("temperature in K", drift, |r, _| vec![scaled(one(r), "T1", 1.0, 273.15)], What::Unit, "T1"),
-    ("temperature in °F", drift, |r, _| vec![scaled(one(r), "T0", 1.8, 32.0)], What::Unit, "T0"),
-    (
-        "time in ms, positioning",
-        positioning_timed,
-        |r, _| vec![scaled(one(r), "t", 1e3, 0.0)],
-        What::Unit,
-        "t",
-    ),
-    ("time in ms, drift", drift, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], What::Unit, "t"),
-    ("time in ms, ballbar", ballbar, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], What::Unit, "t"),
-    ("position in m, ballbar", ballbar, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], What::Unit, "x"),
-    ("speed in mm/min", ballbar, |r, _| vec![scaled(one(r), "vx", 60.0, 0.0)], What::Unit, "vx"),
-    ("position in m, dynamics", dynamics, |r, _| vec![scaled(one(r), "q", 1e-3, 0.0)], What::Unit, "q"),
-    ("speed with the other sign", dynamics, |r, _| vec![scaled(one(r), "qd", -1.0, 0.0)], What::Sign, "qd"),
+const PAIRS: [(&str, Clean, Mistake, MistakeKind, &str); 58] = [
+    ("position in m", positioning, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], Unit, "x"),
+    ("position in µm", positioning, |r, _| vec![scaled(one(r), "x", 1e3, 0.0)], Unit, "x"),
+    ("plate in m", plate, |r, _| vec![scaled(one(r), "X", 1e-3, 0.0)], Unit, "X"),
+    ("error in mm", positioning, |r, _| vec![scaled(one(r), "e", 1e-3, 0.0)], Unit, "e"),
+    ("error in m", drift, |r, _| vec![scaled(one(r), "e", 1e-6, 0.0)], Unit, "e"),
+    ("temperature in K", drift, |r, _| vec![scaled(one(r), "T1", 1.0, 273.15)], Unit, "T1"),
+    ("temperature in °F", drift, |r, _| vec![scaled(one(r), "T0", 1.8, 32.0)], Unit, "T0"),
+    ("time in ms, positioning", positioning_timed, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], Unit, "t"),
+    ("time in ms, drift", drift, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], Unit, "t"),
+    ("time in ms, ballbar", ballbar, |r, _| vec![scaled(one(r), "t", 1e3, 0.0)], Unit, "t"),
+    ("position in m, ballbar", ballbar, |r, _| vec![scaled(one(r), "x", 1e-3, 0.0)], Unit, "x"),
+    ("speed in mm/min", ballbar, |r, _| vec![scaled(one(r), "vx", 60.0, 0.0)], Unit, "vx"),
+    ("position in m, dynamics", dynamics, |r, _| vec![scaled(one(r), "q", 1e-3, 0.0)], Unit, "q"),
+    ("speed with the other sign", dynamics, |r, _| vec![scaled(one(r), "qd", -1.0, 0.0)], Sign, "qd"),
     (
         "angle in degrees",
         probing,
@@ -56,25 +53,13 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             }
             vec![again(&r)]
         },
-        What::Unit,
+        Unit,
         "w",
     ),
-    (
-        "direction opposite",
-        positioning,
-        |r, _| vec![scaled(one(r), "dir", -1.0, 0.0)],
-        What::Direction,
-        "dir",
-    ),
-    ("direction 0 and 1", positioning, |r, _| vec![scaled(one(r), "dir", 0.5, 0.5)], What::Direction, "dir"),
-    ("direction always 1", positioning, |r, _| vec![scaled(one(r), "dir", 0.0, 1.0)], What::Direction, "dir"),
-    (
-        "direction opposite, circle",
-        ballbar,
-        |r, _| vec![scaled(one(r), "dx", -1.0, 0.0)],
-        What::Direction,
-        "dx",
-    ),
+    ("direction opposite", positioning, |r, _| vec![scaled(one(r), "dir", -1.0, 0.0)], Direction, "dir"),
+    ("direction 0 and 1", positioning, |r, _| vec![scaled(one(r), "dir", 0.5, 0.5)], Direction, "dir"),
+    ("direction always 1", positioning, |r, _| vec![scaled(one(r), "dir", 0.0, 1.0)], Direction, "dir"),
+    ("direction opposite, circle", ballbar, |r, _| vec![scaled(one(r), "dx", -1.0, 0.0)], Direction, "dx"),
     (
         "position and error exchanged",
         positioning,
@@ -85,45 +70,39 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             by_name(&mut r, "x").data = e;
             vec![again(&r)]
         },
-        What::Swapped,
+        Swapped,
         "e",
     ),
-    ("actual position in mm", positioning, |r, _| vec![actual(one(r), 1.0)], What::Swapped, "e"),
-    ("actual position in µm", positioning, |r, _| vec![actual(one(r), 1000.0)], What::Swapped, "e"),
-    ("unplugged at 999.9", drift, |r, _| vec![scaled(one(r), "T2", 0.0, 999.9)], What::Unplugged, "T2"),
+    ("actual position in mm", positioning, |r, _| vec![actual(one(r), 1.0)], Swapped, "e"),
+    ("actual position in µm", positioning, |r, _| vec![actual(one(r), 1000.0)], Swapped, "e"),
+    ("unplugged at 999.9", drift, |r, _| vec![scaled(one(r), "T2", 0.0, 999.9)], Unplugged, "T2"),
     (
         "unplugged at -127, at times",
         drift,
         |r, _| vec![patched(one(r), "T2", 0.4, 0.6, |_| -127.0)],
-        What::Unplugged,
+        Unplugged,
         "T2",
     ),
     (
         "power-on value 85, at times",
         drift,
         |r, _| vec![patched(one(r), "T1", 0.5, 0.51, |_| 85.0)],
-        What::Unplugged,
+        Unplugged,
         "T1",
     ),
-    ("850 °C", drift, |r, _| vec![patched(one(r), "T3", 0.7, 1.0, |_| 850.0)], What::Unplugged, "T3"),
-    ("-32768", drift, |r, _| vec![patched(one(r), "T3", 0.1, 0.2, |_| -32768.0)], What::Unplugged, "T3"),
-    (
-        "0 °C from a row on",
-        drift,
-        |r, _| vec![patched(one(r), "T2", 0.6, 1.0, |_| 0.0)],
-        What::Unplugged,
-        "T2",
-    ),
-    ("410 °C", drift, |r, _| vec![scaled(one(r), "T2", 1.0, 410.0)], What::Range, "T2"),
-    ("dead all the time", lively_drift, |r, _| vec![scaled(one(r), "T2", 0.0, 23.4)], What::Stuck, "T2"),
+    ("850 °C", drift, |r, _| vec![patched(one(r), "T3", 0.7, 1.0, |_| 850.0)], Unplugged, "T3"),
+    ("-32768", drift, |r, _| vec![patched(one(r), "T3", 0.1, 0.2, |_| -32768.0)], Unplugged, "T3"),
+    ("0 °C from a row on", drift, |r, _| vec![patched(one(r), "T2", 0.6, 1.0, |_| 0.0)], Unplugged, "T2"),
+    ("410 °C", drift, |r, _| vec![scaled(one(r), "T2", 1.0, 410.0)], Range, "T2"),
+    ("dead all the time", lively_drift, |r, _| vec![scaled(one(r), "T2", 0.0, 23.4)], Stuck, "T2"),
     (
         "stuck for a stretch",
         lively_drift,
         |r, _| vec![patched(one(r), "T1", 0.3, 0.7, |_| 31.02)],
-        What::Stuck,
+        Stuck,
         "T1",
     ),
-    ("a step of 12 K", drift, |r, _| vec![patched(one(r), "T0", 0.5, 1.0, |v| v + 12.0)], What::Jump, "T0"),
+    ("a step of 12 K", drift, |r, _| vec![patched(one(r), "T0", 0.5, 1.0, |v| v + 12.0)], Jump, "T0"),
     (
         "sensor spikes",
         drift,
@@ -136,7 +115,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             }
             vec![again(&r)]
         },
-        What::Outliers,
+        Outliers,
         "T1",
     ),
     (
@@ -147,7 +126,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
                 (0..r[0].rows()).flat_map(|i| if i % 5 == 2 { vec![i, i] } else { vec![i] }).collect();
             vec![rows_again(&r[0], &rows)]
         },
-        What::Doubled,
+        Doubled,
         "",
     ),
     (
@@ -157,7 +136,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             let rows: Vec<usize> = (0..r[0].rows()).flat_map(|i| [i, i]).collect();
             vec![rows_again(&r[0], &rows)]
         },
-        What::Doubled,
+        Doubled,
         "",
     ),
     (
@@ -168,7 +147,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             let rows: Vec<usize> = (0..n).chain(10..10 + n / 3).collect();
             vec![rows_again(&r[0], &rows)]
         },
-        What::Doubled,
+        Doubled,
         "",
     ),
     (
@@ -180,14 +159,14 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             by_name(&mut r, "T3").data = t;
             vec![again(&r)]
         },
-        What::Doubled,
+        Doubled,
         "T3",
     ),
-    ("5 % wild rows", positioning, |r, d| vec![wild(one(r), d, 0.05, 40.0)], What::Outliers, "e"),
-    ("two wild approaches of all", repeated, |r, d| vec![wild(one(r), d, 0.02, 40.0)], What::Outliers, "e"),
-    ("time in minutes, drift", warming, |r, _| vec![scaled(one(r), "t", 1.0 / 60.0, 0.0)], What::Unit, "t"),
-    ("time in hours, drift", warming, |r, _| vec![scaled(one(r), "t", 1.0 / 3600.0, 0.0)], What::Unit, "t"),
-    ("1 % wild rows", drift, |r, d| vec![wild(one(r), d, 0.01, 40.0)], What::Outliers, "e"),
+    ("5 % wild rows", positioning, |r, d| vec![wild(one(r), d, 0.05, 40.0)], Outliers, "e"),
+    ("two wild approaches of all", repeated, |r, d| vec![wild(one(r), d, 0.02, 40.0)], Outliers, "e"),
+    ("time in minutes, drift", warming, |r, _| vec![scaled(one(r), "t", 1.0 / 60.0, 0.0)], Unit, "t"),
+    ("time in hours, drift", warming, |r, _| vec![scaled(one(r), "t", 1.0 / 3600.0, 0.0)], Unit, "t"),
+    ("1 % wild rows", drift, |r, d| vec![wild(one(r), d, 0.01, 40.0)], Outliers, "e"),
     (
         "the direction of one run of several",
         positioning,
@@ -205,32 +184,32 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             by_name(&mut r, "dir").data[..m].iter_mut().for_each(|v| *v = -1.0);
             vec![again(&r)]
         },
-        What::Direction,
+        Direction,
         "dir",
     ),
     (
         "a gauge that stands from the first row on",
         positioning,
         |r, _| vec![scaled(one(r), "e", 0.0, 1.7)],
-        What::Stuck,
+        Stuck,
         "e",
     ),
-    ("a gauge that stands, drift", drift, |r, _| vec![scaled(one(r), "e", 0.0, -3.0)], What::Stuck, "e"),
+    ("a gauge that stands, drift", drift, |r, _| vec![scaled(one(r), "e", 0.0, -3.0)], Stuck, "e"),
     (
         "a sign that turns on the way",
         repeated,
         |r, _| vec![patched(one(r), "e", 0.4, 1.0, |v| -v)],
-        What::Sign,
+        Sign,
         "e",
     ),
     (
         "a sign that turns on the way, drift",
         growing,
         |r, _| vec![patched(one(r), "e", 0.6, 1.0, |v| -v)],
-        What::Sign,
+        Sign,
         "e",
     ),
-    ("position in inches", long_axis, |r, _| vec![scaled(one(r), "x", 1.0 / 25.4, 0.0)], What::Unit, "x"),
+    ("position in inches", long_axis, |r, _| vec![scaled(one(r), "x", 1.0 / 25.4, 0.0)], Unit, "x"),
     (
         "temperature and error exchanged",
         drift,
@@ -241,7 +220,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             by_name(&mut r, "e").data = t;
             vec![again(&r)]
         },
-        What::Swapped,
+        Swapped,
         "e",
     ),
     (
@@ -253,7 +232,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             by_name(&mut r, "t").data[at..].iter_mut().for_each(|t| *t += 3600.0);
             vec![again(&r)]
         },
-        What::Jump,
+        Jump,
         "t",
     ),
     (
@@ -263,7 +242,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             r[0] = scaled(r[0].clone(), "e", -1.0, 0.0);
             r
         },
-        What::Sign,
+        Sign,
         "e",
     ),
     (
@@ -273,7 +252,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             r[1] = scaled(r[1].clone(), "e", -1.0, 0.0);
             r
         },
-        What::Sign,
+        Sign,
         "e",
     ),
     (
@@ -286,24 +265,12 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             r[1] = again(&r[1]);
             r
         },
-        What::Swapped,
+        Swapped,
         "",
     ),
-    (
-        "decimal point to the right",
-        positioning,
-        |r, d| vec![slipped(one(r), "x", d, 10.0)],
-        What::Outliers,
-        "x",
-    ),
-    (
-        "decimal point to the left",
-        positioning,
-        |r, d| vec![slipped(one(r), "x", d, 0.1)],
-        What::Outliers,
-        "x",
-    ),
-    ("decimal point, plate", plate, |r, d| vec![slipped(one(r), "X", d, 0.1)], What::Outliers, "X"),
+    ("decimal point to the right", positioning, |r, d| vec![slipped(one(r), "x", d, 10.0)], Outliers, "x"),
+    ("decimal point to the left", positioning, |r, d| vec![slipped(one(r), "x", d, 0.1)], Outliers, "x"),
+    ("decimal point, plate", plate, |r, d| vec![slipped(one(r), "X", d, 0.1)], Outliers, "X"),
     (
         "decimal point by two, three runs",
         three_positioning,
@@ -312,7 +279,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             r[1] = slipped(r[1].clone(), "x", d, 100.0);
             r
         },
-        What::Outliers,
+        Outliers,
         "x",
     ),
     (
@@ -322,7 +289,7 @@ const PAIRS: [(&str, Clean, Mistake, What, &str); 58] = [
             let reads = [-0.0625, 127.5, 128.86, 130.0][d.below(4)];
             vec![patched(one(r), "T1", 0.4, 1.0, |_| reads)]
         },
-        What::Unplugged,
+        Unplugged,
         "T1",
     ),
 ];

@@ -1,7 +1,7 @@
 //! What a good machine does, and no mistake is reported.
 
 use super::{along, column, record, rounded, to_and_fro};
-use rtec_measure::plausible::{Suspicion, What, suspicions, unusable};
+use rtec_measure::plausible::{MistakeKind, Suspicion, suspicions, unusable};
 use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
@@ -21,10 +21,10 @@ fn a_long_record_and_a_clock_that_steps() {
     let step: Vec<f64> =
         (0..500).map(|i| 10.0 * f64::from(i) + if i < 200 { 0.0 } else { 30.0 * 86_400.0 }).collect();
     let said = at(&step);
-    assert!(said.len() == 1 && said[0].what == What::Jump, "{said:?}");
+    assert!(said.len() == 1 && said[0].what == MistakeKind::Jump, "{said:?}");
     assert!(said[0].text.contains("30.0 days") && said[0].rows == "201", "{said:?}");
     let milliseconds: Vec<f64> = (0..2000).map(|i| 1000.0 * f64::from(i)).collect();
-    assert!(at(&milliseconds).iter().any(|s| s.what == What::Unit), "seconds in milliseconds");
+    assert!(at(&milliseconds).iter().any(|s| s.what == MistakeKind::Unit), "seconds in milliseconds");
 }
 
 /// Rows sorted by position, − before + at each; a gauge read by hand every hour.
@@ -104,7 +104,7 @@ fn the_first_pass_of_an_axis_with_a_spike_is_not_doubted() {
         assert!(said.is_empty(), "{seed}: {said:?}");
         // A wild row in the middle of the first pass is as wild as anywhere.
         let said = run(&mut Dice::new(seed), 0.0, Some(5));
-        assert!(said.iter().any(|s| s.what == What::Outliers && s.rows == "6"), "{seed}: {said:?}");
+        assert!(said.iter().any(|s| s.what == MistakeKind::Outliers && s.rows == "6"), "{seed}: {said:?}");
     }
 }
 
@@ -140,7 +140,8 @@ fn switched(d: &mut Dice, rows: usize, tau_rows: f64, steps: &[(usize, f64)], rp
 fn heat_that_is_switched_is_no_jump() {
     for seed in 0..20 {
         let d = &mut Dice::new(seed);
-        let jumps = |r: Record| suspicions(&[r]).iter().any(|s| s.what == What::Jump && s.column == "T1");
+        let jumps =
+            |r: Record| suspicions(&[r]).iter().any(|s| s.what == MistakeKind::Jump && s.column == "T1");
         assert!(jumps(switched(d, 160, 0.0, &[(80, 5.0)], 0.0)), "{seed}: by itself");
         assert!(!jumps(switched(d, 160, 60.0, &[(80, 5.0)], 0.0)), "{seed}: a slow body follows");
         assert!(!jumps(switched(d, 160, 0.0, &[(60, 5.0), (90, -5.0), (120, 5.0)], 0.0)), "{seed}: switched");
@@ -262,7 +263,7 @@ fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
             assert_eq!(found.len(), 1, "{seed}: {row} by {by}: {found:?}");
             assert_eq!(
                 (found[0].what, found[0].column.as_str(), found[0].row_list()),
-                (What::Outliers, "x", vec![row])
+                (MistakeKind::Outliers, "x", vec![row])
             );
             assert_eq!(unusable(&found).rows(&r), [row]);
         }
@@ -288,7 +289,7 @@ fn a_gauge_that_another_record_shows_as_coarse_may_stand_still() {
     };
     let grown: Vec<f64> = (0..60).map(|i| 10.0 * (f64::from(i) / 20.0).floor()).collect();
     assert_eq!(suspicions(&[drift(grown.clone()), drift(vec![20.0; 60])]), []);
-    let stuck = |found: Vec<Suspicion>| found.iter().filter(|s| s.what == What::Stuck).count();
+    let stuck = |found: Vec<Suspicion>| found.iter().filter(|s| s.what == MistakeKind::Stuck).count();
     assert_eq!(stuck(suspicions(&[drift(vec![20.0; 60])])), 1);
     assert_eq!(stuck(suspicions(&[drift(grown), drift(vec![23.0; 60])])), 1);
 }

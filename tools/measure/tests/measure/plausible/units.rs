@@ -1,7 +1,7 @@
 //! Columns in other units than stated.
 
 use super::{column, record, serpentine};
-use rtec_measure::plausible::{Suspicion, What, suspicions};
+use rtec_measure::plausible::{MistakeKind, Suspicion, suspicions};
 use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
@@ -22,7 +22,10 @@ fn a_radius_in_inches_or_off_is_said() {
     };
     for inches in [100.0, 150.0, 300.0].map(|mm| mm / 25.4) {
         let said = suspicions(&[record((inches * 1e4_f64).round() / 1e4, 3.0)]);
-        assert!(said.iter().any(|s| s.what == What::Unit && s.text.contains("inches")), "{inches}: {said:?}");
+        assert!(
+            said.iter().any(|s| s.what == MistakeKind::Unit && s.text.contains("inches")),
+            "{inches}: {said:?}"
+        );
     }
     for mm in [50.0, 100.0, 150.0, 300.0] {
         assert_eq!(suspicions(&[record(mm, 3.0)]), [], "{mm}");
@@ -52,7 +55,7 @@ fn a_circle_in_inches_without_a_bar_is_said() {
     }
     for mm in [100.0, 150.0, 300.0] {
         let said = circle(mm / 25.4);
-        let unit = |s: &Suspicion| s.what == What::Unit && s.text.contains("inches");
+        let unit = |s: &Suspicion| s.what == MistakeKind::Unit && s.text.contains("inches");
         assert!(said.len() == 2 && said.iter().all(unit), "{mm}: {said:?}");
     }
 }
@@ -75,7 +78,7 @@ fn inches_on_a_circle_are_said() {
         record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
-    let both = [(What::Unit, "x".to_owned()), (What::Unit, "y".to_owned())];
+    let both = [(MistakeKind::Unit, "x".to_owned()), (MistakeKind::Unit, "y".to_owned())];
     for turn in [TAU, 0.35 * TAU] {
         assert_eq!(said(record(1.0, 150.0, turn)), []);
         assert_eq!(said(record(1.0 / 25.4, 150.0, turn)), both);
@@ -115,7 +118,7 @@ fn a_plate_in_inches_is_said() {
         assert_eq!(plate(1.0, pitch_mm), [], "{pitch_mm}");
         let said = plate(1.0 / 25.4, pitch_mm);
         assert!(
-            said.iter().any(|s| s.what == What::Unit && s.text.contains("inches")),
+            said.iter().any(|s| s.what == MistakeKind::Unit && s.text.contains("inches")),
             "{pitch_mm}: {said:?}"
         );
     }
@@ -140,7 +143,10 @@ fn a_steep_scale_is_no_inch_and_a_steeper_line_is() {
     }
     for ppm in [-1100.0, 2500.0] {
         let said = run(ppm);
-        assert!(said.iter().any(|s| s.what == What::Unit && s.text.contains("inches")), "{ppm}: {said:?}");
+        assert!(
+            said.iter().any(|s| s.what == MistakeKind::Unit && s.text.contains("inches")),
+            "{ppm}: {said:?}"
+        );
     }
     let scale = rtec_model::effect::Dictionary::default().effect("scale.x").unwrap();
     let [low, high] = scale.description().parameters[0].bounds;
@@ -197,14 +203,15 @@ fn another_unit_and_other_directions_from_a_row_on_are_said() {
             let half = |i: usize, x: f64| if rows.contains(&i) { rounded(x / 1000.0) } else { rounded(x) };
             let found =
                 suspicions(&[made(way.clone(), e.iter().enumerate().map(|(i, x)| half(i, *x)).collect())]);
-            let unit = found.iter().find(|s| s.what == What::Unit && s.column == "e");
+            let unit = found.iter().find(|s| s.what == MistakeKind::Unit && s.column == "e");
             let said = unit.map_or(Vec::new(), Suspicion::row_list);
             let same = said.iter().filter(|i| rows.contains(i)).count();
             assert!(same + 3 >= rows.len() && said.len() <= rows.len() + 3, "{seed} {rows:?}: {found:?}");
         }
         let turned = way.iter().enumerate().map(|(i, w)| if i < 65 { *w } else { -w }).collect();
         let found = suspicions(&[made(turned, e.clone())]);
-        let said = found.iter().find(|s| s.what == What::Direction).map_or(Vec::new(), Suspicion::row_list);
+        let said =
+            found.iter().find(|s| s.what == MistakeKind::Direction).map_or(Vec::new(), Suspicion::row_list);
         assert!(said.len() > 55 && said.iter().all(|i| (65..130).contains(i)), "{found:?}");
         // A spindle that stands for a while, and then grows by a thousand times its noise.
         let grows = |i: i32| if i < 100 { 0.0 } else { 60.0 * (1.0 - (-f64::from(i - 100) / 60.0).exp()) };

@@ -4,7 +4,7 @@ use super::{
     Machine, by_name, column, drift, growing, noise, one, patched, plate, positioning_timed, read, record,
     repeated, rows_again, scaled, serpentine,
 };
-use rtec_measure::plausible::{Suspicion, What, steps_of, suspicions, unusable};
+use rtec_measure::plausible::{MistakeKind, Suspicion, steps_of, suspicions, unusable};
 use rtec_model::record::{Kind, Record};
 use std::f64::consts::TAU;
 use test_needs::cases;
@@ -96,12 +96,15 @@ fn noise_single_wild_rows_and_days_are_said() {
         assert_eq!(drift(0.1, 0.0, 1.0, &mut d), [], "{seed}");
         for sd_k in [3.0, 6.0, 8.0] {
             let said = drift(sd_k, 0.0, 1.0, &mut d);
-            assert!(said.iter().any(|s| s.column == "T1" && s.what == What::Unplugged), "{seed}: {said:?}");
+            assert!(
+                said.iter().any(|s| s.column == "T1" && s.what == MistakeKind::Unplugged),
+                "{seed}: {said:?}"
+            );
         }
         for wild_um in [-400.0, 40.0, 400.0, 4000.0] {
             let said = drift(0.05, wild_um, 1.0, &mut d);
             assert!(
-                said.iter().any(|s| s.rows == "201" && s.what == What::Outliers),
+                said.iter().any(|s| s.rows == "201" && s.what == MistakeKind::Outliers),
                 "{seed}, {wild_um}: {said:?}"
             );
         }
@@ -120,7 +123,7 @@ fn noise_single_wild_rows_and_days_are_said() {
         for wild_um in [40.0, -400.0, 5000.0] {
             let said = bar(wild_um, &mut d);
             assert!(
-                said.iter().any(|s| s.rows == "101" && s.what == What::Outliers),
+                said.iter().any(|s| s.rows == "101" && s.what == MistakeKind::Outliers),
                 "{seed}, {wild_um}: {said:?}"
             );
         }
@@ -164,7 +167,7 @@ fn few_rows(d: &mut Dice) -> Record {
 fn one_wild_reading_in_few_rows_is_named() {
     let of = |r: &Record| -> Vec<usize> {
         let all = suspicions(std::slice::from_ref(r));
-        let own = all.iter().filter(|s| s.what == What::Outliers && s.column == "e");
+        let own = all.iter().filter(|s| s.what == MistakeKind::Outliers && s.column == "e");
         own.flat_map(Suspicion::row_list).collect()
     };
     let (runs, mut alarms, mut found, mut looked_at) = (cases(4000) as usize, Vec::new(), 0, 0);
@@ -214,7 +217,7 @@ fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
             vec![column("t", "time", t), column("T1", "temperature", t1), column("e", "error.x", e)];
         let all = suspicions(&[record("d", Kind::Drift, columns)]);
         let named = |name: &str, row: usize| {
-            all.iter().any(|s| s.column == name && s.what == What::Outliers && s.row_list() == [row])
+            all.iter().any(|s| s.column == name && s.what == MistakeKind::Outliers && s.row_list() == [row])
         };
         found[0] += usize::from(named("e", row));
         found[1] += usize::from(named("T1", 14 - row));
@@ -251,7 +254,7 @@ fn adjacent_wild_readings_are_named() {
                 by_name(&mut bad, &response).data[start..start + readings].fill(um);
                 let rows: Vec<usize> = (start..start + readings).collect();
                 let said = suspicions(&[bad]);
-                let named = said.iter().any(|s| s.what == What::Outliers && s.row_list() == rows);
+                let named = said.iter().any(|s| s.what == MistakeKind::Outliers && s.row_list() == rows);
                 assert!(named, "{name}, {seed}: {readings} of {um} from {start}: {said:?}");
             }
         }
@@ -305,6 +308,6 @@ fn rows_before_a_step_are_no_wild_rows() {
         };
         assert_eq!(plate(&[], &mut d), [], "{seed}");
         let said = plate(&[5, 13, 24, 36, 45, 57, 66, 91], &mut d);
-        assert!(said.len() == 1 && said[0].what == What::Outliers, "{seed}: {said:?}");
+        assert!(said.len() == 1 && said[0].what == MistakeKind::Outliers, "{seed}: {said:?}");
     }
 }

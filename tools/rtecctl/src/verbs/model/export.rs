@@ -7,7 +7,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_files::InputError;
 use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::order::{ExportFormat, TableOrder};
+use rtec_measure::export::request::{ExportFormat, ExportRequest};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let (found, expected) = (format!("--out {}", args.out.display()), "a file of its own, not the model");
         return Err(InputError::whole(Path::new(VERB), found, expected).into());
     }
-    let order = TableOrder {
+    let order = ExportRequest {
         axis: args.axis.clone(),
         wanted: TableRange {
             from_mm: args.from,

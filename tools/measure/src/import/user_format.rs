@@ -22,13 +22,13 @@ use std::path::Path;
 
 /// A description of a table, read from a file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct OwnTable {
+pub struct UserTableFormat {
     form: Form,
     columns: Vec<ImportColumn>,
     kind: Kind,
 }
 
-impl OwnTable {
+impl UserTableFormat {
     /// Reads a description.
     ///
     /// # Errors

@@ -44,7 +44,7 @@ enum Piece {
 
 /// A format read from a file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct OwnForm {
+pub struct UserFormat {
     header: Vec<Piece>,
     line: Vec<Piece>,
     footer: Vec<Piece>,
@@ -93,7 +93,7 @@ fn has(pieces: &[Piece], name: &str) -> bool {
     pieces.iter().any(|p| matches!(p, Piece::Place(n) if *n == name))
 }
 
-impl OwnForm {
+impl UserFormat {
     /// Parses a format; `reference_mm` is the reference point, if the format needs one.
     ///
     /// # Errors
@@ -190,7 +190,7 @@ impl OwnForm {
     }
 }
 
-impl Format for OwnForm {
+impl Format for UserFormat {
     fn rules(&self) -> Rules {
         let resolution = |(mm, decimals): (f64, usize)| mm * 10f64.powi(-(decimals as i32));
         Rules {

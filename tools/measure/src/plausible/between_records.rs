@@ -2,7 +2,7 @@
 
 use super::sensor_regression::{sensor_regression, with_lags};
 use super::stats::{median, middle_range, range};
-use super::{Suspicion, What, repeats};
+use super::{MistakeKind, Suspicion, repeats};
 use crate::iso230::correlation;
 use rtec_model::record::{Axis, Column, Kind, Record, Role, mean, span};
 
@@ -34,7 +34,7 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
     for (at, columns) in odd_ones(opposite) {
         let text = "has the sign opposite to the other record's, place by place";
         for c in columns {
-            out.push(Suspicion::new(&records[at], &c, What::Sign, &[], text.to_owned()));
+            out.push(Suspicion::new(&records[at], &c, MistakeKind::Sign, &[], text.to_owned()));
         }
     }
     for (at, pair) in odd_ones(crossed) {
@@ -42,7 +42,7 @@ pub(super) fn look(records: &[Record], out: &mut Vec<Suspicion>) {
             let other = &pair[other];
             let text =
                 format!("reads what {other} reads in the other record, and that one what this one does");
-            out.push(Suspicion::new(&records[at], &pair[own], What::Swapped, &[], text));
+            out.push(Suspicion::new(&records[at], &pair[own], MistakeKind::Swapped, &[], text));
         }
     }
 }
@@ -85,11 +85,11 @@ fn units(a: &Record, b: &Record, out: &mut Vec<Suspicion>) {
             Role::Error(_) => small < 0.5 && (250.0..4000.0).contains(&(large / small)),
             _ => false,
         };
-        let known = out.iter().any(|s| s.what == What::Unit && s.is_of(r, c));
+        let known = out.iter().any(|s| s.what == MistakeKind::Unit && s.is_of(r, c));
         if looks && small > 0.0 && !known {
             let (unit, of) = (&c.unit, of.path.display());
             let text = format!("varies by {small:.3} {unit}, in {of} by {large:.1}: a thousand times less");
-            out.push(Suspicion::new(r, &c.name, What::Unit, &[], text));
+            out.push(Suspicion::new(r, &c.name, MistakeKind::Unit, &[], text));
         }
     }
 }

@@ -1,9 +1,10 @@
 //! An export: format, axis, and messages about the written table.
 
 use super::linuxcnc::{LinuxCnc, Unit};
-use super::own::OwnForm;
+use super::user_format::UserFormat;
 use super::{
-    Csv, Errors, Format, Left, Lookup, Rules, Table, TableRange, beckhoff, siemens, siemens_cec, usage,
+    Csv, Errors, Format, Lookup, Rules, Table, TableRange, TableResidual, beckhoff, siemens, siemens_cec,
+    usage,
 };
 use rtec_files::Result;
 use rtec_files::date;
@@ -28,7 +29,7 @@ rtec_files::choice! {
 
 /// Options of an export.
 #[derive(Debug, Clone)]
-pub struct TableOrder {
+pub struct ExportRequest {
     /// The axis.
     pub axis: String,
     /// Range and accuracy.
@@ -79,7 +80,7 @@ fn needed<T>(value: Option<T>, option: &str) -> Result<T> {
     value.ok_or_else(|| usage(format!("no --{option}"), format!("--{option} with this format")))
 }
 
-impl TableOrder {
+impl ExportRequest {
     fn format(&self) -> Result<Box<dyn Format>> {
         let linuxcnc = matches!(self.format, ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1);
         if self.unit == Unit::Inch && !linuxcnc {
@@ -132,7 +133,7 @@ impl TableOrder {
             ExportFormat::Csv => Box::new(Csv),
             ExportFormat::Own => {
                 let form = needed(self.form.as_deref(), "form")?;
-                Box::new(OwnForm::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
+                Box::new(UserFormat::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
             }
         })
     }
@@ -161,7 +162,7 @@ impl TableOrder {
         let beside =
             format!("; right behind a turn up to {spike_um:.2} um more, which no table of positions holds");
         let beside = if spike_um > 0.0 { &beside } else { "" };
-        let Left { max_up_um: up, max_down_um: down, rms_um: rms } = left;
+        let TableResidual { max_up_um: up, max_down_um: down, rms_um: rms } = left;
         let (axis, step_mm, [start, end]) =
             (&table.axis, table.step_mm, [table.start_mm(), table.end_mm()].map(short));
         let across = self.along.as_ref().map_or(String::new(), |along| format!(" along {along}"));

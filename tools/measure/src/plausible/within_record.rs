@@ -4,7 +4,7 @@
 
 use super::sensor_regression::sensor_regression;
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
-use super::{Suspicion, What, motion, repeats};
+use super::{MistakeKind, Suspicion, motion, repeats};
 use crate::iso230::{correlation, mean_of};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -35,12 +35,12 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         if let Some(at) = at {
             let rows: Vec<usize> = (at..c.data.len()).collect();
             let text = "has the sign opposite to the rows before".to_owned();
-            out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text));
+            out.push(Suspicion::new(record, &c.name, MistakeKind::Sign, &rows, text));
         } else if record.kind == Kind::Positioning
             && let Some(rows) = of_approaches(record, c)
         {
             let text = "has the sign opposite to the other approaches to the same places".to_owned();
-            out.push(Suspicion::new(record, &c.name, What::Sign, &rows, text));
+            out.push(Suspicion::new(record, &c.name, MistakeKind::Sign, &rows, text));
         }
     }
     for c in record.responses() {
@@ -82,7 +82,7 @@ fn other_unit_midway(record: &Record, c: &Column, out: &mut Vec<Suspicion>) {
     if A_THOUSAND.contains(&times.max(1.0 / times)) && small > 0.0 && large > A_THOUSAND.start() * small {
         let rows: Vec<usize> = rows.collect();
         let text = "is some 1000 times smaller than in the other rows: given in mm there, called µm?";
-        out.push(Suspicion::new(record, &c.name, What::Unit, &rows, text.to_owned()));
+        out.push(Suspicion::new(record, &c.name, MistakeKind::Unit, &rows, text.to_owned()));
     }
 }
 
@@ -97,7 +97,7 @@ fn counts_as_clock(record: &Record, out: &mut Vec<Suspicion>) {
         let text = format!(
             "stands still at whole numbers as a repeat does, and {n} goes on as a time: the two look exchanged"
         );
-        out.push(Suspicion::new(record, &t.name, What::Swapped, &[], text));
+        out.push(Suspicion::new(record, &t.name, MistakeKind::Swapped, &[], text));
     }
 }
 
@@ -126,7 +126,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
                 let rows: Vec<usize> = (at..n).collect();
                 for (own, other) in [(p, q), (q, p)] {
                     let text = format!("goes on where {} was, and that one where this one was", other.name);
-                    out.push(Suspicion::new(record, &own.name, What::Swapped, &rows, text));
+                    out.push(Suspicion::new(record, &own.name, MistakeKind::Swapped, &rows, text));
                 }
                 return;
             }
@@ -160,7 +160,7 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     }
     let rows: Vec<usize> = wrong.iter().flat_map(|(_, rows)| rows.iter().copied()).collect();
     let text = format!("is opposite to the movement in {} of {} runs", wrong.len(), stretches.len());
-    out.push(Suspicion::new(record, &d.name, What::Direction, &rows, text));
+    out.push(Suspicion::new(record, &d.name, MistakeKind::Direction, &rows, text));
 }
 
 /// Direction of an axis at each row; 0 if unknown.
@@ -319,7 +319,7 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
         let text = format!(
             "goes on by {s:.0} s in one step, in which no temperature moves on: the clock looks put forward"
         );
-        out.push(Suspicion::new(record, &t.name, What::Jump, &[at + 1], text));
+        out.push(Suspicion::new(record, &t.name, MistakeKind::Jump, &[at + 1], text));
     }
 }
 
