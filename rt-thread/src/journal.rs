@@ -419,7 +419,7 @@ impl Journal {
         Ok((journal, before))
     }
 
-    /// The mapping, the file and its path, for [`crate::state_file_watch::StateFileWatch`].
+    /// Mapping, file and path for [`crate::state_file_watch::StateFileWatch`].
     pub(crate) fn shared(&self) -> (Arc<Mapping>, &File, &Path) {
         (Arc::clone(&self.mapping), &self.held, &self.path)
     }

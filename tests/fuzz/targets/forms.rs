@@ -18,8 +18,8 @@ fuzz_target!(|data: &[u8]| {
         "chain" => _ = checked(Chain::parse(file, text)),
         "laws" => _ = checked(Dictionary::default().add_own(file, text)),
         "conditions" => _ = checked(iso230::Conditions::parse(file, text)),
-        "export" => _ = checked(export::own::OwnForm::parse(file, text, 0.0)),
-        "import" => _ = checked(import::OwnTable::parse(file, text)),
+        "export" => _ = checked(export::user_format::UserFormat::parse(file, text, 0.0)),
+        "import" => _ = checked(import::UserTableFormat::parse(file, text)),
         "parameters" => _ = checked(Parameters::default().read(&rtec_fuzz::put("p.toml", text.as_bytes()))),
         "dialect" => {
             _ = checked({

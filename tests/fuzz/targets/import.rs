@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, OwnTable, Sampling};
+use rtec_measure::import::{self, Form, ImportColumn, Sampling, UserTableFormat};
 use rtec_measure::record;
 use rtec_model::record::{Axis, Kind};
 use std::path::Path;
@@ -37,7 +37,7 @@ fuzz_target!(|data: &[u8]| {
         }
         b"own\n" => {
             let [form, table] = rtec_fuzz::parts(&text);
-            let Some(own) = rtec_fuzz::checked(OwnTable::parse(file, form)) else { return };
+            let Some(own) = rtec_fuzz::checked(UserTableFormat::parse(file, form)) else { return };
             own.read(file, table, to)
         }
         _ => return,

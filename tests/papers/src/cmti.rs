@@ -5,9 +5,9 @@ use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
 use crate::{PaperError, Progress};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
+use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::computer::Computer;
-use rtec_sim::described::Described;
+use rtec_sim::described::SourceFiles;
 use rtec_sim::designs::safe_range;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
 use serde::Deserialize;
@@ -26,7 +26,7 @@ struct Circuit {
 
 impl Circuit {
     /// The circuit within its own limits: four bits (section 2.2.7), the loop's range (section 2.2.2).
-    fn read(described: &Described) -> Result<Self, PaperError> {
+    fn read(described: &SourceFiles) -> Result<Self, PaperError> {
         let file = "cmti.toml";
         let circuit: Self = described.read(file)?;
         let refuse = |key: &str, found: String, expected: String| {
@@ -81,7 +81,7 @@ fn cannot(what: &str) -> PaperError {
     PaperError::Cannot(format!("CMTI: {what} cannot be run on the circuit as described"))
 }
 
-pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let circuit = Circuit::read(described)?;
     let mut rows = Rows::default();
     progress("CMTI: control lines, subtraction and addition");
@@ -123,7 +123,7 @@ fn figures(circuit: &Circuit, seed: u64) -> Result<Board, PaperError> {
 ///
 /// # Errors
 /// A description that is not right.
-pub fn trace(described: &Described, seed: u64) -> Result<String, PaperError> {
+pub fn trace(described: &SourceFiles, seed: u64) -> Result<String, PaperError> {
     Ok(figures(&Circuit::read(described)?, seed)?.to_vcd())
 }
 
@@ -198,7 +198,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     // Counted, not only reckoned: over a tenth of a second.
     let edges = constant(0, hz, (4.0 * hz / 10.0) as u64, 1);
     let computer = Computer::dsp();
-    let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) };
+    let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(InsertionDesign::C, &computer) };
     let seen = seen.run().ok_or_else(|| cannot("the fastest motion"))?;
     let (mut a, mut xor) = (0_u64, 0_u64);
     for w in seen.log.windows(2) {
@@ -212,7 +212,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     rows.given().number((place, "XOR of A and B at that speed", "kHz"), 160.0, gets, Share(0.05), about);
     let dsp = Computer::dsp();
     let config = AxisConfig::default();
-    let (low, high) = safe_range(AnyDesign::Ecc, &dsp, config, circuit.pll, seed);
+    let (low, high) = safe_range(InsertionDesign::Ecc, &dsp, config, circuit.pll, seed);
     let put_in = "what the paper measured of its PLL is put into the model; here it is found again from what reaches the \
                   controller, by bisection";
     let gets = 2.0 * low / 1e3;
@@ -245,7 +245,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
 /// A total asked at an edge of a motion, if all of it was inserted.
 fn compensated(circuit: &Circuit, edges: &[Edge], at: usize, total: i64, seed: u64) -> Option<BenchResult> {
     let (dsp, totals) = (Computer::dsp(), [(edges[at].0, total)]);
-    let new = BenchRun::new(AnyDesign::Ecc, &dsp);
+    let new = BenchRun::new(InsertionDesign::Ecc, &dsp);
     let seen = BenchRun { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
     seen.filter(|s| s.completed == total && s.error_counts() == 0)
 }

@@ -8,14 +8,14 @@ use rtec_part::contour::nose;
 use rtec_part::cor::PointError;
 use rtec_part::errors::{ErrorReport, MAGNIFICATION};
 use rtec_part::fit::Zx;
-use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion};
+use rtec_part::path::{PathRole, Plan, ProbeGeometry, ProbingMotion};
 use rtec_part::program::{Controller, Parameters};
 use rtec_part::table::FinishTable;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::described::Described;
-use rtec_sim::gcode::Block;
+use rtec_sim::described::SourceFiles;
 use rtec_sim::lathe::{self, Bench};
-use rtec_sim::sim::{Sim, Spec};
+use rtec_sim::nc_block::Block;
+use rtec_sim::sim::{MachineSpec, Sim};
 use rtec_sim::turning::{Setup, TurningOutcome};
 use serde::Deserialize;
 use std::path::Path;
@@ -41,7 +41,7 @@ struct Lathe {
 }
 
 impl Lathe {
-    fn read(described: &Described) -> Result<Self, PaperError> {
+    fn read(described: &SourceFiles) -> Result<Self, PaperError> {
         let lathe: Self = described.read("4854.toml")?;
         lathe.bench.check().map_err(|(key, expected)| {
             described.refuse("4854.toml", key, format!("{key} out of range"), expected.to_owned())
@@ -74,7 +74,7 @@ impl Lathe {
 
 const INCH: f64 = 25.4;
 
-pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let lathe = Lathe::read(described)?;
     let machine = described.machine(&lathe.machine)?;
     let setup = lathe.setup(seed);
@@ -113,7 +113,7 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
         backlash_um: 0.0,
         ..AxisSpec::new("z", lathe.longest_axis_mm)
     };
-    let mut sim = Sim::new(&Spec::new(vec![axis]), &Machine::ideal("axis"), None, [0.0; 3], seed)?;
+    let mut sim = Sim::new(&MachineSpec::new(vec![axis]), &Machine::ideal("axis"), None, [0.0; 3], seed)?;
     let v_mm_s = lathe.probing_mm_min / 60.0;
     sim.machine.load([Block::Feed { to: [0.0, 0.0, off + over], feed_mm_s: v_mm_s }]);
     let mut constant_mm = 0.0;
@@ -253,7 +253,10 @@ fn bits(counts: f64) -> f64 {
 ///
 /// # Errors
 /// A description that is not right, or a lathe that stops.
-pub fn size_and_form(described: &Described, seed: u64) -> Result<[(&'static str, [f64; 2]); 4], PaperError> {
+pub fn size_and_form(
+    described: &SourceFiles,
+    seed: u64,
+) -> Result<[(&'static str, [f64; 2]); 4], PaperError> {
     let lathe = Lathe::read(described)?;
     let setup = lathe.setup(seed);
     let off_mm = lathe.size_error_um * 1e-3;
@@ -293,7 +296,8 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     let (centre, radius) = (Zx::new(5.0 * INCH, 0.0), 1.5 * INCH);
     let contour = nose(centre, radius);
     let off = 0.3 * INCH;
-    let mut plan = Plan::new(Probe { tip_mm: 0.0, stand_off_mm: off, over_travel_mm: 0.0, stem: None });
+    let mut plan =
+        Plan::new(ProbeGeometry { tip_mm: 0.0, stand_off_mm: off, over_travel_mm: 0.0, stem: None });
     plan.add_number(&contour, 0, lathe.points, 0.0);
     rows.figures.push(("figure-7.svg".to_owned(), plan.svg(&contour)));
     let n = plan.points.len();

@@ -19,7 +19,7 @@ use std::path::Path;
 mod block;
 mod short_pieces;
 
-use block::{Place, Placed};
+use block::{AffineMap, Placed};
 
 /// The unit of `$INSUNITS`, by its number (DXF reference, "HEADER section").
 fn unit_of_header(units: i32) -> Option<Unit> {
@@ -113,7 +113,7 @@ pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputErro
         let found = format!("unknown units ($INSUNITS: {})", drawing.unit_name());
         InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
     })?;
-    let mut reader = Reader { file, unit, options, place: Place::HERE };
+    let mut reader = Reader { file, unit, options, place: AffineMap::HERE };
     let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
     // If a layer is requested, it is read even if it is hidden.
     let is_hidden =
@@ -298,12 +298,12 @@ impl Piece {
 }
 
 /// Points in a grid, so that neighbours are found without comparing all.
-struct Places {
+struct PointGrid {
     cell: f64,
     cells: HashMap<[i64; 2], Vec<usize>>,
 }
 
-impl Places {
+impl PointGrid {
     /// The grid of points, by their indices; near means within `tolerance`.
     fn of(points: impl Iterator<Item = Zx>, tolerance: f64) -> Self {
         let mut places = Self { cell: tolerance.max(1e-9), cells: HashMap::new() };
@@ -351,7 +351,7 @@ struct Reader<'a> {
     unit: Unit,
     options: &'a Options<'a>,
     /// The placement of the present entity.
-    place: Place,
+    place: AffineMap,
 }
 
 impl Reader<'_> {
@@ -650,8 +650,8 @@ impl Reader<'_> {
     fn twice(&self, pieces: &[Piece]) -> Result<(), InputError> {
         let tolerance = self.options.tolerance_mm;
         let lengths: Vec<f64> = pieces.iter().map(|p| p.segment.length_mm()).collect();
-        let starts = Places::of(pieces.iter().flat_map(Piece::ends), tolerance);
-        let middles = Places::of(pieces.iter().map(|p| p.segment.at(0.5)), tolerance);
+        let starts = PointGrid::of(pieces.iter().flat_map(Piece::ends), tolerance);
+        let middles = PointGrid::of(pieces.iter().map(|p| p.segment.at(0.5)), tolerance);
         for (i, a) in pieces.iter().enumerate() {
             let ([a0, a1], middle) = (a.ends(), a.segment.at(0.5));
             let same = |j: &usize| {
@@ -693,7 +693,7 @@ impl Reader<'_> {
         }
         let ends: Vec<(usize, Zx)> =
             rest.iter().enumerate().flat_map(|(i, p)| p.ends().map(|e| (i, e))).collect();
-        let places = Places::of(ends.iter().map(|(_, at)| *at), tol);
+        let places = PointGrid::of(ends.iter().map(|(_, at)| *at), tol);
         // Two are enough to decide.
         let met = |k: usize| {
             let others = places.around(ends[k].1).filter(|j| *j != k);

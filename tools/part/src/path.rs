@@ -61,7 +61,7 @@ pub struct Stem {
 
 /// The probe and its motion off and beyond the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Probe {
+pub struct ProbeGeometry {
     /// Radius of the tip.
     pub tip_mm: f64,
     /// Travel from the start of the touch to the trip.
@@ -123,7 +123,7 @@ pub struct Collision {
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// The probe that the path is made for.
-    pub probe: Probe,
+    pub probe: ProbeGeometry,
     /// Gauging points in probing order.
     pub points: Vec<GaugingPoint>,
 }
@@ -141,7 +141,7 @@ pub fn number_at(length_mm: f64, spacing_mm: f64) -> usize {
 
 impl Plan {
     /// A plan without points.
-    pub const fn new(probe: Probe) -> Self {
+    pub const fn new(probe: ProbeGeometry) -> Self {
         Self { probe, points: Vec::new() }
     }
 

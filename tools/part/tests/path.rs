@@ -4,7 +4,7 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::fit::Zx;
-use rtec_part::path::{PathRole, Plan, Probe, ProbingMotion, Stem, number_at, pathfin, read_pathfin};
+use rtec_part::path::{PathRole, Plan, ProbeGeometry, ProbingMotion, Stem, number_at, pathfin, read_pathfin};
 use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
@@ -27,7 +27,8 @@ fn part() -> Contour {
 
 /// A tip of 5 mm diameter.
 /// The touch ends with its centre on the nominal surface, as in figure 7.
-const PROBE: Probe = Probe { tip_mm: 2.5, stand_off_mm: 5.12, over_travel_mm: 2.5, stem: None };
+const PROBE: ProbeGeometry =
+    ProbeGeometry { tip_mm: 2.5, stand_off_mm: 5.12, over_travel_mm: 2.5, stem: None };
 
 #[test]
 fn the_reports_stand_off_and_over_travel() {
@@ -99,7 +100,7 @@ fn the_path_file_is_read_as_it_is_written() {
 fn collisions_are_found_and_gone_round() {
     let part = part();
     // From the nose's end over the step to the larger cylinder, and a face point near the inner corner.
-    let mut plan = Plan::new(Probe { stand_off_mm: 1.0, over_travel_mm: 0.5, ..PROBE });
+    let mut plan = Plan::new(ProbeGeometry { stand_off_mm: 1.0, over_travel_mm: 0.5, ..PROBE });
     plan.add_number(&part, 1, 1, 0.0);
     plan.add(part.place(3, 20.0));
     let hits = plan.hits(&part);
@@ -115,7 +116,7 @@ fn collisions_are_found_and_gone_round() {
     // A stylus along −Z passes through the part; an upright one is clear.
     let stem = |angle_rad| Stem { length_mm: 60.0, radius_mm: 2.0, angle_rad };
     let with = |angle| {
-        let mut plan = Plan::new(Probe { stem: Some(stem(angle)), ..PROBE });
+        let mut plan = Plan::new(ProbeGeometry { stem: Some(stem(angle)), ..PROBE });
         plan.add_number(&part, 0, 1, 0.0);
         plan.hits(&part)
     };

@@ -5,7 +5,7 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::fit::Zx;
-use rtec_part::path::{PathPoint, PathRole, Plan, Probe};
+use rtec_part::path::{PathPoint, PathRole, Plan, ProbeGeometry};
 use rtec_part::program::{BUILT_IN, Controller, Parameters, ProbingProgram};
 use rtec_part::unit::Unit;
 use std::path::Path;
@@ -19,7 +19,8 @@ fn records() -> Vec<PathPoint> {
         sweep_rad: std::f64::consts::FRAC_PI_2,
     };
     let part = Contour::new(vec![(nose, "ARC".to_owned())], false);
-    let mut plan = Plan::new(Probe { tip_mm: 2.5, stand_off_mm: 5.0, over_travel_mm: 2.5, stem: None });
+    let mut plan =
+        Plan::new(ProbeGeometry { tip_mm: 2.5, stand_off_mm: 5.0, over_travel_mm: 2.5, stem: None });
     plan.add_number(&part, 0, 20, 0.0);
     plan.points[7].bypass = vec![Zx::new(165.0, 40.0)];
     plan.records()

@@ -80,7 +80,7 @@ pub(crate) struct Control<'a> {
     link: &'a mut ControlEnd,
     /// Requests are sent as fast as the link takes them.
     streaming: bool,
-    homed: Homed,
+    homed: HomingState,
     /// Number of faults; after each the axis was homed again.
     pub faults: u64,
     /// Number of requests sent.
@@ -96,7 +96,7 @@ pub(crate) struct Control<'a> {
 }
 
 #[derive(Debug)]
-enum Homed {
+enum HomingState {
     /// Not requested yet.
     Never,
     /// Requested at this look of the engine, ns.
@@ -116,7 +116,7 @@ impl<'a> Control<'a> {
         Self {
             link,
             streaming,
-            homed: Homed::Never,
+            homed: HomingState::Never,
             faults: 0,
             requests: 0,
             looked_ns: 0,
@@ -130,7 +130,7 @@ impl<'a> Control<'a> {
     /// Does what is due, and sends up to `requests` requests if they shall stream.
     #[inline]
     fn attend(&mut self, now_ns: u64, requests: u64) {
-        if self.streaming && matches!(self.homed, Homed::Done) {
+        if self.streaming && matches!(self.homed, HomingState::Done) {
             self.requests += (0..requests).take_while(|_| self.link.send(WITHOUT_END).is_ok()).count() as u64;
         }
         if now_ns >= self.due_ns {
@@ -149,11 +149,11 @@ impl<'a> Control<'a> {
         let status = self.link.status();
         self.looked_ns = status.t_ns;
         match self.homed {
-            Homed::Never => self.ask(),
-            Homed::Asked { .. } if status.mode == Mode::Run => self.homed = Homed::Done,
+            HomingState::Never => self.ask(),
+            HomingState::Asked { .. } if status.mode == Mode::Run => self.homed = HomingState::Done,
             // The request was refused, because an insertion was under way.
-            Homed::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.ask(),
-            Homed::Done if status.mode == Mode::Fault => {
+            HomingState::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.ask(),
+            HomingState::Done if status.mode == Mode::Fault => {
                 self.faults += 1;
                 self.ask();
             }
@@ -172,7 +172,7 @@ impl<'a> Control<'a> {
             // The ring is full: the request is repeated when it has emptied.
             let _ = self.link.send(request);
         }
-        self.homed = Homed::Asked { at_ns: self.looked_ns };
+        self.homed = HomingState::Asked { at_ns: self.looked_ns };
     }
 
     /// Whether the time is up.

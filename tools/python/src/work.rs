@@ -28,13 +28,13 @@ use rtec_model::record::{Axis, Role};
 use rtec_part::determine;
 use rtec_reconcile::{Options, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, replay_any};
+use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare};
 use rtec_sim::example::EXAMPLES;
 use rtec_sim::experiment::{EXPERIMENTS, Setting};
 use rtec_sim::replay::ReplayError;
-use rtec_sim::sim::Spec;
+use rtec_sim::sim::MachineSpec;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -316,7 +316,7 @@ pub(crate) fn export_table(
     asked: ExportAsked,
 ) -> Answered<(String, String)> {
     work(py, move |say| {
-        let order = export::order::TableOrder {
+        let order = export::request::ExportRequest {
             axis: asked.axis,
             wanted: export::TableRange {
                 from_mm: asked.from_mm,
@@ -327,7 +327,7 @@ pub(crate) fn export_table(
             },
             temperatures_degc: asked.temperatures_degc,
             at_mm: asked.at_mm,
-            format: one_of("format", &asked.format, &named(export::order::ExportFormat::ALL))?,
+            format: one_of("format", &asked.format, &named(export::request::ExportFormat::ALL))?,
             unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             along: asked.along,
             along_name: asked.along_name,
@@ -587,7 +587,7 @@ pub(crate) fn replay(
                 (config.axes[n].engine, false)
             }
         };
-        let design = one_of("design", &design, &AnyDesign::ALL.map(|d| (d.name(), d)))?;
+        let design = one_of("design", &design, &InsertionDesign::ALL.map(|d| (d.name(), d)))?;
         let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?;
         let requests = RequestReader::open_beside(&requests, &request_columns(&columns.1)?, &trace)?;
         let trace = trace.playable();
@@ -667,7 +667,7 @@ pub(crate) fn simulate(
             }
         };
         let known = known.map(|m| m.inner);
-        let spec = Spec::machining_centre();
+        let spec = MachineSpec::machining_centre();
         let setting = Setting { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
         let done = found.run(&setting)?;
         Ok((outers(done.records), serde_json::to_string_pretty(&done.summary)?))

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | each line is short | texts of a request are cut (`rtec_control::audit`) |
 //! | refusals displace no command | they have files of their own |
-//! | a user's refusals do not displace those of others, nor commands to operate those to set up | each user has a [`Budget`]; beyond it verbs are counted |
+//! | a user's refusals do not displace those of others, nor commands to operate those to set up | each user has a [`RateLimit`]; beyond it verbs are counted |
 
 use nix::unistd::Gid;
 use rtec_control::audit::{Anchor, Entry, FILES_REFUSED, Writer, refused_path};
@@ -76,12 +76,12 @@ enum Kind {
 }
 
 /// The lines that a user may still write one by one.
-struct Budget {
+struct RateLimit {
     left: f64,
     since: Instant,
 }
 
-impl Budget {
+impl RateLimit {
     fn now(&self, now: Instant) -> f64 {
         (self.left + now.duration_since(self.since).as_secs_f64() * BUDGET_PER_S).min(BUDGET)
     }
@@ -127,7 +127,7 @@ pub(crate) struct Audit {
     shared: Arc<Mutex<Shared>>,
     /// Repeated lines by user and key.
     repeated: BTreeMap<(u32, String), Repeated>,
-    budgets: BTreeMap<(u32, Kind), Budget>,
+    budgets: BTreeMap<(u32, Kind), RateLimit>,
     anchored: Option<Anchored>,
     /// Removed or renamed files that were reported already.
     moved: u64,
@@ -174,7 +174,7 @@ impl Audit {
         if self.budgets.len() >= USERS {
             self.budgets.retain(|_, budget| budget.now(now) < BUDGET);
         }
-        let whole = Budget { left: BUDGET, since: now };
+        let whole = RateLimit { left: BUDGET, since: now };
         self.budgets.entry((uid, kind)).or_insert(whole).takes(now)
     }
 

@@ -11,7 +11,7 @@ const ROWS: usize = 8192;
 const PAGE: usize = 256;
 
 #[derive(Debug, Default)]
-pub(crate) struct History {
+pub(crate) struct FaultLedgerHistory {
     latched: BTreeMap<String, u64>,
     ledgers: Vec<LedgerRing>,
 }
@@ -27,7 +27,7 @@ struct LedgerRing {
     restart_pending: bool,
 }
 
-impl History {
+impl FaultLedgerHistory {
     pub(crate) fn new(axes: usize) -> Self {
         let fresh = || LedgerRing { restart_pending: true, ..LedgerRing::default() };
         Self { ledgers: (0..axes).map(|_| fresh()).collect(), ..Self::default() }
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn every_change_is_a_row_between_two_looks_and_homing_begins_anew() {
-        let mut history = History::new(1);
+        let mut history = FaultLedgerHistory::new(1);
         for (t, position, completed, insertions) in
             [(10, 0, 0, 0), (20, 5, 0, 0), (30, 9, 2, 1), (40, 12, 2, 1), (50, 20, 2, 3)]
         {
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn what_is_too_much_is_dropped_and_counted() {
-        let mut history = History::new(1);
+        let mut history = FaultLedgerHistory::new(1);
         let many = ROWS as u64 + 10;
         for n in 0..many {
             history.look(&status(n * 10, 0, n as i64 * 2, n));

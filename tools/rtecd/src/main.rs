@@ -320,7 +320,7 @@ fn work<C: Card + Send + 'static>(
     for Finding { name, wanted, got, remedy, .. } in running.report.iter().flat_map(Report::missing) {
         log::say(Level::Warning, &format!("{name}: wanted {wanted}, found {got}: {remedy}"));
     }
-    let set_up = session::SetUp {
+    let set_up = session::RtStartup {
         real,
         wanted: options.wanted,
         missing: running.report.take(),

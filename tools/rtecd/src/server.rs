@@ -109,7 +109,7 @@ pub(crate) fn serve(
     let waiting = BTreeMap::new();
     let mut desk = ServingContext { session, control, audit, waiting, own_uid, groups, record: None };
     let (mut end_reported, mut next_id, mut turn, mut backlog) = (false, 1, 0, false);
-    let mut watch = Watch::new(desk.session.stands_still_after(), Instant::now());
+    let mut watch = PollWatchdog::new(desk.session.stands_still_after(), Instant::now());
     loop {
         desk.beat(manager);
         let (polls, ended) = (desk.control.status().polls, desk.control.ended());
@@ -177,14 +177,14 @@ pub(crate) fn serve(
 
 /// Checks that the real-time thread looks at the card.
 /// A standstill of this thread itself, as when the process was stopped, does not count.
-struct Watch {
+struct PollWatchdog {
     polls: u64,
     looked: Instant,
     still: Duration,
     limit: Duration,
 }
 
-impl Watch {
+impl PollWatchdog {
     fn new(limit: Duration, now: Instant) -> Self {
         Self { polls: 0, looked: now, still: Duration::ZERO, limit }
     }
@@ -513,12 +513,12 @@ mod tests {
     fn a_thread_that_stands_still_is_found_and_a_stopped_process_is_not() {
         let begun = Instant::now();
         let at = |ms: u64| begun + Duration::from_millis(ms);
-        let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
+        let mut watch = PollWatchdog::new(crate::session::STANDS_STILL, begun);
         assert!((1..50).all(|n| !watch.stands_still(n, at(n * 10))));
         let found = (1..100).find(|n| watch.stands_still(49, at(490 + n * 10)));
         assert!(found.is_some_and(|n| n * 10 <= 200), "{found:?}");
         // Stopped once for a minute. The thread may have been stopped too.
-        let mut watch = Watch::new(crate::session::STANDS_STILL, begun);
+        let mut watch = PollWatchdog::new(crate::session::STANDS_STILL, begun);
         assert!(!watch.stands_still(7, at(10)));
         assert!(!watch.stands_still(7, at(60_000)));
         assert!(!watch.stands_still(8, at(60_010)));

@@ -17,7 +17,7 @@ use crate::audit::Totals;
 use crate::cards::SimulatedOperator;
 use crate::client::user_name;
 use crate::edited_files::EditedFiles;
-use crate::history::History;
+use crate::history::FaultLedgerHistory;
 use crate::loader::{Loader, Ticket};
 use crate::log::{self, Level};
 use crate::record_spool::{Kept, RecordSpool, Spool};
@@ -89,7 +89,7 @@ pub(crate) struct RequestContext {
 }
 
 /// Facts about the real-time thread from its start.
-pub(crate) struct SetUp {
+pub(crate) struct RtStartup {
     /// The card drives a real machine.
     pub real: bool,
     pub wanted: Option<RtSettings>,
@@ -109,9 +109,9 @@ pub(crate) trait Time {
 }
 
 /// The system's clock.
-struct RealTime(Clock);
+struct SystemClock(Clock);
 
-impl Time for RealTime {
+impl Time for SystemClock {
     fn now(&self) -> Instant {
         Instant::now()
     }
@@ -127,7 +127,7 @@ impl Time for RealTime {
 
 pub(crate) struct Session {
     config: Config,
-    set_up: SetUp,
+    set_up: RtStartup,
     time: Rc<dyn Time>,
     started: Instant,
     patience: Duration,
@@ -158,7 +158,7 @@ pub(crate) struct Session {
     /// Events since the server last asked.
     happened: Vec<EventReport>,
     /// Earlier events, for later questions.
-    history: History,
+    history: FaultLedgerHistory,
     /// Times when each fault was latched, on the card's clock, ns.
     /// `held_ns` is the time of the request for feed hold.
     latched_ns: BTreeMap<(Option<usize>, u8), u64>,
@@ -177,14 +177,14 @@ pub(crate) struct Session {
 impl Session {
     pub(crate) fn new(
         config: Config,
-        set_up: SetUp,
+        set_up: RtStartup,
         (sensors, clock): (Buses, Clock),
         edited_files: Option<EditedFiles>,
     ) -> Self {
-        Self { edited_files, ..Self::by(Rc::new(RealTime(clock)), config, set_up, sensors) }
+        Self { edited_files, ..Self::by(Rc::new(SystemClock(clock)), config, set_up, sensors) }
     }
 
-    fn by(time: Rc<dyn Time>, config: Config, set_up: SetUp, mut sensors: Buses) -> Self {
+    fn by(time: Rc<dyn Time>, config: Config, set_up: RtStartup, mut sensors: Buses) -> Self {
         let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let (model, axes) = (&config.model, config.axes.len());
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
@@ -224,7 +224,7 @@ impl Session {
             events: VecDeque::new(),
             event_count: 0,
             happened: Vec::new(),
-            history: History::new(axes),
+            history: FaultLedgerHistory::new(axes),
             today: date::today,
             state_file: None,
             state_file_due: time.now(),

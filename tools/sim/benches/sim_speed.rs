@@ -1,8 +1,8 @@
 //! Prints the simulation's speed: `cargo bench -p rtec-sim --bench sim_speed`.
 
 use rtec_model::machine::Machine;
-use rtec_sim::gcode::Block;
-use rtec_sim::sim::{Sim, Spec};
+use rtec_sim::nc_block::Block;
+use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
 use std::time::Instant;
 
@@ -10,7 +10,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let text =
         "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 50\n[[effect]]\nname = \"scale.y\"\nppm = -80\n";
     let model = Machine::parse(Path::new("speed.toml"), text)?;
-    let mut spec = Spec::machining_centre();
+    let mut spec = MachineSpec::machining_centre();
     spec.axes.truncate(2);
     let mut sim = Sim::new(&spec, &model, Some(&model), [-250.0, -250.0, 0.0], 1)?;
     // Both axes at 10 m/min at once.

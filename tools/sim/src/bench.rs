@@ -1,12 +1,12 @@
 //! One axis in motion with any design on any computer, and the count at the MTC.
 
 use crate::computer::Computer;
+use crate::design_b::DesignB;
 use crate::ecc::{Ecc, Pll};
 use crate::full_cycle::FullCycle;
 use crate::insertion::{CorrectedAxis, GateDesign, MtcDecoder, homed_engine};
-use crate::noise::Noise;
+use crate::noise::NoiseGenerator;
 use crate::replay::{ReplayError, ReplayOutcome, replay, replay_with};
-use crate::through::DesignB;
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_driver::replay::{DirectOutputs, Gates, Listener, Xor};
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 /// Every insertion design of the sources.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum AnyDesign {
+pub enum InsertionDesign {
     /// NISTIR 4832, the "Original RTEC": pulses through OR gates.
     Original,
     /// NISTIR 4832, Design A.
@@ -32,7 +32,7 @@ pub enum AnyDesign {
     Ecc,
 }
 
-impl AnyDesign {
+impl InsertionDesign {
     /// All designs, the oldest first.
     pub const ALL: [Self; 5] = [Self::Original, Self::A, Self::B, Self::C, Self::Ecc];
 
@@ -72,7 +72,7 @@ impl AnyDesign {
 /// # Errors
 /// At the first bad row, or when the axis cannot be corrected as configured.
 pub fn replay_any<T, R, L, E>(
-    design: AnyDesign,
+    design: InsertionDesign,
     config: AxisConfig,
     trace: T,
     totals: R,
@@ -86,14 +86,14 @@ where
 {
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     match design {
-        AnyDesign::C => replay(config, trace, totals, large, to),
-        AnyDesign::Original => {
+        InsertionDesign::C => replay(config, trace, totals, large, to),
+        InsertionDesign::Original => {
             replay_with(Xor, |card| full_cycle(GateDesign::Original, config, card), trace, totals, large, to)
         }
-        AnyDesign::A => {
+        InsertionDesign::A => {
             replay_with(Xor, |card| full_cycle(GateDesign::A, config, card), trace, totals, large, to)
         }
-        AnyDesign::B => replay_with(
+        InsertionDesign::B => replay_with(
             DirectOutputs,
             |card| DesignB::new(config, card)?.ok_or(StartError::NoGate(0)),
             trace,
@@ -101,7 +101,7 @@ where
             large,
             to,
         ),
-        AnyDesign::Ecc => {
+        InsertionDesign::Ecc => {
             let accel = config.max_accel_counts_s2;
             let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?.guarded(accel));
             replay_with(DirectOutputs, start, trace, totals, large, to)
@@ -191,7 +191,7 @@ struct Rig<'a, G> {
     busy_ns: u64,
     /// Time of the last change of the outputs; the next comes a step later.
     wrote_ns: Option<u64>,
-    noise: Noise,
+    noise: NoiseGenerator,
     mtc: MtcDecoder,
     sent: State,
     /// Every change: time, scale, MTC, MTC's count.
@@ -294,7 +294,7 @@ impl<G: Gates> Card for Rig<'_, G> {
 #[derive(Debug, Clone)]
 pub struct BenchRun<'a> {
     /// The insertion design.
-    pub design: AnyDesign,
+    pub design: InsertionDesign,
     /// The computer. The ECC is a circuit and needs none.
     pub computer: &'a Computer,
     /// The axis; its times are replaced by the computer's.
@@ -360,7 +360,7 @@ impl BenchResult {
 
 impl BenchRun<'_> {
     /// A run with the axis at rest at A = B = low, no requests, no stop, speed gate on.
-    pub fn new(design: AnyDesign, computer: &Computer) -> BenchRun<'_> {
+    pub fn new(design: InsertionDesign, computer: &Computer) -> BenchRun<'_> {
         BenchRun {
             design,
             computer,
@@ -382,7 +382,7 @@ impl BenchRun<'_> {
         let config = match self.design {
             // One pass sees the edge and writes it, at the latest one pass after it came. Steps have their
             // own passes.
-            AnyDesign::B => {
+            InsertionDesign::B => {
                 AxisConfig { detect_ns: 2 * self.computer.pass_ns, write_ns: self.computer.pass_ns, ..config }
             }
             _ => config,
@@ -399,19 +399,19 @@ impl BenchRun<'_> {
     pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
-            AnyDesign::Original => {
+            InsertionDesign::Original => {
                 self.go(OrGates, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
             }
-            AnyDesign::A => {
+            InsertionDesign::A => {
                 self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok(), |_| (0.0, None))
             }
-            AnyDesign::C => {
+            InsertionDesign::C => {
                 self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
             }
-            AnyDesign::B => {
+            InsertionDesign::B => {
                 self.go(DirectOutputs, |card| DesignB::new(config, card).ok().flatten(), |_| (0.0, None))
             }
-            AnyDesign::Ecc => self.go(
+            InsertionDesign::Ecc => self.go(
                 DirectOutputs,
                 |card| Ecc::new(self.pll, self.seed, card).ok(),
                 |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
@@ -425,7 +425,7 @@ impl BenchRun<'_> {
         start: impl FnOnce(&mut Rig<'s, G>) -> Option<M>,
         circuit: impl FnOnce(&M) -> (f64, Option<(u64, u64)>),
     ) -> Option<BenchResult> {
-        let is_circuit = self.design == AnyDesign::Ecc;
+        let is_circuit = self.design == InsertionDesign::Ecc;
         let last_ns = self.edges.last().map_or(0, |e| e.0).max(self.totals.last().map_or(0, |t| t.0));
         let mut rig = Rig {
             gates,
@@ -442,7 +442,7 @@ impl BenchRun<'_> {
             t_ns: 0,
             busy_ns: 0,
             wrote_ns: None,
-            noise: Noise::new(self.seed, 0xBE),
+            noise: NoiseGenerator::new(self.seed, 0xBE),
             mtc: MtcDecoder::new(self.start),
             sent: self.start,
             log: self.keep_log.then(Vec::new),

@@ -1,6 +1,6 @@
 //! Timing models of computers: the time from an edge to a change of the outputs.
 
-use crate::noise::Noise;
+use crate::noise::NoiseGenerator;
 use rtec_files::InputError;
 use rtec_rt::axis::AxisConfig;
 use serde::{Deserialize, Serialize};
@@ -108,7 +108,7 @@ impl Computer {
     }
 
     /// The time until the next poll, ns.
-    pub(crate) fn next_look_ns(&self, noise: &mut Noise) -> u64 {
+    pub(crate) fn next_look_ns(&self, noise: &mut NoiseGenerator) -> u64 {
         at_share(&self.looks, noise.uniform())
     }
 
@@ -157,7 +157,7 @@ mod tests {
             .unwrap();
         let computer = Computer::measured(&file).unwrap();
         assert_eq!(computer.worst_look_ns(), 41);
-        let mut noise = Noise::new(1, 0);
+        let mut noise = NoiseGenerator::new(1, 0);
         assert!((0..1000).all(|_| computer.next_look_ns(&mut noise) <= 5119));
         std::fs::write(&file, "{\"poll_gap_ns\":{\"histogram\":[]}}").unwrap();
         assert!(Computer::measured(&file).unwrap_err().to_string().contains("empty"));

@@ -1,6 +1,6 @@
 //! The designs compared on the same motion, and their waveforms.
 
-use crate::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant, insert_at_rest, there_and_back};
+use crate::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant, insert_at_rest, there_and_back};
 use crate::computer::Computer;
 use crate::ecc::Pll;
 use rtec_driver::quadrature::State;
@@ -79,7 +79,7 @@ pub struct Death {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignRow {
     /// The design of this row.
-    pub design: AnyDesign,
+    pub design: InsertionDesign,
     /// Counts of one insertion.
     pub increment_counts: i64,
     /// Measured time from the opening edge until the hardware is free, ns.
@@ -121,11 +121,11 @@ pub struct Comparison {
 
 /// Runs every design on the same motion and computer.
 pub fn compare(computer: &Computer, motion: TestMotion, seed: u64) -> Comparison {
-    let designs = AnyDesign::ALL.map(|d| row(d, computer, &motion, seed)).into();
+    let designs = InsertionDesign::ALL.map(|d| row(d, computer, &motion, seed)).into();
     Comparison { designs, motion, timing: computer.clone() }
 }
 
-fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -> DesignRow {
+fn row(design: InsertionDesign, computer: &Computer, motion: &TestMotion, seed: u64) -> DesignRow {
     let edges = motion.edges();
     let totals = motion.totals(&edges);
     let config = AxisConfig { max_accel_counts_s2: motion.accel_counts_s2, ..AxisConfig::default() };
@@ -171,7 +171,7 @@ fn row(design: AnyDesign, computer: &Computer, motion: &TestMotion, seed: u64) -
 /// Corrections of both signs must be served in full in both directions. The MTC must see no illegal
 /// transition, no edge closer than its separation, no wrong count, and phases of 90°.
 pub fn safe_at(
-    design: AnyDesign,
+    design: InsertionDesign,
     computer: &Computer,
     config: AxisConfig,
     pll: Pll,
@@ -211,7 +211,7 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
 /// Lowest and highest encoder frequency at which the design is safe, Hz.
 /// Found by bisection to 0.1 %; (0, 0) if there is none.
 pub fn safe_range(
-    design: AnyDesign,
+    design: InsertionDesign,
     computer: &Computer,
     config: AxisConfig,
     pll: Pll,
@@ -234,7 +234,12 @@ pub fn safe_range(
 }
 
 /// Whether corrections are exact and legal at rest in this state.
-pub fn served_at_rest(design: AnyDesign, computer: &Computer, config: AxisConfig, state: State) -> bool {
+pub fn served_at_rest(
+    design: InsertionDesign,
+    computer: &Computer,
+    config: AxisConfig,
+    state: State,
+) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
     let config = insert_at_rest(config);
     let run = BenchRun { config, start: state, totals: &totals, ..BenchRun::new(design, computer) };
@@ -351,7 +356,7 @@ impl Comparison {
 
 /// Waveforms of one design as an SVG: A, B, A', B' and the MTC's count.
 /// The design adds `pulses` increments, then removes them (NISTIR 4832, figure 2; CMTI 2014, figures 8 and 9).
-pub fn waveforms(design: AnyDesign, computer: &Computer, pulses: i64) -> String {
+pub fn waveforms(design: InsertionDesign, computer: &Computer, pulses: i64) -> String {
     let increments = pulses * design.increment_counts();
     let counts = 8 * (increments as u64) + 40;
     let edges = constant(100_000, 5000.0, counts, 1);
@@ -390,7 +395,7 @@ pub fn trace(
 
 type Level = fn(&(u64, State, State, i64)) -> bool;
 
-fn draw(design: AnyDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64)]) -> String {
+fn draw(design: InsertionDesign, log: &[(u64, State, State, i64)], totals: &[(u64, i64)]) -> String {
     let (from, to) = match (log.first(), log.last()) {
         (Some(_), Some(last)) => (90_000_u64, last.0 + 20_000),
         _ => return String::new(),

@@ -15,7 +15,7 @@
 //! The PLL is a behavioural model of the paper's measurements, not of its parts.
 
 use crate::insertion::{CardResult, CorrectedAxis, Report};
-use crate::noise::Noise;
+use crate::noise::NoiseGenerator;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
@@ -136,7 +136,7 @@ pub struct Ecc {
     /// Ticks that the VCO still has to send, while it is slower than its input.
     behind: u64,
     last_tick_ns: u64,
-    noise: Noise,
+    noise: NoiseGenerator,
     worst_phase_deg: f64,
     begun_ns: u64,
     /// Shortest and longest time per pulse, ns.
@@ -178,7 +178,7 @@ impl Ecc {
             half_sent: false,
             behind: 0,
             last_tick_ns: 0,
-            noise: Noise::new(seed, 0xECC),
+            noise: NoiseGenerator::new(seed, 0xECC),
             worst_phase_deg: 0.0,
             begun_ns: 0,
             pulse_ns: None,

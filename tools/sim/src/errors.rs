@@ -5,7 +5,7 @@ use crate::axis::Friction;
 use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
-use crate::noise::Noise;
+use crate::noise::NoiseGenerator;
 use crate::path::AXES;
 use rtec_model::effect::{Effect, Mechanism, Owner};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
@@ -82,13 +82,13 @@ pub(crate) struct Errors {
     pub heat: Heat,
     truth: Live,
     pub channels: Vec<f64>,
-    noise: Noise,
+    noise: NoiseGenerator,
 }
 
 impl Errors {
     pub(crate) fn new(truth: Live, heat: Heat, seed: u64) -> Self {
         let channels = vec![0.0; truth.layout().channels.len()];
-        Self { heat, truth, channels, noise: Noise::new(seed, 0xC0) }
+        Self { heat, truth, channels, noise: NoiseGenerator::new(seed, 0xC0) }
     }
 
     pub(crate) fn channel_names(&self) -> &[String] {

@@ -5,7 +5,7 @@
 use crate::axis::AxisSpec;
 use crate::described::{self, wo97_of};
 use crate::experiment::{Experiment, ExperimentError, Setting};
-use crate::sim::Spec;
+use crate::sim::MachineSpec;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -24,7 +24,7 @@ pub struct Example {
     /// Files written unchanged: path below the example's folder, and text.
     /// `true.toml` is among them.
     pub files: &'static [(&'static str, &'static str)],
-    spec: fn() -> Spec,
+    spec: fn() -> MachineSpec,
     /// Experiments that characterise it, and hold-out experiments.
     /// None if `rtec-papers` runs the whole.
     runs: [&'static [&'static str]; 2],
@@ -42,7 +42,7 @@ pub const EXAMPLES: [Example; 7] = [
             ("rtec.toml", include_str!("../machines/lathe/rtec.toml")),
             ("drawings/nose.dxf", include_str!("../machines/lathe/nose.dxf")),
         ],
-        spec: Spec::turning_centre,
+        spec: MachineSpec::turning_centre,
         runs: [&["linear-displacement", "ballbar", "drift"], &["linear-displacement", "production-cycle"]],
     },
     Example {
@@ -71,7 +71,7 @@ pub const EXAMPLES: [Example; 7] = [
             ("wo97.toml", wo97_of!("true.toml")),
             ("rtec.toml", include_str!("../machines/wo97/rtec.toml")),
         ],
-        spec: Spec::machining_centre,
+        spec: MachineSpec::machining_centre,
         runs: [
             &[
                 "linear-displacement",
@@ -93,7 +93,7 @@ pub const EXAMPLES: [Example; 7] = [
             ("4854-machine.toml", include_str!("../papers/4854-machine.toml")),
             ("4854-chain.toml", include_str!("../papers/4854-chain.toml")),
         ],
-        spec: Spec::turning_centre,
+        spec: MachineSpec::turning_centre,
         runs: [&[], &[]],
     },
     Example {
@@ -104,7 +104,7 @@ pub const EXAMPLES: [Example; 7] = [
             ("4832.toml", include_str!("../papers/4832.toml")),
             ("4832-machine.toml", include_str!("../papers/4832-machine.toml")),
         ],
-        spec: Spec::turning_centre,
+        spec: MachineSpec::turning_centre,
         runs: [&[], &[]],
     },
     Example {
@@ -114,7 +114,7 @@ pub const EXAMPLES: [Example; 7] = [
             ("README.md", include_str!("../machines/cmti/README.md")),
             ("cmti.toml", include_str!("../papers/cmti.toml")),
         ],
-        spec: Spec::turning_centre,
+        spec: MachineSpec::turning_centre,
         runs: [&[], &[]],
     },
     Example {
@@ -131,9 +131,9 @@ pub const EXAMPLES: [Example; 7] = [
     },
 ];
 
-fn three_axes() -> Spec {
+fn three_axes() -> MachineSpec {
     let axes = [("x", 600.0), ("y", 600.0), ("z", 500.0)];
-    Spec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
+    MachineSpec::new(axes.into_iter().map(|(name, travel_mm)| AxisSpec::new(name, travel_mm)).collect())
 }
 
 /// Folders of the runs, in the order of [`SEEDS`].

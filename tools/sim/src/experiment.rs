@@ -17,8 +17,8 @@ mod runs;
 
 pub use insertion::{one_metre, over_a_part};
 
-use crate::described::Described;
-use crate::sim::{SimError, Spec};
+use crate::described::SourceFiles;
+use crate::sim::{MachineSpec, SimError};
 use crate::turning::TurningError;
 use heat::{Start, drift, drilling, production, tool_change, wet_runs};
 use insertion::{linear_error, rapid_catch_up};
@@ -35,7 +35,7 @@ use std::path::Path;
 pub struct Setting<'a> {
     /// The machine's construction.
     /// Experiments with a fixed machine, and the nose, build their own.
-    pub spec: &'a Spec,
+    pub spec: &'a MachineSpec,
     /// The machine with its true errors.
     pub truth: &'a Machine,
     /// The model that the corrector knows; without one there is no compensated run.
@@ -140,7 +140,7 @@ impl Experiment {
     pub fn run(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
         match self.own {
             Some(own) if own.fixed => {
-                let machine = Described::default().machine(own.file)?;
+                let machine = SourceFiles::default().machine(own.file)?;
                 self.run_as_set(&Setting { truth: &machine, known: Some(&machine), ..*setting })
             }
             _ => self.run_as_set(setting),
@@ -166,7 +166,7 @@ impl Experiment {
     /// # Errors
     /// Never: the files are within the program, and a test reads them.
     pub fn own_machine(&self) -> Result<Option<Machine>, InputError> {
-        self.own.map(|own| Described::default().machine(own.file)).transpose()
+        self.own.map(|own| SourceFiles::default().machine(own.file)).transpose()
     }
 
     /// The experiment of this name.

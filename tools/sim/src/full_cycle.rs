@@ -119,7 +119,7 @@ struct FullCycleAxis {
 
 /// The data of one poll for an axis.
 #[derive(Debug, Clone, Copy)]
-struct Look {
+struct PollSample {
     t_ns: u64,
     /// Bounds of the time of an edge that this poll shows, ns.
     edge_ns: (u64, u64),
@@ -275,7 +275,7 @@ impl CorrectedAxis for FullCycle {
         let sample = card.sample(wake_ns.min(by_ns))?;
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
         let changed = sample.inputs ^ std::mem::replace(&mut self.inputs, sample.inputs);
-        let look = Look {
+        let look = PollSample {
             t_ns: sample.t_ns,
             edge_ns: sample.edge_ns.map_or((since_ns, sample.t_ns), |ns| (ns, ns)),
             may_insert: self.mode == Mode::Run,
@@ -376,7 +376,12 @@ impl FullCycleAxis {
     }
 
     /// Handles a poll; returns the signal to invert now, if any.
-    fn look(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
+    fn look(
+        &mut self,
+        state: State,
+        look: &PollSample,
+        report: &mut impl FnMut(EventKind),
+    ) -> Option<Signal> {
         self.look_at_once = false;
         if state != self.scale.state() {
             self.edge(state, look, report);
@@ -397,7 +402,7 @@ impl FullCycleAxis {
         }
     }
 
-    fn edge(&mut self, state: State, look: &Look, report: &mut impl FnMut(EventKind)) {
+    fn edge(&mut self, state: State, look: &PollSample, report: &mut impl FnMut(EventKind)) {
         let before = self.scale.state();
         let step = self.scale.update(state);
         let last = self.last_edge.replace(look.edge_ns);
@@ -475,7 +480,7 @@ impl FullCycleAxis {
         };
     }
 
-    fn act(&mut self, look: &Look, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
+    fn act(&mut self, look: &PollSample, report: &mut impl FnMut(EventKind)) -> Option<Signal> {
         if look.t_ns < self.due_ns() {
             return None;
         }

@@ -5,7 +5,7 @@
 //! some 16 K in three hours (figure 17). With coolant the front of the housing stays cool while its rear
 //! heats. The gradient along the housing is therefore larger wet than dry (text after table 7).
 
-use crate::noise::Noise;
+use crate::noise::NoiseGenerator;
 
 /// A thermal mass of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,7 +141,7 @@ pub struct Heat {
     drift: f64,
     t_s: f64,
     due_s: f64,
-    noise: Noise,
+    noise: NoiseGenerator,
     readings: [f64; SENSORS.len()],
     noise_k: f64,
 }
@@ -160,7 +160,7 @@ impl Heat {
             drift: 0.0,
             t_s: 0.0,
             due_s: 0.0,
-            noise: Noise::new(seed, 0x7EA7),
+            noise: NoiseGenerator::new(seed, 0x7EA7),
             readings: [ambient_degc; SENSORS.len()],
             noise_k,
         };
@@ -296,7 +296,7 @@ mod tests {
     /// Random machines warm differently, each within its physics.
     #[test]
     fn drawn_networks_warm_differently() {
-        let mut noise = Noise::new(1, 1);
+        let mut noise = NoiseGenerator::new(1, 1);
         let mut rises: Vec<f64> = (0..20)
             .map(|_| {
                 let mut heat =

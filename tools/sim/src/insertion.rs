@@ -3,7 +3,7 @@
 //! | design | implemented by |
 //! |---|---|
 //! | Original RTEC, Design A (NISTIR 4832) | [`crate::full_cycle::FullCycle`] |
-//! | Design B (NISTIR 4832) | [`crate::through::DesignB`] |
+//! | Design B (NISTIR 4832) | [`crate::design_b::DesignB`] |
 //! | Design C (NISTIR 4832) | [`rtec_rt::engine::Engine`], which is the one that corrects machines |
 //! | Error Correction Circuit (CMTI 2014) | [`crate::ecc::Ecc`] |
 

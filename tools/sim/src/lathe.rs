@@ -6,11 +6,11 @@ use crate::attended::Attended;
 use crate::axis::AxisSpec;
 use crate::control::Readings;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
-use crate::gcode::Block;
 use crate::heat::{Heat, SENSORS};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
-use crate::noise::Noise;
+use crate::nc_block::Block;
+use crate::noise::NoiseGenerator;
 use crate::path::AXES;
 use crate::workpiece::{Nose, Workpiece};
 use rtec_model::effect::Missing;
@@ -273,7 +273,7 @@ pub struct Lathe {
     last_cut: Option<Zx>,
     /// The tip's centre by the scales (part coordinates) and the sensors at each trip.
     pub(crate) trips: Vec<(Zx, Vec<f64>)>,
-    noise: Noise,
+    noise: NoiseGenerator,
     touch_mm: f64,
     /// The sensors while the machine warmed up: time since its start, s, and °C.
     pub(crate) past: Vec<(f64, Vec<f64>)>,
@@ -319,7 +319,7 @@ impl Lathe {
             cuts: Arc::default(),
             last_cut: None,
             trips: Vec::new(),
-            noise: Noise::new(stand.seed, 0x1A7E),
+            noise: NoiseGenerator::new(stand.seed, 0x1A7E),
             touch_mm: 0.0,
             past: Vec::new(),
         };
@@ -413,7 +413,7 @@ impl Attended for Lathe {
 
 /// Removes the tool's cuts from a part, including roughness.
 pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: u64) {
-    let mut noise = Noise::new(seed, 0xC07);
+    let mut noise = NoiseGenerator::new(seed, 0xC07);
     for &(place, form_um) in cuts {
         part.cut(bench.nose(), place, bench.cut_sd_um * noise.normal() - form_um);
     }

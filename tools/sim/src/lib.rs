@@ -10,11 +10,11 @@
 //! | [`mod@bench`] | one axis in motion with any design on any computer, and the count at the MTC |
 //! | [`insertion`] | the interface of every insertion design, and the designs for a whole machine |
 //! | [`full_cycle`] | the Original RTEC and Design A: four counts an insertion |
-//! | [`through`] | Design B: the signals pass through the computer |
+//! | [`design_b`] | Design B: the signals pass through the computer |
 //! | [`replay`] | the engine on a recording, and the resulting count of the MTC |
 //! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
 //! | [`described`] | the machines described in the sources, as files within the program |
-//! | [`path`], [`gcode`] | the controller's trajectories and programs |
+//! | [`path`], [`nc_block`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports the tool's position |
@@ -39,6 +39,7 @@ pub mod computer;
 mod control;
 mod corrected;
 pub mod described;
+pub mod design_b;
 pub mod designs;
 pub mod duty;
 pub mod ecc;
@@ -48,19 +49,18 @@ pub mod example;
 #[cfg(feature = "experiments")]
 pub mod experiment;
 pub mod full_cycle;
-pub mod gcode;
 pub mod heat;
 pub mod insertion;
 pub mod job;
 pub mod lathe;
 pub mod machine;
+pub mod nc_block;
 pub mod noise;
 pub mod path;
 mod polled;
 pub mod replay;
 pub mod sim;
 pub mod strokes;
-pub mod through;
 pub mod turning;
 pub mod wires;
 pub mod workpiece;

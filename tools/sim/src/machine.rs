@@ -6,7 +6,7 @@
 //! time at which the moving table crosses it.
 
 use crate::axis::{AxisSim, AxisSpec};
-use crate::gcode::Block;
+use crate::nc_block::Block;
 use crate::path::{AXES, Along, Command, FeedProfile, Limits, MoveShape};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::event::MAX_AXES;

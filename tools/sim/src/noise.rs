@@ -5,9 +5,9 @@ use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 
 /// A stream of pseudo-random numbers.
 #[derive(Debug, Clone)]
-pub struct Noise(Xoshiro256PlusPlus);
+pub struct NoiseGenerator(Xoshiro256PlusPlus);
 
-impl Noise {
+impl NoiseGenerator {
     /// The stream of a seed; `stream` separates several uses of one seed.
     pub fn new(seed: u64, stream: u64) -> Self {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15)))

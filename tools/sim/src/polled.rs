@@ -2,7 +2,7 @@
 //! It knows changes only by the times of its polls.
 
 use crate::attended::Attended;
-use crate::noise::Noise;
+use crate::noise::NoiseGenerator;
 use rtec_driver::card::{Card, CardError, Sample};
 
 /// The card.
@@ -15,13 +15,13 @@ pub(crate) struct Polled<A> {
     poll_ns: u64,
     look_ns: u64,
     second_look_ns: Option<u64>,
-    noise: Noise,
+    noise: NoiseGenerator,
 }
 
 impl<A: Attended> Polled<A> {
     pub(crate) fn new(attended: A, ended: fn(&A) -> bool, poll_ns: f64, seed: u64) -> Self {
         let poll_ns = poll_ns.round().max(1.0) as u64;
-        let noise = Noise::new(seed, 0x900C);
+        let noise = NoiseGenerator::new(seed, 0x900C);
         Self { attended, ended, poll_ns, look_ns: 0, second_look_ns: None, noise }
     }
 

@@ -4,10 +4,10 @@ use crate::axis::AxisSpec;
 use crate::control::{Control, REST_NS, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
 use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
-use crate::gcode::Block;
 use crate::heat::{Heat, Network};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, ServoFault, SimMachine};
+use crate::nc_block::Block;
 use crate::path::{AXES, Command};
 use rtec_correct::AxisSetup;
 use rtec_driver::card::CardError;
@@ -29,7 +29,7 @@ pub(crate) fn keep(events: &mut Vec<Event>, event: Event) -> bool {
 
 /// Construction of a machine.
 #[derive(Debug, Clone)]
-pub struct Spec {
+pub struct MachineSpec {
     /// The machine's axes.
     pub axes: Vec<AxisSpec>,
     /// The machine's controller.
@@ -48,7 +48,7 @@ pub struct Spec {
     pub network: Network,
 }
 
-impl Spec {
+impl MachineSpec {
     /// The machining centre of WO 97/43703: X 24 in, Y 28 in, Z 60 in.
     pub fn machining_centre() -> Self {
         Self::new(vec![AxisSpec::new("x", 609.6), AxisSpec::new("y", 711.2), AxisSpec::new("z", 1524.0)])
@@ -212,7 +212,7 @@ impl Sim {
     /// # Errors
     /// An effect reads what the machine does not have, or no time is left for an insertion.
     pub fn new(
-        spec: &Spec,
+        spec: &MachineSpec,
         truth: &Machine,
         known: Option<&Machine>,
         at_mm: [f64; AXES],
@@ -250,7 +250,7 @@ impl Sim {
     ///
     /// # Errors
     /// An effect reads what the machine does not have.
-    pub fn know(&mut self, spec: &Spec, known: &Machine) -> Result<(), SimError> {
+    pub fn know(&mut self, spec: &MachineSpec, known: &Machine) -> Result<(), SimError> {
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &self.machine)).collect();
         let channels = self.errors.channel_names().to_vec();
         self.control = Some(spec.control(&configs, &channels, known)?);

@@ -3,8 +3,8 @@
 
 use crate::attended::Attended;
 use crate::axis::AxisSpec;
-use crate::gcode::Block;
 use crate::machine::{ControllerSpec, SimMachine};
+use crate::nc_block::Block;
 use crate::path::AXES;
 use crate::wires::MachineWires;
 use rtec_driver::card::{AxisLines, MachineLines};

@@ -22,7 +22,7 @@ use rtec_part::cor::PointError;
 use rtec_part::cor::error_cor;
 use rtec_part::errors::{ErrorReport, Nominal, Probed};
 use rtec_part::fit::{Zx, sd};
-use rtec_part::path::{PathPoint, Plan, Probe, ProbingMotion};
+use rtec_part::path::{PathPoint, Plan, ProbeGeometry, ProbingMotion};
 use rtec_part::probe::{Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::program::{self, Controller, Parameters};
 use rtec_part::table::{FinishCut, FinishTable, csv};
@@ -284,7 +284,7 @@ impl Setup {
     /// The plan of a probing session on the nose.
     pub fn plan(&self, radius_mm: f64) -> Plan {
         let contour = nose(self.centre, radius_mm);
-        let mut plan = Plan::new(Probe {
+        let mut plan = Plan::new(ProbeGeometry {
             tip_mm: self.tip_mm,
             stand_off_mm: self.motion.stand_off_mm(),
             over_travel_mm: self.motion.over_travel_mm(),

@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_model::machine::Machine;
-use rtec_sim::described::Described;
+use rtec_sim::described::SourceFiles;
 use rtec_sim::experiment::{Experiment, PROMISED, Setting, UNSEEN};
-use rtec_sim::gcode::Block;
-use rtec_sim::sim::{Sim, Spec};
+use rtec_sim::nc_block::Block;
+use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
 
 /// Four holes, and four more an inch further in X, in each of three cycles.
@@ -17,8 +17,8 @@ fn drills_two_passes_an_inch_apart() {
     if !test_needs::long() {
         return;
     }
-    let truth = Described::default().machine("wo97-machine.toml").unwrap();
-    let spec = Spec::machining_centre();
+    let truth = SourceFiles::default().machine("wo97-machine.toml").unwrap();
+    let spec = MachineSpec::machining_centre();
     // A fit that saw T1 10 K below any hall, and one that saw the present range.
     let fit = |axis: &str, range: &str| {
         format!(
@@ -61,8 +61,8 @@ fn drills_two_passes_an_inch_apart() {
 /// The corrector holds and reports it.
 #[test]
 fn holds_and_says_so_on_a_warm_machine_without_a_past() {
-    let truth = Described::default().machine("wo97-machine.toml").unwrap();
-    let spec = Spec::machining_centre();
+    let truth = SourceFiles::default().machine("wo97-machine.toml").unwrap();
+    let spec = MachineSpec::machining_centre();
     let started = |soaked_s: f64| {
         let mut sim = Sim::new(&spec, &truth, None, [0.0; 3], 1).unwrap();
         sim.set_control_period(100_000_000);

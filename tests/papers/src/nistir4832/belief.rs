@@ -10,7 +10,7 @@ use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_files::InputError;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::event::{EventKind, Request};
-use rtec_sim::bench::{AnyDesign, BenchRun, constant};
+use rtec_sim::bench::{BenchRun, InsertionDesign, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::insertion::{CorrectedAxis as _, homed_engine};
 use rtec_sim::replay::{ReplayOutcome, replay};
@@ -19,7 +19,7 @@ use rtec_sim::replay::{ReplayOutcome, replay};
 pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Result<(), PaperError> {
     let place = "General Considerations";
     let most = (1_i64 << (bench.correction_bits - 1)) - 1;
-    let step = AnyDesign::Original.increment_counts();
+    let step = InsertionDesign::Original.increment_counts();
     let config = AxisConfig { max_correction_counts: most * step, ..AxisConfig::default() };
     let edges = constant(1_000_000, 5000.0, 40_000, 1);
     let mut taken = [0; 2];
@@ -31,7 +31,7 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Resu
             config,
             edges: &edges,
             totals: &totals,
-            ..BenchRun::new(AnyDesign::Original, computer)
+            ..BenchRun::new(InsertionDesign::Original, computer)
         };
         let seen = run.run().ok_or_else(|| cannot("the Original's insertions"))?;
         *taken = seen.requested;
@@ -73,7 +73,7 @@ fn believe(window_counts: i64, totals: &[i64], large: bool) -> Result<ReplayOutc
 
 pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
     let place = "General Considerations";
-    let step = AnyDesign::Original.increment_counts();
+    let step = InsertionDesign::Original.increment_counts();
     let window = bench.window_corrections * step;
     let believed =
         |n: i64| -> Result<bool, PaperError> { Ok(believe(window, &[n * step], false)?.refused.is_empty()) };

@@ -7,12 +7,12 @@ use crate::rows::Rows;
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchRun, Edge, constant, insert_at_rest};
+use rtec_sim::bench::{BenchRun, Edge, InsertionDesign, constant, insert_at_rest};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{safe_at, served_at_rest};
 use rtec_sim::ecc::Pll;
 use rtec_sim::experiment::one_metre;
-use rtec_sim::gcode::Block;
+use rtec_sim::nc_block::Block;
 use rtec_sim::sim::Sim;
 use std::path::Path;
 
@@ -29,10 +29,16 @@ pub(super) fn at_rest(
         all.count() as f64
     };
     let what = "states at rest in which the Original corrects: A and B low";
-    rows.number(("The \"Original RTEC\"", what, "of 4"), 1.0, served(AnyDesign::Original), Within(0.0), "");
-    let gets = served(AnyDesign::A);
+    rows.number(
+        ("The \"Original RTEC\"", what, "of 4"),
+        1.0,
+        served(InsertionDesign::Original),
+        Within(0.0),
+        "",
+    );
+    let gets = served(InsertionDesign::A);
     rows.number(("Design A", "states at rest in which it corrects", "of 4"), 4.0, gets, Within(0.0), "");
-    let gets = served(AnyDesign::C);
+    let gets = served(InsertionDesign::C);
     rows.number(("Design C", "states at rest in which it corrects", "of 4"), 4.0, gets, Within(0.0), "");
     let place = "The \"Original RTEC\"";
     let without = dithering(bench, 0.0, seed)?;
@@ -97,7 +103,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
     };
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
     let passes = |c: &Computer| {
-        let seen = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, c) }.run();
+        let seen = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, c) }.run();
         seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0)
     };
     let passed = slowest(&passes);
@@ -106,25 +112,25 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         ten instructions of a microsecond; corrections need more, see the next row";
     rows.number((place, what, "times"), 10.0, computer.pass_ns as f64 / passed.max(1) as f64, AtLeast, why);
     let corrects =
-        |c: &Computer| safe_at(AnyDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1);
+        |c: &Computer| safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1);
     let corrected = slowest(&corrects);
     let why = "edge, insertion and the MTC's separations within 2.5 µs";
     let what = "the same with corrections inserted between two transitions";
     let gets = if corrected == 0 { f64::INFINITY } else { computer.pass_ns as f64 / corrected as f64 };
     rows.number((place, what, "times"), 10.0, gets, AtLeast, why);
     let serves =
-        |c: &Computer, hz: f64| safe_at(AnyDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1);
+        |c: &Computer, hz: f64| safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1);
     let what = "the 8051 is not fast enough";
     let gets = if serves(computer, 100_000.0) { "serves 100 kHz" } else { "not at 100 kHz" };
     rows.holds((place, what), "not at 100 kHz", gets, !serves(computer, 100_000.0), "");
-    let seen = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, faster) }.run();
+    let seen = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, faster) }.run();
     let passed = seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0);
     let gets = if passed { "yes" } else { "no" };
     rows.holds((place, "signal processors have the speed for 100 kHz"), "yes", gets, passed, "");
     let totals = [(edges[500].0, 300), (edges[2500].0, 0)];
     let slow = constant(1_000_000, 5000.0, 8000, 1);
     let late = [(slow[100].0, 300)];
-    let run = BenchRun { edges: &slow, totals: &late, ..BenchRun::new(AnyDesign::B, faster) };
+    let run = BenchRun { edges: &slow, totals: &late, ..BenchRun::new(InsertionDesign::B, faster) };
     let many = run.run().map_or(0, |s| s.completed);
     let what = "counts added or subtracted can be in the hundreds";
     rows.number((place, what, "counts"), 100.0, many as f64, AtLeast, "300 were asked for");
@@ -138,7 +144,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
 pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
     let states = |start: u8, totals: &[(u64, i64)], edges: &[Edge], config: AxisConfig| {
         let start = State::from_bits(start);
-        let new = BenchRun::new(AnyDesign::C, computer);
+        let new = BenchRun::new(InsertionDesign::C, computer);
         BenchRun { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
             let mut table: Vec<String> = Vec::new();
             for (_, _, out, count) in &seen.log {

@@ -10,13 +10,13 @@ use crate::{PaperError, Progress};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
-use rtec_sim::bench::AnyDesign;
+use rtec_sim::bench::InsertionDesign;
 use rtec_sim::computer::Computer;
-use rtec_sim::described::Described;
+use rtec_sim::described::SourceFiles;
 use rtec_sim::designs::waveforms;
 use rtec_sim::experiment::{Setting, one_metre, over_a_part};
-use rtec_sim::gcode::Block;
-use rtec_sim::sim::{Sim, Spec};
+use rtec_sim::nc_block::Block;
+use rtec_sim::sim::{MachineSpec, Sim};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -58,7 +58,7 @@ impl Timing {
 /// A look of a run: time, scale, MTC, its count.
 type Change = (u64, State, State, i64);
 
-pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let bench: Bench = described.read("4832.toml")?;
     let machine = described.machine(&bench.machine)?;
     let (computer, faster) = (bench.computer.computer(), bench.faster_computer.computer());
@@ -66,8 +66,8 @@ pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> R
     progress("NISTIR 4832: the axis over its travel, the pulses");
     signals::signals(&mut rows, &bench, seed)?;
     signals::pulses(&mut rows, &bench, &computer)?;
-    for design in AnyDesign::ALL {
-        let with = if design == AnyDesign::B { &faster } else { &computer };
+    for design in InsertionDesign::ALL {
+        let with = if design == InsertionDesign::B { &faster } else { &computer };
         let name = format!("figure-2-{}.svg", design.name());
         rows.figures.push((name, waveforms(design, with, 3)));
     }
@@ -92,7 +92,7 @@ fn cannot(what: &str) -> PaperError {
 /// 240 µm over one metre, one correction every 16 700 µm, fifteen over a quarter of the travel.
 fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Result<(), PaperError> {
     let place = "The \"Original RTEC\"";
-    let spec = Spec::machining_centre();
+    let spec = MachineSpec::machining_centre();
     let setting = Setting { spec: &spec, truth: machine, known: Some(machine), seed, out: Path::new("") };
     let spec = one_metre(bench.count_um, bench.travel_mm);
     let length_mm = bench.part_share * bench.travel_mm;

@@ -7,11 +7,11 @@ use crate::rows::{Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, Edge, constant};
+use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::computer::Computer;
 use rtec_sim::experiment::one_metre;
-use rtec_sim::gcode::Block;
-use rtec_sim::sim::{Sim, Spec};
+use rtec_sim::nc_block::Block;
+use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
 
 /// The axis over its travel at rapid traverse: how far it counts, how fast.
@@ -20,7 +20,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
     let slow = constant(1_000_000, 1000.0, 4000, 1);
     let computer = Computer::dsp();
     let plain = |edges: &[Edge]| {
-        let run = BenchRun { edges, keep_log: true, ..BenchRun::new(AnyDesign::C, &computer) };
+        let run = BenchRun { edges, keep_log: true, ..BenchRun::new(InsertionDesign::C, &computer) };
         run.run().ok_or_else(|| cannot("a plain motion"))
     };
     let seen = plain(&slow)?;
@@ -63,7 +63,7 @@ struct Traverse {
 /// From one end of the travel to the other.
 fn traverse(count_um: f64, rapid_mm_min: f64, travel_mm: f64, seed: u64) -> Result<Traverse, PaperError> {
     let axis = AxisSpec { count_um, speed_mm_s: rapid_mm_min / 60.0, ..AxisSpec::new("x", travel_mm) };
-    let mut spec = Spec::new(vec![axis]);
+    let mut spec = MachineSpec::new(vec![axis]);
     // A decoder that bears what is coming.
     spec.controller.decoder_hz = 1e8;
     let ideal = Machine::ideal("axis");
@@ -112,9 +112,9 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
     let go = |design, hz, total| insert(computer, design, hz, total);
     let place = "Figure 2";
     for (what, says, design, total) in [
-        ("b: a pair of pulses, A leading B, adds", 4.0, AnyDesign::Original, 4),
-        ("d: a pair of pulses, B leading A, subtracts", -4.0, AnyDesign::Original, -4),
-        ("c: a pair of pulses left out (the ECC does it) subtracts", -4.0, AnyDesign::Ecc, -4),
+        ("b: a pair of pulses, A leading B, adds", 4.0, InsertionDesign::Original, 4),
+        ("d: a pair of pulses, B leading A, subtracts", -4.0, InsertionDesign::Original, -4),
+        ("c: a pair of pulses left out (the ECC does it) subtracts", -4.0, InsertionDesign::Ecc, -4),
     ] {
         let seen = go(design, 10_000.0, total)?;
         let why = "the insertion was not made on the computer as described";
@@ -143,7 +143,12 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
 }
 
 /// One correction on the way, at an encoder frequency.
-fn insert(computer: &Computer, design: AnyDesign, hz: f64, total: i64) -> Result<BenchResult, PaperError> {
+fn insert(
+    computer: &Computer,
+    design: InsertionDesign,
+    hz: f64,
+    total: i64,
+) -> Result<BenchResult, PaperError> {
     let edges = constant(1_000_000, hz, 4000, 1);
     let totals = [(edges[500].0, total)];
     BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) }
@@ -155,7 +160,7 @@ fn insert(computer: &Computer, design: AnyDesign, hz: f64, total: i64) -> Result
 fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
     let go = |design, hz, total| insert(computer, design, hz, total);
     let place = "Altering the Position Signal";
-    let slow = go(AnyDesign::Original, 10_000.0, 4)?;
+    let slow = go(InsertionDesign::Original, 10_000.0, 4)?;
     let inserted: Vec<Change> = inserted(&slow.log);
     let why = "the computer of the machine file steps at another pace";
     let gets = high_ns(&slow.log, |s| s.a()) / 1e3;
@@ -181,7 +186,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
     let why = "\"about\": a quarter of the period of 33.3 µs";
     let gets = low.iter().sum::<u64>() as f64 / low.len() as f64 / 1e3;
     rows.given().number((place, "at 30 kHz A and B are low for", "µs"), 8.0, gets, Within(0.5), why);
-    let rapid = go(AnyDesign::Original, 30_000.0, 40)?;
+    let rapid = go(InsertionDesign::Original, 30_000.0, 40)?;
     let why = "the timer between two \"A&B low\" holds insertions back, as the report's does";
     let what = "at 30 kHz the nine microseconds run into the next transition";
     let gets = format!(
@@ -190,18 +195,22 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         rapid.error_counts()
     );
     rows.holds((place, what), "they may", &gets, rapid.waited_for_gate > 0 && rapid.error_counts() == 0, why);
-    let quicker = go(AnyDesign::C, 10_000.0, 2)?.edge_to_done_ns.map_or(0, |t| t.0);
+    let quicker = go(InsertionDesign::C, 10_000.0, 2)?.edge_to_done_ns.map_or(0, |t| t.0);
     let what = "time of an insertion: somewhat less than the Original's";
     let why = "two inversions instead of four changes";
     rows.number(("Design C", what, "µs"), done as f64 / 1e3, quicker as f64 / 1e3, AtMost, why);
-    let a = go(AnyDesign::A, 10_000.0, 4)?.edge_to_done_ns.map_or(0, |t| t.0);
+    let a = go(InsertionDesign::A, 10_000.0, 4)?.edge_to_done_ns.map_or(0, |t| t.0);
     let what = "time of an insertion: the same as the Original's";
     rows.number(("Design A", what, "µs"), done as f64 / 1e3, a as f64 / 1e3, Within(0.01), "");
-    for (design, says) in [(AnyDesign::Original, 4), (AnyDesign::A, 4), (AnyDesign::B, 1), (AnyDesign::C, 2)]
-    {
+    for (design, says) in [
+        (InsertionDesign::Original, 4),
+        (InsertionDesign::A, 4),
+        (InsertionDesign::B, 1),
+        (InsertionDesign::C, 2),
+    ] {
         // Design B needs the faster computer; what it inserts is the same on any.
         let quick = Computer::dsp();
-        let with = if design == AnyDesign::B { &quick } else { computer };
+        let with = if design == InsertionDesign::B { &quick } else { computer };
         let seen = insert(with, design, 10_000.0, 8)?;
         let step = (seen.mtc - seen.scale) as f64 / (seen.insertions as f64).max(1.0);
         let what = format!("correction resolution of {}", design.name());

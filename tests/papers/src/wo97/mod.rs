@@ -16,9 +16,9 @@ pub use starts::{STARTS, StartResult, starts};
 use model::wet_model;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_sim::described::Described;
+use rtec_sim::described::SourceFiles;
 use rtec_sim::experiment::{Experiment, Findings, Setting};
-use rtec_sim::sim::Spec;
+use rtec_sim::sim::MachineSpec;
 use serde::Deserialize;
 use std::path::Path;
 
@@ -97,7 +97,7 @@ const TABLE_5: [[f64; 5]; 8] = [
 ];
 
 struct Run<'a> {
-    spec: Spec,
+    spec: MachineSpec,
     truth: &'a Machine,
     seed: u64,
 }
@@ -105,7 +105,7 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     /// The patent's machine.
     fn new(truth: &'a Machine, seed: u64) -> Self {
-        Self { spec: Spec::machining_centre(), truth, seed }
+        Self { spec: MachineSpec::machining_centre(), truth, seed }
     }
 
     /// An experiment of the characterisation, or with a model the drilling test without and with compensation.
@@ -118,7 +118,7 @@ impl<'a> Run<'a> {
     }
 }
 
-pub(crate) fn run(described: &Described, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let run = Run::new(&truth, seed);

@@ -138,13 +138,13 @@ fn geometry(truth: &Machine) -> Result<Machine, PaperError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_sim::described::Described;
+    use rtec_sim::described::SourceFiles;
     use rtec_sim::example::Example;
 
     /// `rtecctl model fit` in the example has the same base.
     #[test]
     fn the_example_knows_the_same_geometry() {
-        let truth = Described::default().machine("wo97-machine.toml").unwrap();
+        let truth = SourceFiles::default().machine("wo97-machine.toml").unwrap();
         let example = Example::find("wo97").unwrap().machine("machine.toml").unwrap();
         let effects = |m: &Machine| m.effects().cloned().collect::<Vec<_>>();
         assert_eq!(effects(&geometry(&truth).unwrap()), effects(&example));

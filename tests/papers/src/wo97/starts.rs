@@ -4,11 +4,11 @@ use super::model::from_wet_runs;
 use super::{AXES, Centre, Run, error_of, record};
 use crate::PaperError;
 use rtec_model::machine::Machine;
-use rtec_sim::described::Described;
+use rtec_sim::described::SourceFiles;
 use rtec_sim::experiment::{PROMISED, UNSEEN};
 use rtec_sim::heat::Network;
-use rtec_sim::noise::Noise;
-use rtec_sim::sim::Spec;
+use rtec_sim::noise::NoiseGenerator;
+use rtec_sim::sim::MachineSpec;
 
 /// The experiments, one for each thermal state of the machine at the start.
 pub const STARTS: [&str; 6] = [
@@ -60,7 +60,7 @@ const SPREAD: f64 = 0.3;
 /// Each parameter of its errors and each of its thermal properties has a factor of its own.
 /// A value out of the bounds of its law is drawn again.
 fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError> {
-    let mut noise = Noise::new(machine, 0xD2A);
+    let mut noise = NoiseGenerator::new(machine, 0xD2A);
     let mut factor = || (SPREAD * noise.normal()).exp();
     let network = Network::drawn(&mut factor);
     let mut other = truth.clone();
@@ -86,11 +86,11 @@ fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError
 ///
 /// # Errors
 /// A description that is not right, or a machine that stops.
-pub fn starts(described: &Described, machine: u64) -> Result<Vec<StartResult>, PaperError> {
+pub fn starts(described: &SourceFiles, machine: u64) -> Result<Vec<StartResult>, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let (truth, network) = if machine == 0 { (truth, Network::default()) } else { drawn(&truth, machine)? };
-    let spec = Spec { network, ..Spec::machining_centre() };
+    let spec = MachineSpec { network, ..MachineSpec::machining_centre() };
     let run = Run { spec, truth: &truth, seed: machine };
     let model = from_wet_runs(&run)?;
     let mut all = Vec::new();

@@ -16,13 +16,13 @@ const MOST: usize = 100_000;
 
 /// A linear map of the plane and a shift.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
+pub(super) struct AffineMap {
     /// The images of the unit vectors of z and x.
     axes: [Zx; 2],
     shift: Zx,
 }
 
-impl Place {
+impl AffineMap {
     /// The identity: nothing moves.
     pub(super) const HERE: Self =
         Self { axes: [Zx { z: 1.0, x: 0.0 }, Zx { z: 0.0, x: 1.0 }], shift: Zx { z: 0.0, x: 0.0 } };
@@ -121,7 +121,7 @@ fn cross(a: Zx, b: Zx) -> f64 {
 pub(super) struct Placed<'d> {
     pub(super) entity: &'d Entity,
     pub(super) layer: &'d str,
-    pub(super) place: Place,
+    pub(super) place: AffineMap,
     /// The layer of an insertion that hides it, if any.
     pub(super) hidden_by: Option<&'d str>,
 }
@@ -139,7 +139,8 @@ pub(super) fn placed<'d>(
     let mut out = Vec::new();
     let mut open: Vec<(Placed<'d>, usize)> = Vec::new();
     let own = drawing.entities.iter().filter(|e| !e.in_paper_space);
-    let here = own.map(|entity| Placed { entity, layer: &entity.layer, place: Place::HERE, hidden_by: None });
+    let here =
+        own.map(|entity| Placed { entity, layer: &entity.layer, place: AffineMap::HERE, hidden_by: None });
     open.extend(here.map(|placed| (placed, 0)).rev());
     while let Some((placed, depth)) = open.pop() {
         let Placed { entity, layer, .. } = placed;
@@ -166,7 +167,7 @@ pub(super) fn placed<'d>(
         let unseen = placed.hidden_by.or_else(|| (!entity.visible || is_hidden(layer)).then_some(layer));
         for n in (0..copies).rev() {
             let at = [n % count(70), n / count(70)].map(|n| n as f64);
-            let place = Place::of(entity, base, at, mm).within(&placed.place);
+            let place = AffineMap::of(entity, base, at, mm).within(&placed.place);
             // Entities on a block's layer 0 are on the layer of the insertion.
             let of = |entity: &'d Entity| {
                 let layer = if entity.layer == "0" { layer } else { entity.layer.as_str() };

@@ -2,7 +2,7 @@
 //!
 //! Cleaning leaves out vertices, but no part of the path between them.
 
-use super::{Cleaned, Piece, Places};
+use super::{Cleaned, Piece, PointGrid};
 use crate::contour::{FeatureKind, Segment};
 use crate::fit::Zx;
 
@@ -21,7 +21,7 @@ pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) 
     let ends: Vec<Zx> = short.iter().flat_map(Piece::ends).collect();
     let lengths: Vec<f64> = short.iter().map(|p| p.segment.length_mm()).collect();
     let longest = lengths.iter().copied().fold(0.0, f64::max);
-    let places = Places::of(ends.iter().copied(), longest * REACH);
+    let places = PointGrid::of(ends.iter().copied(), longest * REACH);
     let mut used = vec![false; short.len()];
     let mut out = Vec::new();
     for first in 0..short.len() {

@@ -3,7 +3,7 @@
 
 use crate::document::pretty;
 use anyhow::Context;
-use rtec_sim::bench::AnyDesign;
+use rtec_sim::bench::InsertionDesign;
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{TestMotion, compare, waveforms};
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub(crate) struct Args {
     /// The computer that does the insertions
     #[arg(long, value_enum, default_value = "8051")]
-    computer: Model,
+    computer: ComputerModel,
     /// Instead: this PC, as `rtecctl selftest latency --json` measured it
     #[arg(long, value_name = "FILE", conflicts_with = "computer")]
     latency: Option<PathBuf>,
@@ -39,7 +39,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Model {
+enum ComputerModel {
     /// 8051 at 12 MHz (NISTIR 4832)
     #[value(name = "8051")]
     I8051,
@@ -67,8 +67,8 @@ fn within(text: &str, low: f64, high: f64, unit: &str) -> Result<f64, String> {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let computer = match (&args.latency, args.computer) {
         (Some(file), _) => Computer::measured(file)?,
-        (None, Model::I8051) => Computer::i8051(),
-        (None, Model::Dsp) => Computer::dsp(),
+        (None, ComputerModel::I8051) => Computer::i8051(),
+        (None, ComputerModel::Dsp) => Computer::dsp(),
     };
     let motion = TestMotion {
         encoder_hz: args.encoder_hz,
@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let comparison = compare(&computer, motion, args.seed);
     if let Some(dir) = &args.plot {
         std::fs::create_dir_all(dir).with_context(|| format!("making {}", dir.display()))?;
-        for design in AnyDesign::ALL {
+        for design in InsertionDesign::ALL {
             let file = dir.join(format!("design-{}.svg", design.name()));
             let svg = waveforms(design, &computer, 3);
             crate::document::write(&file, &svg)?;

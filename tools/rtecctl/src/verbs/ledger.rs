@@ -12,7 +12,7 @@ use rtec_driver::quadrature::State;
 use rtec_files::Columns;
 use rtec_files::trace::{RequestReader, TraceReader};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, replay_any};
+use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::replay::ReplayOutcome;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -176,7 +176,7 @@ fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<ReplayOutcome> {
     let requests = RequestReader::open_beside(requests, &Columns::default(), &trace)?;
     let trace = trace.playable();
     let config = AxisConfig { max_correction_counts: i64::MAX, ..AxisConfig::default() };
-    let (outcome, _) = replay_any(AnyDesign::C, config, trace, requests, true, |_, _: State| {})
+    let (outcome, _) = replay_any(InsertionDesign::C, config, trace, requests, true, |_, _: State| {})
         .map_err(|e| anyhow::anyhow!("replaying what was written: {e}"))?;
     Ok(outcome)
 }

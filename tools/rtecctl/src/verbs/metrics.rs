@@ -86,7 +86,7 @@ fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Resul
     let server =
         if address.contains('/') { at_path(Path::new(address))? } else { at_port(address, beyond_loopback)? };
     eprintln!("metrics at {address}");
-    let handler = Arc::new(Metrics { daemon: daemon.clone(), last: Mutex::default() });
+    let handler = Arc::new(MetricsHandler { daemon: daemon.clone(), last: Mutex::default() });
     server.serve(&handler, &AtomicBool::new(false)).with_context(|| format!("listening at {address}"))
 }
 
@@ -122,13 +122,13 @@ fn at_path(path: &Path) -> anyhow::Result<Server> {
 }
 
 /// Asks the daemon once for all clients that wait at a time.
-struct Metrics {
+struct MetricsHandler {
     daemon: Daemon,
     /// Its last answer, and the time of that.
     last: Mutex<Option<(Instant, Option<Observed>)>>,
 }
 
-impl Handler for Metrics {
+impl Handler for MetricsHandler {
     fn may(&self, head: &Request) -> Result<(), Answer> {
         if !["GET", "HEAD"].contains(&head.method.as_str()) {
             return Err(Answer::plain(405, "GET or HEAD"));

@@ -12,7 +12,7 @@ use rtec_files::clock;
 use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::event::Fault;
-use rtec_sim::bench::{AnyDesign, replay_any};
+use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::ecc::Pll;
 use rtec_sim::replay::{ReplayError, ReplayOutcome};
 use std::collections::BTreeSet;
@@ -39,7 +39,7 @@ pub(crate) struct Args {
     request_columns: Vec<String>,
     /// Insertion design
     #[arg(long, default_value = "c", value_parser = designs())]
-    design: AnyDesign,
+    design: InsertionDesign,
     /// Take the axis and its belief window from this configuration; without it: 1 µm counts, 500 ns separation,
     /// 1e6 counts/s², ±1000 counts, requests believed whatever their size
     #[arg(long, value_name = "FILE")]
@@ -69,9 +69,9 @@ impl Args {
 }
 
 /// The designs by their names in the contract.
-fn designs() -> impl TypedValueParser<Value = AnyDesign> {
-    PossibleValuesParser::new(AnyDesign::ALL.map(AnyDesign::name))
-        .try_map(|name| AnyDesign::parse(&name).ok_or("no such design"))
+fn designs() -> impl TypedValueParser<Value = InsertionDesign> {
+    PossibleValuesParser::new(InsertionDesign::ALL.map(InsertionDesign::name))
+        .try_map(|name| InsertionDesign::parse(&name).ok_or("no such design"))
 }
 
 /// Warns if only one of trace and requests counts Unix time.
@@ -173,7 +173,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(Outcome::No(message).into());
     }
     let open = outcome.requested - outcome.completed;
-    if design == AnyDesign::Ecc && open.abs() >= AnyDesign::Ecc.increment_counts() {
+    if design == InsertionDesign::Ecc && open.abs() >= InsertionDesign::Ecc.increment_counts() {
         eprintln!(
             "warning: {open:+} of the requested {:+} counts were not made: the circuit {}, twice the encoder's frequency. It adds only what \
              is done before the axis can leave the clean range; let the axis move at such a speed for longer, or take another design",

@@ -7,7 +7,7 @@ use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Kind;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
-use rtec_sim::sim::{SimError, Spec};
+use rtec_sim::sim::{MachineSpec, SimError};
 use rtec_sim::turning::TurningError;
 use serde_json::{Map, Value};
 use std::fmt::Write as _;
@@ -90,7 +90,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "rtecctl: {response}: the model promises 95 % within ±{promised:.1} {unit}; an axis that moves by less may gain nothing"
         );
     }
-    let spec = Spec::machining_centre();
+    let spec = MachineSpec::machining_centre();
     let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;
     for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {

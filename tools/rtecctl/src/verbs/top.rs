@@ -41,7 +41,7 @@ const KEYS: Duration = Duration::from_millis(100);
 const FASTEST: Duration = Duration::from_millis(50);
 
 /// Result of a look at the daemon.
-enum Look {
+enum PollResult {
     Here(Box<Observed>),
     Gone(String),
 }
@@ -73,14 +73,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Looks repeatedly until the receiver is gone.
-fn look(daemon: &Daemon, every: Duration, to: &Sender<Look>) {
+fn look(daemon: &Daemon, every: Duration, to: &Sender<PollResult>) {
     let (mut client, mut last) = (None, 0);
     loop {
         let found = once(daemon, &mut client, &mut last);
         let wait = if found.is_ok() { every } else { AGAIN };
         let look = found.unwrap_or_else(|error| {
             client = None;
-            Look::Gone(format!("{error:#}"))
+            PollResult::Gone(format!("{error:#}"))
         });
         if to.send(look).is_err() {
             return;
@@ -89,7 +89,7 @@ fn look(daemon: &Daemon, every: Duration, to: &Sender<Look>) {
     }
 }
 
-fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow::Result<Look> {
+fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow::Result<PollResult> {
     let client = match client {
         Some(client) => client,
         None => client.insert(daemon.view()?),
@@ -101,19 +101,19 @@ fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow:
     if seen.events.is_empty() {
         *last = 0;
     }
-    Ok(Look::Here(Box::new(seen)))
+    Ok(PollResult::Here(Box::new(seen)))
 }
 
 fn show(
     terminal: &mut Terminal<Screen>,
-    looks: &Receiver<Look>,
+    looks: &Receiver<PollResult>,
     signals: &SignalFd,
     mut view: View,
 ) -> anyhow::Result<()> {
     loop {
         match looks.recv_timeout(KEYS) {
-            Ok(Look::Here(seen)) => view.take(*seen),
-            Ok(Look::Gone(why)) => view.gone(why),
+            Ok(PollResult::Here(seen)) => view.take(*seen),
+            Ok(PollResult::Gone(why)) => view.gone(why),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }

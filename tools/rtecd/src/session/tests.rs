@@ -38,12 +38,12 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
     (engine, card)
 }
 
-fn set_up(engine: &Engine, real: bool) -> SetUp {
-    SetUp { real, wanted: None, missing: None, timing: engine.timing(), before: StateAtOpen::NOTHING }
+fn set_up(engine: &Engine, real: bool) -> RtStartup {
+    RtStartup { real, wanted: None, missing: None, timing: engine.timing(), before: StateAtOpen::NOTHING }
 }
 
 fn session(engine: &Engine) -> Session {
-    let time = Rc::new(RealTime(Clock::start()));
+    let time = Rc::new(SystemClock(Clock::start()));
     Session::by(time, Config::embedded(), set_up(engine, false), Buses::of(Vec::new()))
 }
 
@@ -251,7 +251,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
         let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
         let (engine, _card) = engine(&config);
-        let time = Rc::new(RealTime(Clock::start()));
+        let time = Rc::new(SystemClock(Clock::start()));
         let session = Session::by(time, config, set_up(&engine, true), Buses::of(Vec::new()));
         let (mut control, _rt) = link(engine.status());
         let (refusal, status) =

@@ -3,11 +3,11 @@
 use super::runs::{Both, Log, Row, both, digits, feed, places, seed_of};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, PROMISED, Setting, UNSEEN};
 use crate::errors::NAMES;
-use crate::gcode::Block;
 use crate::heat::{FIGURE_9, SENSORS};
-use crate::noise::Noise;
+use crate::nc_block::Block;
+use crate::noise::NoiseGenerator;
 use crate::path::AXES;
-use crate::sim::{Sim, SimError, Spec};
+use crate::sim::{MachineSpec, Sim, SimError};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{Difference, STANDARD_DEGC};
@@ -52,7 +52,7 @@ fn minutes(row: &Row) -> f64 {
 /// The near ones are at the tool. A tilt in the true machine's chain also moves the mandrel at the far ones.
 fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
     let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
-    let mut noise = Noise::new(seed_of(setting, run), 0x6A06E);
+    let mut noise = NoiseGenerator::new(seed_of(setting, run), 0x6A06E);
     let chain = setting.truth.chain();
     let far = chain.map(|c| c.with_tool_moved([0.0, 0.0, GAUGE_SPACING_MM]));
     let row = |r: &Row| {
@@ -126,7 +126,7 @@ pub(super) fn tool_change(setting: &Setting<'_>, findings: &mut Findings) -> Res
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
     let runs = both(setting, setting.spec, [0.0; 3], "tool-change-repeatability", |sim, log| {
-        let mut moves = Noise::new(setting.seed, 0x7001);
+        let mut moves = NoiseGenerator::new(setting.seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
             for _ in 0..3 {
@@ -231,7 +231,7 @@ pub(super) fn drilling(
     findings: &mut Findings,
 ) -> Result<(), ExperimentError> {
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);
-    let spec = Spec { ambient_degc, ..setting.spec.clone() };
+    let spec = MachineSpec { ambient_degc, ..setting.spec.clone() };
     let runs = both(setting, &spec, [0.0, 0.0, 100.0], name, |sim, log| {
         if start.stood_degc.is_some() {
             sim.heat_hall(setting.spec.ambient_degc);

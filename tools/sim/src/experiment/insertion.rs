@@ -3,16 +3,16 @@
 use super::runs::{Row, along, both, digits, feed};
 use super::{ExperimentError, Findings, Setting};
 use crate::axis::AxisSpec;
-use crate::gcode::Block;
 use crate::insertion::GateDesign;
-use crate::sim::Spec;
+use crate::nc_block::Block;
+use crate::sim::MachineSpec;
 use rtec_model::record::Kind;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use serde_json::json;
 
 /// The report's machine: one axis of a metre, corrected by the Original RTEC.
-pub fn one_metre(count_um: f64, travel_mm: f64) -> Spec {
-    let mut spec = Spec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
+pub fn one_metre(count_um: f64, travel_mm: f64) -> MachineSpec {
+    let mut spec = MachineSpec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
     spec.design = GateDesign::Original;
     spec.rest = RestPolicy::Wait;
     spec
@@ -30,7 +30,7 @@ pub(super) fn linear_error(setting: &Setting<'_>, findings: &mut Findings) -> Re
 /// As [`super::Experiment::run`].
 pub fn over_a_part(
     setting: &Setting<'_>,
-    spec: &Spec,
+    spec: &MachineSpec,
     length_mm: f64,
     mm_min: f64,
 ) -> Result<Findings, ExperimentError> {

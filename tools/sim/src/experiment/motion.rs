@@ -3,8 +3,8 @@
 use super::runs::{Log, Row, along, both, feed, places};
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
-use crate::gcode::Block;
-use crate::noise::Noise;
+use crate::nc_block::Block;
+use crate::noise::NoiseGenerator;
 use crate::path::AXES;
 use crate::sim::Sim;
 use rtec_model::record::Kind;
@@ -18,7 +18,7 @@ pub(super) fn linear_displacement(
         // hidden.
         let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
         let pitch = (hi - lo) / 12.0;
-        let mut noise = Noise::new(setting.seed, 0x150 + p as u64);
+        let mut noise = NoiseGenerator::new(setting.seed, 0x150 + p as u64);
         let targets: Vec<f64> = (0..13)
             .map(|k| ((lo + pitch * f64::from(k) + 3.0 * (noise.uniform() - 0.5)) * 1000.0).round() / 1000.0)
             .collect();

@@ -3,11 +3,11 @@
 
 use super::{ExperimentError, Findings, Setting};
 use crate::errors::NAMES;
-use crate::gcode::Block;
 use crate::heat::SENSORS;
-use crate::noise::Noise;
+use crate::nc_block::Block;
+use crate::noise::NoiseGenerator;
 use crate::path::AXES;
-use crate::sim::{Moment, Sim, SimError, Spec};
+use crate::sim::{MachineSpec, Moment, Sim, SimError};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -60,7 +60,7 @@ impl Log {
 pub(super) struct Measured<'a> {
     pub(super) axes: &'a [usize],
     pub(super) noise_um: f64,
-    pub(super) noise: Noise,
+    pub(super) noise: NoiseGenerator,
     pub(super) channels: &'a [String],
 }
 
@@ -152,7 +152,7 @@ pub(super) fn seed_of(setting: &Setting<'_>, run: &str) -> u64 {
 
 pub(super) fn both(
     setting: &Setting<'_>,
-    spec: &Spec,
+    spec: &MachineSpec,
     at_mm: [f64; AXES],
     name: &str,
     mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
@@ -183,7 +183,7 @@ impl Both {
         for (log, suffix) in self.logs.iter().zip(SUFFIXES) {
             let run = format!("{}{suffix}", self.name);
             let path = setting.out.join(format!("{run}.run.toml"));
-            let noise = Noise::new(seed_of(setting, &run), 0x10);
+            let noise = NoiseGenerator::new(seed_of(setting, &run), 0x10);
             let mut what = Measured { axes, noise_um, noise, channels: &self.channels };
             let record = log.record(&path, kind, &mut what)?;
             records.push((record, log.rows.iter().map(x.1).collect()));
@@ -232,7 +232,7 @@ impl Findings {
 }
 
 /// The controller's axis (0 X, 1 Y, 2 Z) of each axis that a machine has.
-pub(super) fn places(spec: &Spec) -> Vec<usize> {
+pub(super) fn places(spec: &MachineSpec) -> Vec<usize> {
     spec.axes.iter().filter_map(|a| NAMES.iter().position(|n| *n == a.name)).collect()
 }
 

@@ -4,7 +4,7 @@
 
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{AnyDesign, BenchResult, BenchRun, constant, there_and_back};
+use rtec_sim::bench::{BenchResult, BenchRun, InsertionDesign, constant, there_and_back};
 use rtec_sim::computer::Computer;
 use rtec_sim::designs::{Comparison, TestMotion, compare, safe_at, safe_range, waveforms};
 use rtec_sim::ecc::Pll;
@@ -25,23 +25,23 @@ fn the_table_is_what_the_papers_say() {
         println!("{}", table.to_table());
         for row in &table.designs {
             assert_eq!((row.illegal_states, row.worst_count_error), (0, 0), "{row:?}");
-            assert_eq!(row.signals_pass_through_computer, row.design == AnyDesign::B);
+            assert_eq!(row.signals_pass_through_computer, row.design == InsertionDesign::B);
             let states = match row.design {
-                AnyDesign::Original => 1,
-                AnyDesign::Ecc => 0,
+                InsertionDesign::Original => 1,
+                InsertionDesign::Ecc => 0,
                 _ => 4,
             };
             assert_eq!(row.states_served_at_rest, states, "{row:?}");
             let words = row.when_computer_dies.as_str();
             match row.design {
-                AnyDesign::B => assert_eq!(words, "at any moment: the MTC sees an axis at rest"),
-                AnyDesign::Ecc => assert_eq!(words, "at any moment: the MTC goes on seeing the scale"),
+                InsertionDesign::B => assert_eq!(words, "at any moment: the MTC sees an axis at rest"),
+                InsertionDesign::Ecc => assert_eq!(words, "at any moment: the MTC goes on seeing the scale"),
                 _ => assert!(
                     words.starts_with("between insertions: the MTC goes on seeing the scale"),
                     "{words}"
                 ),
             }
-            if row.design == AnyDesign::B && b_serves {
+            if row.design == InsertionDesign::B && b_serves {
                 assert!(row.max_safe_encoder_hz > 40_000.0, "{row:?}");
             }
         }
@@ -59,18 +59,18 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
         BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) }.run().unwrap()
     };
-    let slow = run(AnyDesign::Original, 10_000.0);
+    let slow = run(InsertionDesign::Original, 10_000.0);
     assert_eq!((slow.completed, slow.edge_to_done_ns), (-40, Some((9000, 9000))));
-    assert_eq!(run(AnyDesign::C, 10_000.0).edge_to_done_ns, Some((7000, 7000)));
-    let rapid = run(AnyDesign::Original, 30_000.0);
+    assert_eq!(run(InsertionDesign::C, 10_000.0).edge_to_done_ns, Some((7000, 7000)));
+    let rapid = run(InsertionDesign::Original, 30_000.0);
     assert_eq!((rapid.completed, rapid.error_counts()), (0, 0));
     assert!(rapid.waited_for_gate > 0);
-    for design in [AnyDesign::Original, AnyDesign::A] {
+    for design in [InsertionDesign::Original, InsertionDesign::A] {
         let (_, high) = safe_range(design, &computer, config, Pll::default(), 1);
         // A quarter of a cycle must hold 9 µs.
         assert!((27_000.0..27_800.0).contains(&high), "{design:?}: {high} Hz");
     }
-    let (_, high) = safe_range(AnyDesign::C, &computer, config, Pll::default(), 1);
+    let (_, high) = safe_range(InsertionDesign::C, &computer, config, Pll::default(), 1);
     assert!((35_000.0..35_720.0).contains(&high), "{high} Hz");
 }
 
@@ -86,7 +86,7 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
             edges: &edges,
             totals: &totals,
             ungated: true,
-            ..BenchRun::new(AnyDesign::Original, &computer)
+            ..BenchRun::new(InsertionDesign::Original, &computer)
         }
         .run()
         .unwrap()
@@ -103,7 +103,7 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
 #[test]
 fn full_cycle_designs_keep_the_ledger() {
     let computer = Computer::i8051();
-    for design in [AnyDesign::Original, AnyDesign::A] {
+    for design in [InsertionDesign::Original, InsertionDesign::A] {
         for n in 0..60_u64 {
             let accel = 1e5 * (1 + n % 7) as f64;
             let edges = there_and_back(2000.0 + 700.0 * n as f64, accel, 1500 + 10 * n, 1_000_000);
@@ -130,7 +130,7 @@ fn full_cycle_designs_keep_the_ledger() {
 fn full_cycle_designs_leave_less_than_four_counts() {
     let computer = Computer::i8051();
     let edges = constant(1_000_000, 5000.0, 400, 1);
-    for design in [AnyDesign::Original, AnyDesign::A] {
+    for design in [InsertionDesign::Original, InsertionDesign::A] {
         for (total, served) in [(7, 4), (3, 0), (-2, 0), (-3, 0), (-7, -4), (8, 8)] {
             let totals = [(edges[20].0, total)];
             let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) };
@@ -146,7 +146,8 @@ fn full_cycle_designs_leave_less_than_four_counts() {
 fn the_original_cannot_insert_at_rest_outside_low_low() {
     let computer = Computer::i8051();
     for bits in 0..4 {
-        for (design, served) in [(AnyDesign::Original, bits == 0), (AnyDesign::A, true), (AnyDesign::C, true)]
+        for (design, served) in
+            [(InsertionDesign::Original, bits == 0), (InsertionDesign::A, true), (InsertionDesign::C, true)]
         {
             let config = rtec_sim::bench::insert_at_rest(AxisConfig::default());
             let totals = [(1_000_000, 8), (60_000_000, 8)];
@@ -167,16 +168,16 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
 #[test]
 fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let config = AxisConfig::default();
-    assert!(!safe_at(AnyDesign::B, &Computer::i8051(), config, Pll::default(), 10_000.0, 1));
-    assert!(safe_at(AnyDesign::B, &Computer::dsp(), config, Pll::default(), 40_000.0, 1));
+    assert!(!safe_at(InsertionDesign::B, &Computer::i8051(), config, Pll::default(), 10_000.0, 1));
+    assert!(safe_at(InsertionDesign::B, &Computer::dsp(), config, Pll::default(), 40_000.0, 1));
     let computer = Computer::dsp();
     // "Current generation digital signal processors have the speed capability to handle these signals."
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let passed = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, &computer) }.run().unwrap();
+    let passed = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &computer) }.run().unwrap();
     assert_eq!((passed.mtc, passed.illegal), (4000, 0));
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 7), (edges[2000].0, -3)];
-    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::B, &computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::B, &computer) };
     let seen = run.run().unwrap();
     assert_eq!((seen.completed, seen.error_counts(), seen.insertions, seen.illegal), (-3, 0, 17, 0));
     let dead = BenchRun { die_ns: edges[1000].0, ..run }.run().unwrap();
@@ -185,7 +186,8 @@ fn design_b_needs_a_faster_computer_and_steps_by_one() {
     assert!(dead.scale - scale > 2900);
     // An 8051 that has to pass 100 kHz loses counts; the MTC may see an illegal state or none.
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let lost = BenchRun { edges: &edges, ..BenchRun::new(AnyDesign::B, &Computer::i8051()) }.run().unwrap();
+    let lost =
+        BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &Computer::i8051()) }.run().unwrap();
     assert!(lost.mtc < lost.scale / 2, "{lost:?}");
 }
 
@@ -202,7 +204,7 @@ fn three_pulses_added_and_three_subtracted() {
                 edges: &edges,
                 totals: &totals,
                 keep_log: true,
-                ..BenchRun::new(AnyDesign::Ecc, &computer)
+                ..BenchRun::new(InsertionDesign::Ecc, &computer)
             };
             let seen = run.run().unwrap();
             assert_eq!((seen.mtc - seen.scale, seen.completed, seen.illegal), (total, total, 0));
@@ -223,9 +225,10 @@ fn more_than_fifteen_pulses_take_two_compensations() {
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     for (pulses, compensations) in [(15, 1), (16, 2), (45, 3)] {
         let totals = [(edges[500].0, 4 * pulses)];
-        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }
-            .run()
-            .unwrap();
+        let seen =
+            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
+                .run()
+                .unwrap();
         assert_eq!((seen.insertions, seen.completed, seen.error_counts()), (compensations, 4 * pulses, 0));
     }
 }
@@ -235,14 +238,17 @@ fn more_than_fifteen_pulses_take_two_compensations() {
 /// That is twice the encoder's frequency (CMTI 2014, section 2.2.2).
 #[test]
 fn the_ecc_works_in_its_lock_range_only() {
-    let (low, high) = safe_range(AnyDesign::Ecc, &Computer::dsp(), AxisConfig::default(), Pll::default(), 1);
+    let (low, high) =
+        safe_range(InsertionDesign::Ecc, &Computer::dsp(), AxisConfig::default(), Pll::default(), 1);
     assert!((1150.0..1153.0).contains(&low), "{low} Hz");
     assert!((62_400.0..=62_501.0).contains(&high), "{high} Hz");
     let computer = Computer::dsp();
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 8000, 1);
         let totals = [(edges[2000].0, 12)];
-        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }.run().unwrap()
+        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
+            .run()
+            .unwrap()
     };
     // It still doubles between 125 and 160 kHz, and between 700 Hz and 2.3 kHz, but without 90°.
     for hz in [70_000.0, 500.0] {
@@ -265,7 +271,8 @@ fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
     for hz in [500.0, 2000.0, 10_000.0, 60_000.0, 79_000.0] {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(0, 60)];
-        let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) };
+        let run =
+            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) };
         let seen = run.run().unwrap();
         assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (60, 0, 0), "{hz} Hz");
         assert!(seen.min_separation_ns > 1000, "{hz} Hz: {seen:?}");
@@ -281,9 +288,10 @@ fn the_ecc_goes_wrong_at_reversal() {
     let turn = edges[1999].0;
     let wrong = (0..40).filter(|n| {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
-        let seen = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::Ecc, &computer) }
-            .run()
-            .unwrap();
+        let seen =
+            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
+                .run()
+                .unwrap();
         seen.error_counts() != 0 || seen.illegal > 0
     });
     assert!(wrong.count() > 0);
@@ -291,10 +299,14 @@ fn the_ecc_goes_wrong_at_reversal() {
     for n in 0..40 {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let config = AxisConfig { max_accel_counts_s2: 2e6, ..AxisConfig::default() };
-        let seen =
-            BenchRun { config, edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::C, &computer) }
-                .run()
-                .unwrap();
+        let seen = BenchRun {
+            config,
+            edges: &edges,
+            totals: &totals,
+            ..BenchRun::new(InsertionDesign::C, &computer)
+        }
+        .run()
+        .unwrap();
         assert_eq!((seen.error_counts(), seen.illegal, seen.faults), (0, 0, 0));
     }
 }
@@ -308,7 +320,7 @@ fn when_the_computer_stops() {
     let computer = Computer::i8051();
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 2)];
-    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(AnyDesign::C, &computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::C, &computer) };
     let after = |die_ns| {
         let seen = BenchRun { die_ns, ..run.clone() }.run().unwrap();
         let (scale, mtc) = seen.at_death.unwrap();
@@ -333,7 +345,7 @@ fn same_seed_same_bytes_and_every_design_draws() {
         ))
     };
     assert_eq!(table(3).unwrap(), table(3).unwrap());
-    for design in AnyDesign::ALL {
+    for design in InsertionDesign::ALL {
         let svg = waveforms(design, &Computer::dsp(), 3);
         assert!(svg.starts_with("<svg") && svg.matches("polyline").count() == 5, "{design:?}");
         assert_eq!(svg, waveforms(design, &Computer::dsp(), 3));

@@ -7,7 +7,7 @@ use rtec_model::record::{Record, Role};
 use rtec_rt::axis::RestPolicy;
 use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting};
 use rtec_sim::heat::FIGURE_9;
-use rtec_sim::sim::Spec;
+use rtec_sim::sim::MachineSpec;
 use std::path::Path;
 
 fn model(text: &str) -> Machine {
@@ -19,7 +19,7 @@ fn effect(name: &str, rest: &str) -> String {
 }
 
 fn run(name: &str, truth: &Machine, known: &Machine, seed: u64) -> Findings {
-    let spec = Spec::machining_centre();
+    let spec = MachineSpec::machining_centre();
     let setting = Setting { spec: &spec, truth, known: Some(known), seed, out: Path::new("out") };
     Experiment::find(name).unwrap().run(&setting).unwrap()
 }
@@ -351,7 +351,7 @@ fn experiments_of_the_sources_bring_their_machine() {
 /// seeds 3, 5 and 6 ended with `TooFast`.
 #[test]
 fn an_axis_that_turns_slowly_is_not_at_rest() {
-    let spec = Spec::machining_centre();
+    let spec = MachineSpec::machining_centre();
     let RestPolicy::Insert { after_ns } = spec.rest else { panic!("{:?}", spec.rest) };
     let (radius_mm, feed_mm_s) = (150.0, 10.0 * 25.4 / 60.0);
     for axis in &spec.axes {

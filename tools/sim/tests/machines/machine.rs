@@ -4,9 +4,9 @@
 
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::gcode::Block;
 use rtec_sim::machine::{ControllerSpec, ServoFault, SimMachine};
-use rtec_sim::sim::{Moment, Sim, Spec};
+use rtec_sim::nc_block::Block;
+use rtec_sim::sim::{MachineSpec, Moment, Sim};
 use std::path::Path;
 
 fn model(text: &str) -> Machine {
@@ -14,7 +14,7 @@ fn model(text: &str) -> Machine {
 }
 
 fn sim(truth: &Machine, known: Option<&Machine>) -> Sim {
-    Sim::new(&Spec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
+    Sim::new(&MachineSpec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
 }
 
 fn rapid(to: [f64; 3]) -> Block {

@@ -107,7 +107,7 @@ impl Channels {
 
 /// Observations of a card's inputs.
 #[derive(Debug)]
-struct Watch {
+struct InputMonitor {
     card: String,
     lines: Vec<Line>,
     axes: Vec<Channels>,
@@ -118,7 +118,7 @@ struct Watch {
     longest_ns: u64,
 }
 
-impl Watch {
+impl InputMonitor {
     fn new(config: &Config, first: &Sample) -> Self {
         let on = |bit: u8| first.inputs >> bit & 1 == 1;
         let line = |WiredLine { name, bit, .. }: WiredLine| {
@@ -220,7 +220,7 @@ impl OnCard for Watching<'_> {
     fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
         let Options { every, during, json } = self.options;
         let first = card.sample(0).map_err(unreachable)?;
-        let mut watch = Watch::new(self.config, &first);
+        let mut watch = InputMonitor::new(self.config, &first);
         let end_ns = during.map_or(u64::MAX, |d| first.t_ns.saturating_add(d.as_nanos() as u64));
         let every_ns = every.as_nanos() as u64;
         let mut next_ns = first.t_ns + every_ns;
@@ -278,7 +278,7 @@ mod tests {
             let probe = if n > 50 { 1 << 28 } else { 0 };
             Sample::level(1_000_000 * (n + 1), x | y | w | probe)
         };
-        let mut watch = Watch::new(&config, &at(0));
+        let mut watch = InputMonitor::new(&config, &at(0));
         let mut pictures = String::new();
         for n in 1..=400 {
             watch.look(&at(n));

@@ -2,11 +2,11 @@
 //! One file per step.
 
 mod bench;
-mod download;
 mod errors;
 mod features;
 mod finish;
 mod inspect;
+mod linuxcnc_download;
 mod load;
 mod points;
 mod post_process;

@@ -6,7 +6,7 @@ use super::{print, usage, within, write_all};
 use crate::Outcome;
 use crate::document::say_pretty;
 use rtec_part::fit::Zx;
-use rtec_part::path::{Collision, Plan, Probe, ProbingMotion, Stem, number_at};
+use rtec_part::path::{Collision, Plan, ProbeGeometry, ProbingMotion, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -183,7 +183,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     within("--margin-mm", args.margin_mm, 0.0..=f64::MAX, "a length in mm, 0 or more")?;
     positive("--off-mm", args.off_mm)?;
     args.bypass.map(|clear_mm| positive("--bypass", clear_mm)).transpose()?;
-    let probe = Probe {
+    let probe = ProbeGeometry {
         tip_mm: positive("--tip-mm", args.tip_mm)?,
         stand_off_mm: positive("--stand-off-mm", args.stand_off_mm.unwrap_or(motion.stand_off_mm()))?,
         over_travel_mm: positive("--over-travel-mm", args.over_travel_mm.unwrap_or(motion.over_travel_mm()))?,
@@ -248,7 +248,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn text(plan: &Plan, hits: &[Collision]) -> String {
-    let (points, Probe { stand_off_mm, over_travel_mm, .. }) = (plan.points.len(), &plan.probe);
+    let (points, ProbeGeometry { stand_off_mm, over_travel_mm, .. }) = (plan.points.len(), &plan.probe);
     let mut t =
         format!("{points} points, stand-off {stand_off_mm:.3} mm, over-travel {over_travel_mm:.3} mm\n");
     for Collision { by, feature, point, at: Zx { z, x }, touching, .. } in hits {

@@ -1,6 +1,6 @@
 //! `rtecctl part program`: the NC probing program from the path and a template.
 
-use super::download::{DownloadArgs, warn_of_dialect};
+use super::linuxcnc_download::{DownloadArgs, warn_of_dialect};
 use super::points::positive;
 use super::{print, usage, write_all};
 use crate::document::say_pretty;
