@@ -138,9 +138,6 @@ impl Families {
         for (i, f) in all.list.iter_mut().enumerate() {
             let (share, of) = if i < named { (NAMED_SHARE, named) } else { (1.0 - NAMED_SHARE, shapes) };
             f.prior += share.ln() - (of as f64).ln() - PRICE;
-            if f.replaces.is_none() && f.effect.as_ref().is_some_and(|e| is_always_in(rows, e)) {
-                f.prior = 0.0;
-            }
         }
         for t in setup::jumps(rows) {
             let segment = rows.segments.iter().find(|s| t.column[s.rows.end - 1] != 0.0);
@@ -389,16 +386,6 @@ impl Families {
 
 /// Positions of a record's rows, and the share of a wave that each shows.
 type Shown = (Vec<f64>, Vec<f64>);
-
-/// Whether the way in which the work stands on the machine causes an effect, in all responses that it acts on.
-/// A plate always lies a little turned.
-fn is_always_in(rows: &Rows<'_>, effect: &Effect) -> bool {
-    let shows = |r: &Record| {
-        Some(r.kind) == effect.description().searched.always_in
-            && effect.acts_on(r).len() == effect.axes().len()
-    };
-    rows.records.iter().any(shows)
-}
 
 /// Log prior penalty of a time constant outside the plausible range.
 /// No part of a machine is faster, and few are slower.

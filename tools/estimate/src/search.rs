@@ -422,7 +422,20 @@ impl<'p> Search<'p> {
                 return false;
             }
         }
+        if f.effect.as_ref().is_some_and(|e| self.is_one_of_two(set, e)) {
+            return false;
+        }
         f.repeats() || !set.members.iter().any(|m| m.family == family)
+    }
+
+    /// Whether a set has the same law with exchanged axes, where a third law makes the two one.
+    fn is_one_of_two(&self, set: &Set, effect: &Effect) -> bool {
+        let Some(beside) = effect.description().searched.one_beside else { return false };
+        let is = |e: &Effect, law: &str| e.description().name == law;
+        let other = |e: &Effect| is(e, &effect.description().name) && e.axes().iter().rev().eq(effect.axes());
+        let third = |e: &Effect| is(e, beside) && e.axes().iter().all(|a| effect.axes().contains(a));
+        set.members.iter().filter_map(|m| m.cause.effect()).any(other)
+            && self.families.list.iter().filter_map(|f| f.effect.as_ref()).any(third)
     }
 
     /// A set without one of its members.

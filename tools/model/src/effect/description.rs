@@ -1,7 +1,7 @@
 //! The properties that a law states about itself.
 //! With them no caller depends on the law's name.
 
-use crate::record::{Axis, Kind, Role};
+use crate::record::{Axis, Role};
 
 /// The axes, and the channel if any, that an effect's name has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -316,9 +316,9 @@ pub struct Searched {
     /// The law that this one accompanies.
     /// A candidate of this law is bound to that law's effect and, if that is a wave, to its period.
     pub beside: Option<&'static str>,
-    /// The kind of record that always shows it, because of how the work stands on the machine.
-    /// Its name then costs nothing.
-    pub always_in: Option<Kind>,
+    /// The law beside which it explains the same as with its axes exchanged.
+    /// Of such two, one at most is in an answer: two axes have one squareness, and the work lies turned.
+    pub one_beside: Option<&'static str>,
 }
 
 /// The description of a law. Its defaults hold for most laws.

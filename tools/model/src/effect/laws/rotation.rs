@@ -1,7 +1,6 @@
 //! `rotation.A.B`: the work or plate is turned in the plane of two axes.
 
-use crate::effect::{Description, Law, Linear, Naming, Need, Parameter, Searched};
-use crate::record::Kind;
+use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -18,7 +17,6 @@ pub(super) fn law() -> Arc<dyn Law> {
             "beyond 50 mrad an error in proportion to the angle is no longer the rotation's to a thousandth",
         )],
         needs: vec![Need::Position(0), Need::Position(1)],
-        searched: Searched { always_in: Some(Kind::Plate), ..Searched::default() },
         ..Description::default()
     };
     Arc::new(Linear {
