@@ -310,30 +310,21 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
     (total, noise)
 }
 
-/// A likelier set with one member more, less or exchanged.
+/// A likelier set with one member more or less.
 /// Each set is compared under the noise that it leaves, and returned with that noise. Noise may have absorbed
 /// a member, and a member may have absorbed noise.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
+    let look = search.look_at(set);
+    let seeds = search.screened(set, &look, false);
     let (now, _) = with_own_noise(search, set);
+    let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
+    let more = more.filter_map(|seed| search.with(set, &search.refined(&set.factor, seed)));
+    let less = (0..set.members.len()).map(|i| search.without(set, i)).filter(|s| search.possible(s));
     let mut best: Option<(f64, Set, Noise)> = None;
-    let mut compare = |other: Set| {
+    for other in more.chain(less) {
         let (total, noise) = with_own_noise(search, &other);
         if total > best.as_ref().map_or(now, |b| b.0) {
             best = Some((total, other, noise));
-        }
-    };
-    let grow = |from: &Set, compare: &mut dyn FnMut(Set)| {
-        let look = search.look_at(from);
-        let seeds = search.screened(from, &look, false);
-        let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
-        more.filter_map(|seed| search.with(from, &search.refined(&from.factor, seed))).for_each(compare);
-    };
-    grow(set, &mut compare);
-    for i in 0..set.members.len() {
-        let less = search.without(set, i);
-        grow(&less, &mut compare);
-        if search.possible(&less) {
-            compare(less);
         }
     }
     best.map(|(_, set, noise)| (set, noise))
