@@ -370,12 +370,16 @@ def model_of(shop, known):
 
 
 def settle_map_lines(effects, runs):
-    """Take constant and line out of each map over the training rows, as the contract says."""
+    """Take constant and line out of each map over the training rows, as the contract says.
+
+    A circle of unknown centre says nothing of a map's line: only rows whose place is known count.
+    """
     for effect in effects:
         law, axes = split_name(effect["name"])
         if law in MAP_LAWS:
             axis = axes[-1]
-            rows = [r.pos[axis] for r in runs if axis in r.pos and np.ptp(r.pos[axis]) > 0
+            placed = [r for r in runs if r.kind != "ballbar" or r.knows_place()]
+            rows = [r.pos[axis] for r in placed if axis in r.pos and np.ptp(r.pos[axis]) > 0
                     and any(x in (f"error.{axes[0]}", "error.r") for x in r.responses)]
             if not rows:
                 continue

@@ -209,15 +209,23 @@ pub struct Problem<'r> {
 }
 
 impl<'r> Problem<'r> {
-    /// The problem of these rows with a model.
+    /// The problem of rows that a gauge read, with a model.
     /// `intervals` are the half widths that the model states, value by value.
     #[must_use]
     pub fn new(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
+        let mut problem = Self::unrounded(rows, model, intervals);
+        problem.take_rounding_out();
+        problem
+    }
+
+    /// The same for computed rows, which no gauge has rounded.
+    #[must_use]
+    pub fn unrounded(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
         let mut missing = rows.measured.clone();
         for effect in model {
             add(&mut missing, -1.0, &rows.predict(effect));
         }
-        let mut problem = Self {
+        Self {
             rows,
             missing,
             terms: setup::terms(rows, model),
@@ -225,9 +233,7 @@ impl<'r> Problem<'r> {
             floors: setup::floors(rows),
             weights: setup::weights(rows),
             rounding_um: vec![0.0; rows.segments.len()],
-        };
-        problem.take_rounding_out();
-        problem
+        }
     }
 
     /// Removes the rounding error of a coarse gauge that noise does not dither.

@@ -278,7 +278,7 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
 /// Repeats at one position and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the
 /// rounding sawtooth (Widrow 1956).
 fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
-    for s in errors(rows) {
+    for s in errors(rows).filter(|s| coarse(rows, s).is_none()) {
         let y = &rows.measured[s.rows.clone()];
         let Some(q) = step_of(y) else { continue };
         let mut groups: std::collections::BTreeMap<Vec<i64>, Vec<usize>> = std::collections::BTreeMap::new();
@@ -426,9 +426,15 @@ pub fn unknown_centre_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -
         }
         let squares = |(c, size): (&[f64], &f64)| size * size * c.iter().map(|v| v * v).sum::<f64>();
         let size = (basis.chunks(n).zip(sizes).map(squares).sum::<f64>() / n as f64).sqrt();
+        // Mirrored so that its place stays the same, a circle shows the same of a map, or its opposite.
+        let (of, along) = (effect.axes().first(), effect.axes().last());
+        let is_first = record.circle().is_some_and(|c| along == Some(&c.plane[0]));
+        let mirrored = |a: f64| if is_first { -a } else { std::f64::consts::PI - a };
+        let sign = if of == along { 1.0 } else { -1.0 };
         for lobes in 2..=8 {
             let k = f64::from(lobes);
-            for f in [f64::cos as fn(f64) -> f64, f64::sin] {
+            let fits = |f: &fn(f64) -> f64| (f(k * mirrored(0.7)) - sign * f(k * 0.7)).abs() < 1e-9;
+            for f in [f64::cos as fn(f64) -> f64, f64::sin].into_iter().filter(fits) {
                 out.push((s.record, column(rows, s, |i| size / k.sqrt() * f(k * angle[i]))));
             }
         }

@@ -292,7 +292,7 @@ impl Simulated {
     /// If `given`, the rival keeps its values.
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
         let rows = Rows::new(&self.records);
-        let problem = Problem::new(&rows, &self.model, &[]);
+        let problem = Problem::unrounded(&rows, &self.model, &[]);
         let base = problem.base(Noise::white(&rows, self.noise.max(1e-6)));
         let left = |effect: &Effect| {
             let mut factor: Factor = base.factor.clone();

@@ -97,6 +97,24 @@ fn a_spike_needs_no_centre() {
     }
 }
 
+/// Along x, a map pulls and pushes the bar alike above and below the axis; a squareness does not.
+#[test]
+fn a_map_at_an_unknown_place_hides_no_squareness() {
+    let model = "[[effect]]\nname = \"position_map.x\"\nknots_mm = [-400.0, -200.0, 0.0, 200.0, 400.0]\n\
+                 um = [8.0, -4.0, 6.0, -9.0, 5.0]\n";
+    let map = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
+    let [knots, um] = [0, 1].map(|p| map.effects().next().unwrap().get(p).to_vec());
+    let height = |x: f64| {
+        let k = knots.partition_point(|k| *k < x).clamp(1, knots.len() - 1);
+        um[k - 1] + (um[k] - um[k - 1]) * (x - knots[k - 1]) / (knots[k] - knots[k - 1])
+    };
+    for seed in repetitions(60..64) {
+        let urad = [-12.0, 9.0][seed as usize % 2];
+        let e = |a: f64, _: f64| height(60.0 + R * a.cos()) * a.cos() + urad * 1e-3 * R * a.sin() * a.cos();
+        says(&reconciled(circles(seed, e), model), &[(&["squareness.x.y", "squareness.y.x"], urad, 2.0)]);
+    }
+}
+
 /// A bug once: rows at rest were named lost counts, and no reversal was.
 #[test]
 fn rows_at_rest_hide_nothing() {
