@@ -51,9 +51,11 @@ pub(crate) enum LoadPurpose {
 /// Refusal of a request that only names its files.
 /// The daemon may read files that its caller may not.
 fn by_name(file: &Path) -> Response {
-    let expected =
-        "the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with its caller's rights";
-    let text = format!("{}: found a name alone, expected {expected}", file.display());
+    let file = file.display();
+    let text = format!(
+        "{file}: found a name alone, expected the open file with it (SCM_RIGHTS), as `rtecctl` sends it: a file is read with \
+         its caller's rights"
+    );
     Response::refused("no_descriptor", text)
 }
 
@@ -121,14 +123,17 @@ impl Session {
                         return log::say(Level::Notice, &format!("machine model {}", file.display()));
                     }
                     _ if unloaded => AGAIN.to_owned(),
-                    _ => {
-                        let why = match sha256.as_str() {
-                            "" => "has not been loaded yet",
-                            _ => "is not the one that was loaded last (its hash is another)",
-                        };
+                    _ if sha256.is_empty() => {
                         let file = file.display();
-                        format!("the model {file} {why}: `rtecctl model load` shows what it changes")
+                        format!(
+                            "the model {file} has not been loaded yet: `rtecctl model load` shows what it changes"
+                        )
                     }
+                    _ => format!(
+                        "the model {} is not the one that was loaded last (its hash is another): `rtecctl model load` shows \
+                         what it changes",
+                        file.display()
+                    ),
                 }
             }
         };
@@ -274,14 +279,16 @@ impl Session {
         if let Some(ticket) = self.loader.give_up()
             && let Some(wish) = self.wish.take()
         {
-            let (what, means) = match wish {
-                LoadPurpose::Keep => (
-                    "keeping",
-                    " and is given up: the record is not kept, unless an event record_kept follows",
+            let s = PATIENCE.as_secs();
+            let text = match wish {
+                LoadPurpose::Keep => format!(
+                    "keeping took longer than {s} s and is given up: the record is not kept, unless an event record_kept \
+                     follows"
                 ),
-                LoadPurpose::Model(_) | LoadPurpose::Table => ("loading", ": nothing is loaded"),
+                LoadPurpose::Model(_) | LoadPurpose::Table => {
+                    format!("loading took longer than {s} s: nothing is loaded")
+                }
             };
-            let text = format!("{what} took longer than {} s{means}", PATIENCE.as_secs());
             return Some((ticket, Response::refused("too_long", text), None));
         }
         let ((ticket, result), given_up) = self.loader.done()?;
