@@ -428,7 +428,8 @@ impl<'p> Search<'p> {
         f.repeats() || !set.members.iter().any(|m| m.family == family)
     }
 
-    /// Whether a set has the same law with exchanged axes, where a third law makes the two one.
+    /// Whether a set has the same law with exchanged axes.
+    /// It counts where a third law makes the two one.
     fn is_one_of_two(&self, set: &Set, effect: &Effect) -> bool {
         let Some(beside) = effect.description().searched.one_beside else { return false };
         let is = |e: &Effect, law: &str| e.description().name == law;

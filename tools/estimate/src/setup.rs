@@ -328,7 +328,8 @@ pub fn step_of(y: &[f64]) -> Option<f64> {
     ((5..400).contains(&count) || is_repeated(y, count)).then_some(q)
 }
 
-/// The step of which all numbers are multiples, and how many different numbers there are.
+/// The step of which all numbers are multiples.
+/// And how many different numbers there are.
 fn step_and_count(y: &[f64]) -> Option<(f64, usize)> {
     let mut values: Vec<f64> = y.to_vec();
     values.sort_by(f64::total_cmp);

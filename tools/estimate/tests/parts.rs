@@ -89,7 +89,7 @@ fn knots_lie_where_values_are() {
     assert!(knots(&[3.0; 7], 40).is_empty());
 }
 
-/// A dial shows its step by five numbers, or by fewer that it reads again and again.
+/// A dial shows its step by five numbers, or by fewer that it repeats.
 #[test]
 fn a_dial_shows_its_step_by_few_numbers_too() {
     for count in 2..5 {

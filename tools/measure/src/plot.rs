@@ -185,7 +185,7 @@ impl Chart {
         self
     }
 
-    /// Adds a side of approach: a line through its points and a dot at each; nothing without points.
+    /// Adds a side of approach: a line through its points and a dot at each.
     pub(crate) fn with_side(self, label: &str, points: Vec<(f64, f64)>, colour: Colour) -> Self {
         if points.is_empty() {
             return self;

@@ -157,7 +157,7 @@ impl Role {
         self.facts().unit
     }
 
-    /// The range of values that a column of this role may hold, in its unit, and the same in words.
+    /// The range of a column of this role, in its unit, and the same in words.
     /// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
     /// unlikely values are the concern of `rtec_measure::plausible`.
     pub(crate) fn possible(&self) -> ([f64; 2], &'static str) {

@@ -87,7 +87,8 @@ pub(crate) fn wrapped(text: &str, width: usize) -> String {
     text.lines().map(line).collect()
 }
 
-/// Words from the column `begin` on, wrapped at `width`; further lines have `indent` blanks.
+/// Words from the column `begin` on, wrapped at `width`.
+/// Further lines have `indent` blanks.
 pub(crate) fn flowed(words: &str, begin: usize, indent: usize, width: usize) -> String {
     let (mut out, mut at) = (String::new(), begin);
     for (n, word) in words.split(' ').enumerate() {

@@ -132,7 +132,8 @@ impl Log {
         }
     }
 
-    /// Whether a message of this kind is written now, and how many were left out before it.
+    /// Whether a message of this kind is written now.
+    /// And how many were left out before it.
     fn admits(&self, kind: &str) -> (bool, u32) {
         let now = Instant::now();
         let mut kinds = self.kinds.lock().unwrap_or_else(PoisonError::into_inner);

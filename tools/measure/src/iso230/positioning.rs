@@ -430,7 +430,7 @@ impl Target {
     }
 }
 
-/// Bidirectional repeatability of a target, from its reversal and the s of both sides.
+/// Bidirectional repeatability of a target, from its reversal and both s.
 fn repeatability(reversal: Option<f64>, [up, down]: [Option<f64>; 2]) -> Option<f64> {
     let (b, up, down) = (reversal?, up?, down?);
     Some((2.0 * up + 2.0 * down + b.abs()).max(4.0 * up).max(4.0 * down))

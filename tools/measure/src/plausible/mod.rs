@@ -59,7 +59,7 @@ use std::path::Path;
 const FEW: f64 = 0.1;
 
 rtec_files::choice! {
-    /// The kind of mistake (`what` of a suspicion, tools/guide/reference/verdict.md).
+    /// The kind of mistake (`what` in tools/guide/reference/verdict.md).
     #[derive(PartialOrd, Ord, Hash, Serialize)]
     #[serde(rename_all = "snake_case")]
     pub enum MistakeKind {

@@ -66,7 +66,7 @@ impl Lag {
 }
 
 /// An input passed through several lags at once, row by row.
-/// It equals as many [`Decay::step`]s to the last digit and is faster.
+/// It equals as many `Decay::step`s to the last digit and is faster.
 #[derive(Debug)]
 pub struct Lags<const N: usize> {
     taus_s: [f64; N],

@@ -97,7 +97,7 @@ fn a_spike_needs_no_centre() {
     }
 }
 
-/// Along x, a map pulls and pushes the bar alike above and below the axis; a squareness does not.
+/// Above and below x a map moves the bar alike; a squareness does not.
 #[test]
 fn a_map_at_an_unknown_place_hides_no_squareness() {
     let model = "[[effect]]\nname = \"position_map.x\"\nknots_mm = [-400.0, -200.0, 0.0, 200.0, 400.0]\n\

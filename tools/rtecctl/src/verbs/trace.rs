@@ -503,7 +503,8 @@ struct Record {
 /// Units of a time, and ns of each.
 const TIMES: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
 
-/// The unit of a column: that of the option, which its name must not contradict, else that of its name.
+/// The unit of a column: the option's, else that of its name.
+/// The two must not contradict each other.
 /// None if its name has no unit; an unknown one in brackets is refused.
 fn unit_of(
     header: &Header,
