@@ -61,7 +61,7 @@ pub struct Plate {
     pub residual_um: Vec<[f64; 2]>,
 }
 
-/// Terms of a plate's joint fit, or their standard errors if the residual is random.
+/// Terms of a plate's joint fit, or their standard errors.
 /// Error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AffineTerms<Angle> {
