@@ -213,7 +213,12 @@ impl<'r> Problem<'r> {
     /// `intervals` are the half widths that the model states, value by value.
     #[must_use]
     pub fn new(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
-        let mut problem = Self::unrounded(rows, model, intervals);
+        let mut problem = Self {
+            terms: setup::terms(rows, model),
+            floors: setup::floors(rows),
+            weights: setup::weights(rows),
+            ..Self::unrounded(rows, model, intervals)
+        };
         problem.take_rounding_out();
         problem
     }
@@ -228,10 +233,13 @@ impl<'r> Problem<'r> {
         Self {
             rows,
             missing,
-            terms: setup::terms(rows, model),
+            terms: setup::terms(rows, model)
+                .into_iter()
+                .filter(|t| t.what != setup::SetUpKind::Rounding)
+                .collect(),
             known: known(rows, model, intervals),
-            floors: setup::floors(rows),
-            weights: setup::weights(rows),
+            floors: vec![0.0; rows.responses.len()],
+            weights: vec![1.0; rows.n],
             rounding_um: vec![0.0; rows.segments.len()],
         }
     }

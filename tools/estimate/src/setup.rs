@@ -229,7 +229,11 @@ fn places(rows: &Rows<'_>, s: &Segment) -> Vec<Vec<i64>> {
 /// one direction.
 fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
     let y = &rows.measured[s.rows.clone()];
-    let (q, _) = step_and_count(y).filter(|(_, count)| is_repeated(y, *count) && *count <= 60)?;
+    let values = numbers(y);
+    let q = least_step(&values).filter(|q| are_multiples(&values, *q))?;
+    if !is_repeated(y, values.len()) || values.len() > 60 {
+        return None;
+    }
     // A repeat is the next row at the same position; without positions it is the next row.
     let at = places(rows, s);
     let mut order: Vec<usize> = (0..y.len()).collect();
@@ -278,9 +282,10 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
 /// Repeats at one position and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the
 /// rounding sawtooth (Widrow 1956).
 fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
-    for s in errors(rows).filter(|s| coarse(rows, s).is_none()) {
+    for s in errors(rows) {
         let y = &rows.measured[s.rows.clone()];
-        let Some(q) = step_of(y) else { continue };
+        // Noise that dithers shows more numbers than a few.
+        let Some(q) = step_of(y).filter(|_| numbers(y).len() >= 5) else { continue };
         let mut groups: std::collections::BTreeMap<Vec<i64>, Vec<usize>> = std::collections::BTreeMap::new();
         for (i, place) in places(rows, s).into_iter().enumerate().filter(|(_, p)| !p.is_empty()) {
             groups.entry(place).or_default().push(i);
@@ -321,25 +326,33 @@ pub fn resolution_um(record: &Record) -> f64 {
 
 /// The step of which all numbers are multiples.
 /// Two numbers define it. Each further one lies on it by chance in one case of 25, so five are not chance.
-/// Fewer show it if they are read again and again.
+/// Of fewer, those that are read again define it, if most rows only repeat a number.
 #[must_use]
 pub fn step_of(y: &[f64]) -> Option<f64> {
-    let (q, count) = step_and_count(y)?;
-    ((5..400).contains(&count) || is_repeated(y, count)).then_some(q)
+    let values = numbers(y);
+    let few = values.len() < 5;
+    let of = if few { values.iter().copied().filter(|v| v.1 > 1).collect() } else { values.clone() };
+    let q = least_step(&of)?;
+    let shows = if few { is_repeated(y, values.len()) } else { values.len() < 400 };
+    (shows && are_multiples(&values, q)).then_some(q)
 }
 
-/// The step of which all numbers are multiples.
-/// And how many different numbers there are.
-fn step_and_count(y: &[f64]) -> Option<(f64, usize)> {
-    let mut values: Vec<f64> = y.to_vec();
-    values.sort_by(f64::total_cmp);
-    values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    let q = values.windows(2).map(|w| w[1] - w[0]).reduce(f64::min)?;
-    let on = |v: &f64| ((v - values[0]) / q - ((v - values[0]) / q).round()).abs() < 0.02;
-    values.iter().all(on).then_some((q, values.len()))
+/// The different numbers, rising, each with how often it is read.
+fn numbers(y: &[f64]) -> Vec<(f64, usize)> {
+    let mut sorted = y.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.chunk_by(|a, b| (*a - *b).abs() < 1e-9).map(|same| (same[0], same.len())).collect()
 }
 
-/// Whether each of so many different numbers is read often.
+fn least_step(values: &[(f64, usize)]) -> Option<f64> {
+    values.windows(2).map(|w| w[1].0 - w[0].0).reduce(f64::min)
+}
+
+fn are_multiples(values: &[(f64, usize)], q: f64) -> bool {
+    values.iter().map(|v| (v.0 - values[0].0) / q).all(|steps| (steps - steps.round()).abs() < 0.02)
+}
+
+/// Whether so many different numbers are read three times each on average.
 const fn is_repeated(y: &[f64], count: usize) -> bool {
     y.len() >= 8 && 3 * count <= y.len()
 }
@@ -429,8 +442,10 @@ pub fn unknown_centre_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -
         let size = (basis.chunks(n).zip(sizes).map(squares).sum::<f64>() / n as f64).sqrt();
         // Mirrored so that its place stays the same, a circle shows the same of a map, or its opposite.
         let (of, along) = (effect.axes().first(), effect.axes().last());
-        let is_first = record.circle().is_some_and(|c| along == Some(&c.plane[0]));
-        let mirrored = |a: f64| if is_first { -a } else { std::f64::consts::PI - a };
+        let Some(side) = record.circle().and_then(|c| c.plane.iter().position(|a| Some(a) == along)) else {
+            continue;
+        };
+        let mirrored = |a: f64| if side == 0 { -a } else { std::f64::consts::PI - a };
         let sign = if of == along { 1.0 } else { -1.0 };
         for lobes in 2..=8 {
             let k = f64::from(lobes);

@@ -97,6 +97,9 @@ fn a_dial_shows_its_step_by_few_numbers_too() {
         assert_eq!(step_of(&dial), Some(10.0), "{count}");
     }
     assert_eq!(step_of(&[1.0, 2.0, 3.0]), None);
+    let mut knocked = vec![0.0; 60];
+    knocked[7] = 40.0;
+    assert_eq!(step_of(&knocked), None, "one wild reading is no step");
     assert_eq!(step_of(&[4.0; 60]), None);
     assert_eq!(step_of(&(0..60).map(|i| f64::from(i * i % 61).sqrt()).collect::<Vec<_>>()), None);
 }

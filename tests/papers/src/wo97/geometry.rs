@@ -95,6 +95,9 @@ fn about_its_centre(radial: &[(f64, f64)]) -> f64 {
 fn reversal(record: &Record, axis: usize, cycle: f64) -> f64 {
     let (error, n) = (error_of(record, axis), column(record, &Role::Cycle));
     let direction = of_axis(record, Role::Direction, axis);
+    if direction.is_empty() {
+        return 0.0;
+    }
     let own: Vec<usize> = (0..error.len()).filter(|k| (n[*k] - cycle).abs() < 0.5).collect();
     let steady = own.get(8..own.len().saturating_sub(8)).unwrap_or_default();
     let mean = |r: std::ops::Range<usize>| error[r.clone()].iter().sum::<f64>() / r.len() as f64;

@@ -112,21 +112,21 @@ impl<const N: usize> Lags<N> {
 mod tests {
     use super::*;
 
-    /// Several lags at once equal single ones for equal, uneven and zero steps.
+    /// Several lags at once equal single steps, even, uneven and of no time.
     #[test]
     fn several_lags_at_once_are_each_to_the_last_digit() {
         let taus_s = [0.5, 30.0, 77.0, 4000.0];
         let mut together = Lags::new(taus_s);
-        let mut single = taus_s.map(Lag::new);
-        let mut t_s = 0.0;
+        let (mut t_s, mut u0, mut each) = (0.0, 20.0, [20.0; 4]);
         for i in 0..500_u32 {
-            t_s += if i % 50 == 0 { 0.0 } else { 0.1 + f64::from(i * i % 17) };
-            let u = 20.0 + f64::from(i * 7 % 31);
-            let each: Vec<f64> = single.iter_mut().map(|lag| lag.next(t_s, u)).collect();
-            assert_eq!(
-                together.next(t_s, u).map(f64::to_bits).as_slice(),
-                each.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
-            );
+            let h_s = if i % 50 == 0 { 0.0 } else { 0.1 + f64::from(i * i % 17) };
+            let (before_s, u) = (t_s, 20.0 + f64::from(i * 7 % 31));
+            t_s += h_s;
+            for (y, tau_s) in each.iter_mut().zip(taus_s).filter(|_| h_s > 0.0) {
+                *y = Decay::over(t_s - before_s, tau_s).step(tau_s, [*y, u0, u]);
+            }
+            u0 = u;
+            assert_eq!(together.next(t_s, u).map(f64::to_bits), each.map(f64::to_bits), "row {i}");
         }
     }
 
