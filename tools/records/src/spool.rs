@@ -396,7 +396,7 @@ fn read_waiting(folder: &Open, sidecar: &Path, name: &str) -> Result<Option<File
     let text = rtec_files::text::decode(sidecar, &words)?;
     let csv = super::record::csv_name(sidecar, &text)?;
     let Some(data) = read(&csv, LONGEST_SENT, "a CSV beside it")? else {
-        if matches!(folder.read(name, LONGEST_SIDECAR), Ok(None)) {
+        if read(name, LONGEST_SIDECAR, "a record's sidecar")?.is_none() {
             return Ok(None);
         }
         let expected = "the CSV that it names, in the same folder";

@@ -214,31 +214,33 @@ fn run(args: &Args) -> anyhow::Result<()> {
             work(card, config, Kind::Real, outside)
         }
         CardConfig::Registers { place, profile } => {
-            let find = || card::find(&place, &profile, Access::Drive);
-            let Some(found) = patience.open(find)? else { return Ok(()) };
-            match found {
-                Found::Parport(file) => {
-                    let open = || card::parport(&file, &profile);
-                    let Some(card) = patience.open(open)? else { return Ok(()) };
-                    work(card, config, Kind::Real, outside)
-                }
-                Found::Ports(base) => {
-                    let open = || card::ports(base, &profile);
-                    let Some(card) = patience.open(open)? else { return Ok(()) };
-                    work(card, config, Kind::Real, outside)
-                }
-                Found::Map(file, map) => {
-                    let open = || card::mapped(&file, map, &profile);
-                    // Opened once before it is locked, because a missing file is waited for.
-                    let Some(()) = patience.open(|| open().map(drop))? else { return Ok(()) };
+            // Found again at each try: meanwhile another driver may have taken the card, or it was reset.
+            let open = || match card::find(&place, &profile, Access::Drive)? {
+                Found::Parport(file) => card::parport(&file, &profile).map(Opened::Parport),
+                Found::Ports(base) => card::ports(base, &profile).map(Opened::Ports),
+                // Opened once before it is locked, because a missing file is waited for.
+                Found::Map(file, map) => card::mapped(&file, map, &profile).map(|_| Opened::Map(file, map)),
+            };
+            let Some(opened) = patience.open(open)? else { return Ok(()) };
+            match opened {
+                Opened::Parport(card) => work(card, config, Kind::Real, outside),
+                Opened::Ports(card) => work(card, config, Kind::Real, outside),
+                Opened::Map(file, map) => {
                     let _card_lock = lock::card(&file).map_err(Failure::from)?;
-                    let card = open()?;
+                    let card = card::mapped(&file, map, &profile)?;
                     let real = cards::drives_a_machine(&file)?;
                     work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside)
                 }
             }
         }
     }
+}
+
+/// Registers that were opened; a map is opened again under its lock.
+enum Opened<Parport, Ports> {
+    Parport(Parport),
+    Ports(Ports),
+    Map(PathBuf, u8),
 }
 
 /// Longest wait for a card that comes up late.
