@@ -14,5 +14,5 @@ pub mod pci; // a card on the PCI bus: found, enabled, checked
 pub mod port; // registers that are I/O ports: parallel port, 8255 cards
 pub mod profile; // register and bit of each line, as data
 pub mod quadrature; // the state table of two signals in quadrature, and a decoder that counts
-pub mod registers; // a card of registers, and of the card's own counters, however they are reached
+pub mod register_card; // a card of registers, and of the card's own counters, however they are reached
 pub mod replay; // a recorded trace on a virtual clock

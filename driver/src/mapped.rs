@@ -4,7 +4,7 @@
 use crate::card::CardError;
 use crate::clock::Clock;
 use crate::profile::{Profile, Width};
-use crate::registers::{Bus, RegisterCard, SetUpError};
+use crate::register_card::{Bus, RegisterCard, SetUpError};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::ffi::c_void;
 use std::fs::File;

@@ -2,11 +2,11 @@
 //! A parallel port is reached through the kernel's `ppdev`, other ports by the processor's own instructions.
 //!
 //! Each access costs about a microsecond on an old bus, so a write that changes nothing is not made
-//! ([`RegisterCard::write`](crate::registers::RegisterCard)).
+//! ([`RegisterCard::write`](crate::register_card::RegisterCard)).
 
 use crate::card::CardError;
 use crate::profile::Width;
-use crate::registers::Bus;
+use crate::register_card::Bus;
 use std::fs::File;
 use std::io;
 use std::os::fd::AsRawFd;

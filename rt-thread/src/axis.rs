@@ -168,8 +168,8 @@ enum Due {
 
 /// In which order a real edge and an inversion reached the XOR gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum EdgeOrder {
-    EdgeLast,
+enum EdgeVersusInversion {
+    InversionFirst,
     EdgeFirst,
     Unknown,
 }
@@ -865,18 +865,18 @@ impl AxisEngine {
     /// The inversion is not confirmed yet. Edge and inversion are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
-            None => EdgeOrder::EdgeLast,
+            None => EdgeVersusInversion::InversionFirst,
             // The same signal changed twice, so the MTC is where it was in either order.
-            Some(u) if u.signal == signal => EdgeOrder::EdgeLast,
+            Some(u) if u.signal == signal => EdgeVersusInversion::InversionFirst,
             Some(u) => match (u.done_ns, edge_ns) {
-                (Some(done), e) if e > done => EdgeOrder::EdgeLast,
-                (_, e) if e <= u.from_ns && u.done_ns.is_some() => EdgeOrder::EdgeFirst,
-                _ => EdgeOrder::Unknown,
+                (Some(done), e) if e > done => EdgeVersusInversion::InversionFirst,
+                (_, e) if e <= u.from_ns && u.done_ns.is_some() => EdgeVersusInversion::EdgeFirst,
+                _ => EdgeVersusInversion::Unknown,
             },
         };
         let w = &mut self.wire;
         match (order, self.unsettled) {
-            (EdgeOrder::EdgeFirst, Some(u)) => {
+            (EdgeVersusInversion::EdgeFirst, Some(u)) => {
                 let undone = w.mtc.flipped(u.signal);
                 w.mtc_count -= i64::from(undone.step_of(u.signal));
                 w.mtc_count += i64::from(undone.step_of(signal));
@@ -885,9 +885,9 @@ impl AxisEngine {
             }
             _ => w.pass_on(signal, w.mtc.step_of(signal)),
         }
-        if order == EdgeOrder::Unknown {
+        if order == EdgeVersusInversion::Unknown {
             self.fault(Fault::OrderUnknown, report);
-        } else if order == EdgeOrder::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
+        } else if order == EdgeVersusInversion::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
             // The edge came before the second inversion after all. Only now is the effect of the pair known.
             w.completed = w.mtc_count - self.scale.count();
         }

@@ -5,7 +5,7 @@
 //! it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_platform::selftest::{Backend, SelftestOptions, run};
+use rtec_platform::latency_test::{Backend, SelftestOptions, run};
 use rtec_rt::histogram::{Snapshot, histogram};
 use rtec_rt::setup::{RtSettings, System, apply};
 use std::process::Command;

@@ -5,11 +5,11 @@ use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
 use crate::{PaperError, Progress};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
-use rtec_sim::computer::Computer;
+use rtec_sim::bench::{BenchResult, BenchSetup, Edge, InsertionDesign, constant};
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::described::SourceFiles;
-use rtec_sim::designs::safe_range;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
+use rtec_sim::insertion_designs::safe_range;
 use serde::Deserialize;
 
 /// The machine as its file describes it.
@@ -197,8 +197,8 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     let hz = circuit.fastest_m_min * 1e3 / 60.0 / circuit.pitch_mm * circuit.pulses_per_revolution;
     // Counted, not only reckoned: over a tenth of a second.
     let edges = constant(0, hz, (4.0 * hz / 10.0) as u64, 1);
-    let computer = Computer::dsp();
-    let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(InsertionDesign::C, &computer) };
+    let computer = ComputerTiming::dsp();
+    let seen = BenchSetup { edges: &edges, keep_log: true, ..BenchSetup::new(InsertionDesign::C, &computer) };
     let seen = seen.run().ok_or_else(|| cannot("the fastest motion"))?;
     let (mut a, mut xor) = (0_u64, 0_u64);
     for w in seen.log.windows(2) {
@@ -210,7 +210,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     rows.given().number((place, what, "kHz"), 80.0, a as f64 / 100.0, Share(0.05), about);
     let gets = xor as f64 / 100.0;
     rows.given().number((place, "XOR of A and B at that speed", "kHz"), 160.0, gets, Share(0.05), about);
-    let dsp = Computer::dsp();
+    let dsp = ComputerTiming::dsp();
     let config = AxisConfig::default();
     let (low, high) = safe_range(InsertionDesign::Ecc, &dsp, config, circuit.pll, seed);
     let put_in = "what the paper measured of its PLL is put into the model; here it is found again from what reaches the \
@@ -244,9 +244,9 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
 
 /// A total asked at an edge of a motion, if all of it was inserted.
 fn compensated(circuit: &Circuit, edges: &[Edge], at: usize, total: i64, seed: u64) -> Option<BenchResult> {
-    let (dsp, totals) = (Computer::dsp(), [(edges[at].0, total)]);
-    let new = BenchRun::new(InsertionDesign::Ecc, &dsp);
-    let seen = BenchRun { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
+    let (dsp, totals) = (ComputerTiming::dsp(), [(edges[at].0, total)]);
+    let new = BenchSetup::new(InsertionDesign::Ecc, &dsp);
+    let seen = BenchSetup { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
     seen.filter(|s| s.completed == total && s.error_counts() == 0)
 }
 

@@ -5,9 +5,9 @@
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_sim::bench::Edge;
-use rtec_sim::designs::trace;
 use rtec_sim::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
 use rtec_sim::insertion::{CorrectedAxis, MtcDecoder};
+use rtec_sim::insertion_designs::trace;
 use std::fmt::Write as _;
 
 /// A compensation that the embedded controller requests, one after another.

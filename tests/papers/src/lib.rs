@@ -28,8 +28,8 @@ pub use spread::Spread;
 
 use rows::Rows;
 use rtec_files::InputError;
+use rtec_sim::compensation_experiments::ExperimentError;
 use rtec_sim::described::SourceFiles;
-use rtec_sim::experiment::ExperimentError;
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::SimError;
 use rtec_sim::turning::TurningError;

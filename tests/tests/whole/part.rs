@@ -57,11 +57,11 @@ fn largest_um(errors: &Value) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// A daemon whose simulated machine does `duty`.
-fn daemon(folder: &Path, duty: &str) -> Daemon {
+/// A daemon whose simulated machine does `task`.
+fn daemon(folder: &Path, task: &str) -> Daemon {
     let (config, lathe, socket) = (folder.join("rtec.toml"), folder.join("lathe.toml"), folder.join("s"));
     std::fs::write(&config, CONFIG).unwrap();
-    std::fs::write(&lathe, duty).unwrap();
+    std::fs::write(&lathe, task).unwrap();
     let mut command = Command::new(program("rtecd"));
     command.arg("--socket").arg(&socket).arg("--config").arg(&config).arg("--lathe").arg(&lathe);
     let daemon = Daemon::spawn(&mut command, &socket);

@@ -224,7 +224,10 @@ fn the_record_tells_who_did_what_and_shows_what_was_done_to_it() {
     until("the record", || std::fs::read_to_string(&refused).is_ok_and(|t| t.contains("total +900")));
     let text = daemon.expect(0, &["log", "--axis", "x"]);
     assert!(
-        text.contains("correct") && text.contains("x requested +0 to +12") && !text.contains("900"),
+        text.contains("correct")
+            && text.contains("x requested +0 to +12")
+            && !text.contains("axis=\"y\"")
+            && !text.contains("+900"),
         "{text}"
     );
     assert!(daemon.expect(0, &["log", "--since", "1h"]).contains("900"));

@@ -23,7 +23,7 @@ use clap::Parser;
 use mqtt::{Connection, Login};
 use rtec_control::client::Client;
 use rtec_control::config::{Config, ControlConfig};
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Observed, Response, word};
+use rtec_control::protocol::{ClientRequest, DaemonSnapshot, DaemonStatus, Response, word};
 use rtec_files::eprintln;
 use serde_json::{Value, json};
 use std::io;
@@ -179,7 +179,7 @@ impl Bridge<'_> {
     }
 
     /// Publishes new events, and notes them once the broker has answered a ping.
-    fn tell(&mut self, broker: &mut Connection, seen: &Observed) -> io::Result<()> {
+    fn tell(&mut self, broker: &mut Connection, seen: &DaemonSnapshot) -> io::Result<()> {
         let last = seen.events.last().map_or(self.known.unwrap_or(0), |e| e.n);
         if self.known.is_some() {
             let topic = format!("{}/event", self.args.topic);
@@ -199,7 +199,7 @@ impl Bridge<'_> {
         Ok(())
     }
 
-    fn look(&mut self) -> anyhow::Result<Observed> {
+    fn look(&mut self) -> anyhow::Result<DaemonSnapshot> {
         let seen = self.observe()?;
         // A daemon that has restarted counts its events from the beginning.
         let anew = seen.status.uptime_s < self.uptime_s;
@@ -211,7 +211,7 @@ impl Bridge<'_> {
         Ok(seen)
     }
 
-    fn observe(&mut self) -> anyhow::Result<Observed> {
+    fn observe(&mut self) -> anyhow::Result<DaemonSnapshot> {
         let client = match &mut self.client {
             Some(client) => client,
             empty => empty.insert(connect(self.args)?),

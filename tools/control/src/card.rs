@@ -8,7 +8,7 @@ use rtec_driver::mapped::{MapError, MappedCard, Registers};
 use rtec_driver::pci::{self, PciError};
 use rtec_driver::port::{Parport, PortError, Ports};
 use rtec_driver::profile::{Profile, Space};
-use rtec_driver::registers::{Bus, RegisterCard, SetUpError};
+use rtec_driver::register_card::{Bus, RegisterCard, SetUpError};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 

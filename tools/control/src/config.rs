@@ -11,7 +11,7 @@ mod card;
 mod control;
 mod keys;
 mod latency;
-mod local_checks;
+mod reference_checks;
 
 pub use control::{ControlConfig, LONGEST_SOCKET, RoleSocket, SocketAt, default_directory, derived};
 pub use keys::reference;
@@ -464,7 +464,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         notes,
     };
     if here {
-        local_checks::look(source, document, &mut config);
+        reference_checks::look(source, document, &mut config);
     }
     Some(config)
 }

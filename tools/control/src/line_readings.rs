@@ -6,7 +6,7 @@ use rtec_driver::card::{Card, CardError};
 use rtec_driver::gpio::{self, GpioSetup};
 use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Profile, Register};
-use rtec_driver::registers::Bus;
+use rtec_driver::register_card::Bus;
 use serde::Serialize;
 use std::time::Duration;
 

@@ -5,7 +5,7 @@
 //! rule thus needs no text. The two formats differ in the names of counters' families, in the type `info` and
 //! in the last line.
 
-use crate::protocol::{AxisReport, DaemonStatus, LogState, Observed, RtStatus, word};
+use crate::protocol::{AxisReport, DaemonSnapshot, DaemonStatus, LogState, RtStatus, word};
 use rtec_rt::event::Fault;
 use std::fmt::Write as _;
 
@@ -41,7 +41,7 @@ const UNITS: [&str; 4] = ["seconds", "meters", "celsius", "hertz"];
 /// Metrics of an observation of the daemon.
 /// Without one they state that the daemon does not answer. `by` is the version of the program that writes
 /// them.
-pub fn text(seen: Option<&Observed>, form: MetricsFormat, by: &str) -> String {
+pub fn text(seen: Option<&DaemonSnapshot>, form: MetricsFormat, by: &str) -> String {
     let mut out = Out { text: String::new(), form };
     out.gauge("rtec_up", "1 while the daemon answers", [(vec![], flag(seen.is_some()))]);
     out.info("rtec_exporter", "The program that wrote these metrics", &[("version", by)]);
@@ -156,7 +156,7 @@ fn thread(out: &mut Out, s: &DaemonStatus) {
     }
 }
 
-fn times(out: &mut Out, seen: &Observed) {
+fn times(out: &mut Out, seen: &DaemonSnapshot) {
     let h = &seen.histograms;
     let help = "Time between two looks at the card";
     out.histogram("rtec_poll_gap_seconds", help, &h.poll_gap_ns, h.poll_gap_sum_ns);

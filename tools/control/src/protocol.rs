@@ -224,7 +224,7 @@ pub enum Response {
         axes: Vec<Explained>,
     },
     /// Everything that can be seen.
-    Observed(Box<Observed>),
+    Observed(Box<DaemonSnapshot>),
     /// The caller, as the daemon knows it.
     Whoami(Box<Caller>),
 }
@@ -248,7 +248,7 @@ impl Response {
 
 /// Everything that can be seen, for programs that watch the daemon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Observed {
+pub struct DaemonSnapshot {
     /// As `status` answers.
     pub status: DaemonStatus,
     /// As `explain` answers, for all axes.
@@ -411,12 +411,12 @@ pub struct EventReport {
     pub text: String,
     /// Position of the axis when the probe tripped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trip: Option<TripReport>,
+    pub trip: Option<ProbeTripReport>,
 }
 
 /// The position of one axis at a trip of the probe, captured by the engine.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct TripReport {
+pub struct ProbeTripReport {
     /// Position, interpolated between the neighbouring edges, counts.
     pub position_counts: f64,
     /// The same position, mm.

@@ -81,7 +81,7 @@ pub struct AxisChange {
 
 /// Result of a rehearsal.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Rehearsal {
+pub struct RehearsalResult {
     /// One entry per axis of the shift.
     pub axes: Vec<AxisChange>,
     /// Share of the rows on which an effect of the new model was outside its range.
@@ -141,7 +141,7 @@ pub fn rehearse(
     new: &Machine,
     shift: &Record,
     options: &Options,
-) -> Result<Rehearsal, InputError> {
+) -> Result<RehearsalResult, InputError> {
     let axes = axes_of(shift, [present, new]);
     if axes.len() > MAX_AXES {
         let found = format!("{} axes in the shift and the models", axes.len());
@@ -226,7 +226,7 @@ impl Rows {
         }
     }
 
-    fn judge(self, all: usize) -> Rehearsal {
+    fn judge(self, all: usize) -> RehearsalResult {
         let share = |n: usize| n as f64 / all.max(1) as f64;
         let axes = self.setups.into_iter().zip(self.totals).zip(self.held);
         let axes = axes.map(|((setup, rows), held)| {
@@ -250,7 +250,7 @@ impl Rows {
                 rows,
             }
         });
-        Rehearsal {
+        RehearsalResult {
             axes: axes.collect(),
             outside: self.outside.into_iter().map(|(effect, n)| (effect, share(n))).collect(),
         }

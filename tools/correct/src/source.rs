@@ -35,7 +35,7 @@ pub(crate) struct ModelSource {
     ranges: Vec<FittedRange>,
     /// The last value of each configured sensor.
     values: Vec<Option<f64>>,
-    inputs: Inputs,
+    inputs: NonAxisInputs,
     /// State of each configured sensor at the last reading.
     states: Vec<Use>,
     /// Sensors lost for so long that corrections hold until they are enabled again.
@@ -46,7 +46,7 @@ pub(crate) struct ModelSource {
 
 /// Inputs of the model other than the axes.
 #[derive(Debug, Clone, Default)]
-struct Inputs {
+struct NonAxisInputs {
     temperatures_degc: Vec<f64>,
     channels: Vec<f64>,
     rpm: f64,
@@ -54,7 +54,7 @@ struct Inputs {
     held: Vec<bool>,
 }
 
-impl Inputs {
+impl NonAxisInputs {
     fn frame<'a>(&'a self, t_s: f64, axes: &'a [AxisNow], probing: bool) -> Frame<'a> {
         Frame {
             t_s,
@@ -322,11 +322,11 @@ impl ModelSource {
             InputError::whole(&machine.path, missing.to_string(), "what the configuration has")
         })?;
         Ok(Self {
-            inputs: Inputs {
+            inputs: NonAxisInputs {
                 temperatures_degc: vec![STANDARD_DEGC; sensors.len()],
                 channels: vec![0.0; channels.len()],
                 held: vec![false; axes.len()],
-                ..Inputs::default()
+                ..NonAxisInputs::default()
             },
             states: vec![Use::Hold; watches.len()],
             lost: vec![false; watches.len()],

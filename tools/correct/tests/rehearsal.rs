@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_correct::rehearse::{AxisChange, Options, Rehearsal, rehearse};
+use rtec_correct::rehearse::{AxisChange, Options, RehearsalResult, rehearse};
 use rtec_correct::{AxisSetup, RAMP_UM_S};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Kind, Record, Role};
@@ -44,7 +44,7 @@ fn fine(axes: &[&str]) -> Options {
     Options { axes: axes.iter().map(axis).collect(), ..Options::default() }
 }
 
-fn axis<'r>(found: &'r Rehearsal, name: &str) -> &'r AxisChange {
+fn axis<'r>(found: &'r RehearsalResult, name: &str) -> &'r AxisChange {
     found.axes.iter().find(|a| a.axis == name).unwrap()
 }
 

@@ -56,14 +56,14 @@ pub struct Reader<R> {
 pub(crate) struct Oddities {
     pub(crate) commented: Option<Commented>,
     /// Rows that end with extra separators after the last named column, and others.
-    pub(crate) beyond: Beyond,
+    pub(crate) beyond: TrailingSeparators,
     /// Number of another program's lines before the columns' names.
     pub(crate) preamble: usize,
 }
 
 /// Rows that end with more separators than their header, and rows that do not.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct Beyond {
+pub(crate) struct TrailingSeparators {
     /// The line of the first such row.
     pub(crate) line: usize,
     pub(crate) rows: usize,

@@ -13,7 +13,6 @@ pub mod csv; // CSV: rows of cells with their places, columns by name
 pub mod date; // calendar days
 mod decimal; // numbers, parsed
 pub mod file_kind; // the kind of a file that was given in place of another
-pub mod folder; // a folder that other users may write to: no link in it is followed
 pub mod input_error; // the error type for a file that a person wrote; messages about input that is accepted
 pub mod keys; // one table of keys per section of a TOML file, to read, check and document it
 mod lines; // a file line by line through one buffer
@@ -25,6 +24,7 @@ pub mod text; // a text file read whole: UTF-8 or UTF-16, without its byte-order
 pub mod toml; // strict reading of TOML: the first finding, or all of them
 pub mod trace; // recorded quadrature, as CSV and VCD, and requested totals
 pub mod units; // units that the name of a column states
+pub mod untrusted_folder; // a folder that other users may write to: no link in it is followed
 mod vcd; // the VCD half of `trace`
 pub mod write; // files that appear whole or not at all
 

@@ -5,7 +5,7 @@
 //! (`1.000.000`), or one that cannot separate thousands (`38,1125`, `0,125`). One mark before three digits
 //! (`1.000`, `38,125`) does not show it; then the other cells of the column decide.
 
-use crate::csv::{Beyond, Commented, Oddities, Reader, Style};
+use crate::csv::{Commented, Oddities, Reader, Style, TrailingSeparators};
 use crate::decimal::{SIGNS, number};
 use crate::input_error::InputError;
 use crate::text::unreadable;
@@ -267,7 +267,7 @@ impl TableMarks {
     /// Reports extra separators at the end of rows.
     /// If every row has them, they are a program's habit. If only some have them, a cell may be missing.
     fn separators(&self) -> Option<String> {
-        let Beyond { line, rows, others } = self.oddities.beyond;
+        let TrailingSeparators { line, rows, others } = self.oddities.beyond;
         let end = if rows == 1 { "row ends" } else { "rows end" };
         (rows > 0 && others > 0).then(|| {
             format!(

@@ -183,7 +183,7 @@ pub const MOST_ROWS: usize = 1 << 18;
 fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<LongDrift>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
-        None => record::RecordPieces::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
+        None => record::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
     };
     if drift { LongDrift::of(path, more_than) } else { Ok(None) }
 }

@@ -1,7 +1,7 @@
 //! Plots as SVG text without fonts or scripts; the legend is beside the data.
 
-mod look;
 mod polar;
+mod series_style;
 mod thin;
 mod vectors;
 
@@ -269,7 +269,7 @@ impl Chart {
             } else {
                 style.pos(Pos::new(HPos::Center, VPos::Top))
             };
-            look::words(&area, name, (x, y + 8), &style)?;
+            series_style::words(&area, name, (x, y + 8), &style)?;
         }
         let width_of_bar = if self.x_names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
         for (i, s) in self.series.iter().enumerate() {
@@ -281,7 +281,7 @@ impl Chart {
                 Style::Bars | Style::Band => thin::finite(&s.points).collect(),
             }
             .into_iter();
-            match (s.style, look::dash(place)) {
+            match (s.style, series_style::dash(place)) {
                 (Style::Line, None) => {
                     chart.draw_series(LineSeries::new(points, colour.stroke_width(2)))?;
                 }
@@ -290,7 +290,13 @@ impl Chart {
                 }
                 (Style::Dots, _) => {
                     for p in points {
-                        look::marker(&area, place, chart.plotting_area().map_coordinate(&p), 2, colour)?;
+                        series_style::marker(
+                            &area,
+                            place,
+                            chart.plotting_area().map_coordinate(&p),
+                            2,
+                            colour,
+                        )?;
                     }
                 }
                 (Style::Bars, _) => {
@@ -312,7 +318,7 @@ impl Chart {
         for (i, (x, _)) in self.marks.iter().enumerate() {
             chart.draw_series(LineSeries::new([(*x, y0), (*x, y1)], BLACK.mix(0.3)))?;
             let at = chart.plotting_area().map_coordinate(&(*x, y1));
-            look::words(&area, &(i + 1).to_string(), (at.0 + 4, at.1 + 3), &small)?;
+            series_style::words(&area, &(i + 1).to_string(), (at.0 + 4, at.1 + 3), &small)?;
         }
         if let Some(legend) = legend {
             self.legend(&legend)?;
@@ -337,24 +343,24 @@ impl Chart {
             let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
             match s.style {
                 Style::Line => {
-                    look::sample(area, place, [0, 20], y, colour)?;
+                    series_style::sample(area, place, [0, 20], y, colour)?;
                 }
-                Style::Dots => look::marker(area, place, (10, y), 3, colour)?,
+                Style::Dots => series_style::marker(area, place, (10, y), 3, colour)?,
                 Style::Bars => area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], colour.filled()))?,
                 Style::Band => {
                     area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], colour.mix(0.25).filled()))?;
                 }
             }
-            look::words(area, &s.label, (26, y), &style)?;
+            series_style::words(area, &s.label, (26, y), &style)?;
             y += row;
         }
         y += 8;
         let small =
             ("sans-serif", 13).into_font().color(&BLACK.mix(0.7)).pos(Pos::new(HPos::Left, VPos::Center));
         for (i, lines) in marks.iter().enumerate() {
-            look::words(area, &(i + 1).to_string(), (2, y), &small)?;
+            series_style::words(area, &(i + 1).to_string(), (2, y), &small)?;
             for line in lines {
-                look::words(area, line, (26, y), &small)?;
+                series_style::words(area, line, (26, y), &small)?;
                 y += 16;
             }
         }

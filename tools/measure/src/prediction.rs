@@ -49,7 +49,7 @@ pub fn write(
     out: &mut impl Write,
     say: &mut dyn FnMut(Said),
 ) -> Result<(), Failed> {
-    let Some(mut pieces) = record::RecordPieces::of(path)? else {
+    let Some(mut pieces) = record::RecordPieceReader::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
     // Derived motion needs the positions of all rows, so the record is read as a whole.
@@ -123,7 +123,10 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
 }
 
 /// The range of a record, and its number of rows.
-fn look_over(pieces: &mut record::RecordPieces, asked: &mut FitRangeCheck<'_>) -> Result<(Reach, usize)> {
+fn look_over(
+    pieces: &mut record::RecordPieceReader,
+    asked: &mut FitRangeCheck<'_>,
+) -> Result<(Reach, usize)> {
     let (mut reach, mut rows, mut held) = (Reach::default(), 0, BTreeMap::new());
     while let Some(mut record) = pieces.next_record(PIECE_ROWS)? {
         plausible::hold_last_good(&mut record, &mut held);

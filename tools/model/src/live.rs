@@ -104,7 +104,7 @@ struct Reading {
 
 /// An effect with the places of all its inputs.
 #[derive(Debug, Clone)]
-struct Item {
+struct LiveEffect {
     effect: Effect,
     coefficients: Vec<f64>,
     /// The basis and its coefficient, if the effect is just their product on one axis.
@@ -158,7 +158,7 @@ struct LiveChain {
 pub struct Live {
     layout: Layout,
     readings: Vec<Reading>,
-    items: Vec<Item>,
+    items: Vec<LiveEffect>,
     chain: Option<LiveChain>,
     scratch: Vec<f64>,
     /// Errors of the layout's axes, µm, then their forces, N.
@@ -267,7 +267,7 @@ impl Live {
                 [only] if components == 1 && !weighed => effect.law().stateless().map(|basis| (basis, only)),
                 _ => None,
             };
-            items.push(Item {
+            items.push(LiveEffect {
                 coefficients,
                 quick,
                 reading,
@@ -413,7 +413,7 @@ impl Reading {
     }
 }
 
-impl Item {
+impl LiveEffect {
     /// The value times its weight; zero for a probe's effect while nothing is probed.
     fn weigh(&mut self, value: f64, first: f64, delta_k: f64, probing: bool) -> f64 {
         self.fade(value, first, delta_k);

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_model::effect::{
-    Description, Dictionary, Heat, Mechanism, Naming, Need, Owner, Parameter, Probing, Quantity,
+    Dictionary, Heat, LawDescription, Mechanism, Naming, Need, Owner, Parameter, Probing, Quantity,
 };
 use std::fmt::Write as _;
 use std::path::Path;
@@ -34,7 +34,7 @@ fn the_page_of_effects_is_what_the_dictionary_says() {
     test_needs::golden(&file, &page);
 }
 
-fn name(law: &Description) -> String {
+fn name(law: &LawDescription) -> String {
     let rest = match law.naming {
         Naming::Plain => "",
         Naming::One => ".A",
@@ -45,7 +45,7 @@ fn name(law: &Description) -> String {
     format!("{}{rest}", law.name)
 }
 
-fn describe(page: &mut String, law: &Description) {
+fn describe(page: &mut String, law: &LawDescription) {
     let _ = write!(page, "\n## {}\n\n| | |\n|---|---|\n", law.name);
     let mut row = |what: &str, text: &str| {
         if !text.is_empty() {

@@ -1,6 +1,6 @@
 //! The contour of a turned part: segments and features in probing order.
 
-use crate::edges::Edges;
+use crate::edge_tree::EdgeTree;
 use crate::fit::Zx;
 use crate::svg::Svg;
 use serde::Serialize;
@@ -321,9 +321,9 @@ pub struct Contour {
     material_left: bool,
     chords: Vec<(usize, Vec<Zx>)>,
     /// All chords; for each its feature and its start along that, mm.
-    surface: Edges,
+    surface: EdgeTree,
     starts: Vec<(usize, f64)>,
-    outline: Edges,
+    outline: EdgeTree,
     /// What was left out of the drawing or simplified, one sentence each.
     pub cleaned: Vec<String>,
 }
@@ -432,7 +432,7 @@ impl Contour {
             corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
         }
         let outline = (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]);
-        let (surface, outline) = (Edges::new(edges), Edges::new(outline.collect()));
+        let (surface, outline) = (EdgeTree::new(edges), EdgeTree::new(outline.collect()));
         Self { features, closed, material_left, chords, surface, starts, outline, cleaned: Vec::new() }
     }
 

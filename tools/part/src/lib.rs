@@ -28,7 +28,7 @@ pub mod cor;
 pub mod determine;
 pub mod drawing;
 mod dxf;
-mod edges;
+mod edge_tree;
 pub mod errors;
 pub mod fit;
 pub mod line_table;

@@ -2,7 +2,7 @@
 
 use crate::cor::LineError;
 use crate::fit::Zx;
-use crate::table::{AxisCounts, FinishRow, csv_of, interpolated};
+use crate::table::{AxisCounts, FinishCorrectionRow, csv_of, interpolated};
 
 /// A straight feature's errors, ready for its finish cut.
 #[derive(Debug, Clone)]
@@ -61,7 +61,7 @@ impl LineTable {
     }
 
     /// The table: a row at each probed point, and `between` rows between neighbours.
-    pub fn rows(&self, between: usize) -> Vec<FinishRow> {
+    pub fn rows(&self, between: usize) -> Vec<FinishCorrectionRow> {
         let steps = between + 1;
         let mut places: Vec<(f64, Zx, f64)> = Vec::new();
         for pair in self.errors.windows(2) {
@@ -78,7 +78,7 @@ impl LineTable {
         places.extend(self.errors.last().map(|e| (e.angle_rad, e.place, e.error_um)));
         let row = |(angle_rad, place, error_um): (f64, Zx, f64)| {
             let part_mm = place + Zx::at_angle(angle_rad) * self.nose_mm;
-            FinishRow::new(&self.axes, angle_rad, error_um, part_mm, self.origin)
+            FinishCorrectionRow::new(&self.axes, angle_rad, error_um, part_mm, self.origin)
         };
         places.into_iter().map(row).collect()
     }
@@ -93,7 +93,7 @@ impl LineTable {
     /// The table as CSV, with the columns of [`crate::table::csv`].
     /// `lead_mm` is the distance before each position at which its totals are sent. The cut runs towards
     /// larger places, or with `backwards` towards smaller ones.
-    pub fn csv(&self, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
+    pub fn csv(&self, rows: &[FinishCorrectionRow], lead_mm: f64, backwards: bool) -> String {
         let way = match (self.errors.first(), self.errors.last()) {
             (Some(a), Some(b)) => (b.place - a.place).unit().unwrap_or(Zx::new(0.0, 0.0)),
             _ => Zx::new(0.0, 0.0),

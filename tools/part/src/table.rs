@@ -71,7 +71,7 @@ impl FinishCut {
 
 /// One line of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct FinishRow {
+pub struct FinishCorrectionRow {
     /// Angle of the surface that is cut.
     pub angle_rad: f64,
     /// Error to remove, interpolated between the probed points.
@@ -86,7 +86,7 @@ pub struct FinishRow {
     pub left_um: f64,
 }
 
-impl FinishRow {
+impl FinishCorrectionRow {
     /// The row at a place, with the totals of both axes for its error.
     pub(crate) fn new(
         axes: &[AxisCounts; 2],
@@ -169,7 +169,7 @@ impl FinishTable {
     }
 
     /// The table: a row at each probed point, and `between` rows between neighbours.
-    pub fn rows(&self, between: usize) -> Vec<FinishRow> {
+    pub fn rows(&self, between: usize) -> Vec<FinishCorrectionRow> {
         let steps = between + 1;
         let mut angles: Vec<f64> = Vec::new();
         for pair in self.errors.windows(2) {
@@ -181,7 +181,7 @@ impl FinishTable {
             .into_iter()
             .map(|angle_rad| {
                 let (error_um, part_mm) = (self.error_um(angle_rad), self.cut.part_at(angle_rad));
-                FinishRow::new(&self.axes, angle_rad, error_um, part_mm, self.cut.origin)
+                FinishCorrectionRow::new(&self.axes, angle_rad, error_um, part_mm, self.cut.origin)
             })
             .collect()
     }
@@ -248,18 +248,18 @@ const HEADER: &str = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machin
 /// The table as CSV.
 /// `lead_mm` is the distance before each position, along the cut, at which its totals are sent. The cut runs
 /// towards larger angles, or with `backwards` towards smaller ones.
-pub fn csv(table: &FinishTable, rows: &[FinishRow], lead_mm: f64, backwards: bool) -> String {
+pub fn csv(table: &FinishTable, rows: &[FinishCorrectionRow], lead_mm: f64, backwards: bool) -> String {
     let lead_rad = lead_mm / (table.cut.radius_mm + table.cut.nose_mm) * if backwards { 1.0 } else { -1.0 };
     csv_of(rows, |r| table.cut.machine_at(r.angle_rad + lead_rad))
 }
 
 /// The rows as CSV.
 /// `send_at` is the machine position at which a row's totals are sent.
-pub(crate) fn csv_of(rows: &[FinishRow], send_at: impl Fn(&FinishRow) -> Zx) -> String {
+pub(crate) fn csv_of(rows: &[FinishCorrectionRow], send_at: impl Fn(&FinishCorrectionRow) -> Zx) -> String {
     let mut text = HEADER.to_owned();
     for r in rows {
         let send = send_at(r);
-        let FinishRow { angle_rad, error_um, part_mm, machine_mm, requested: [z, x], left_um } = r;
+        let FinishCorrectionRow { angle_rad, error_um, part_mm, machine_mm, requested: [z, x], left_um } = r;
         let _ = writeln!(
             text,
             "{angle_rad:.6},{error_um:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{z},{x},{left_um:.3}",

@@ -1,6 +1,6 @@
 //! A short self-test on a mock card.
 //! It measures the latencies of the speed gate, and checks that the ledger balances.
-use rtec_platform::selftest::{Backend, SelftestOptions, run};
+use rtec_platform::latency_test::{Backend, SelftestOptions, run};
 use std::time::Duration;
 
 #[cfg_attr(test, test)]

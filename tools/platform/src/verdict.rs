@@ -1,8 +1,8 @@
 //! Edge rates that the measured latency allows, and the verdict of a self-test.
 
 use crate::far_side::FarSide;
+use crate::latency_test::{Measured, MeasuredOn};
 use crate::measurement::{Latency, SelftestOptions};
-use crate::selftest::{Measured, MeasuredOn};
 use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance, floors_ns};
 use rtec_control::protocol::{Rates, explain_fault, word};
 use rtec_rt::axis::AxisConfig;

@@ -29,10 +29,10 @@ use rtec_part::determine;
 use rtec_reconcile::{Options, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{InsertionDesign, replay_any};
-use rtec_sim::computer::Computer;
-use rtec_sim::designs::{TestMotion, compare};
+use rtec_sim::compensation_experiments::{EXPERIMENTS, Setting};
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::example::EXAMPLES;
-use rtec_sim::experiment::{EXPERIMENTS, Setting};
+use rtec_sim::insertion_designs::{TestMotion, compare};
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::MachineSpec;
 use serde_json::json;
@@ -547,7 +547,7 @@ pub(crate) fn designs(
     seed: u64,
 ) -> PyResult<(String, String)> {
     quietly(py, move || {
-        let all = [("8051", Computer::i8051 as fn() -> Computer), ("dsp", Computer::dsp)];
+        let all = [("8051", ComputerTiming::i8051 as fn() -> ComputerTiming), ("dsp", ComputerTiming::dsp)];
         let computer = one_of("computer", &computer, &all)?();
         for (name, v, low, high) in
             [("encoder_hz", encoder_hz, 0.1, 1e8), ("accel_counts_s2", accel_counts_s2, 1.0, 1e12)]

@@ -2,13 +2,13 @@
 //! It finds where they disagree and which effect is missing. It returns a better model, and how far the gap
 //! shrank.
 //!
-//! To read the code, follow [`reconcile()`] → `doubt` → `answer` (which calls `rtec-estimate`) →
+//! To read the code, follow [`reconcile()`] → `data_screening` → `answer` (which calls `rtec-estimate`) →
 //! [`Reconciliation`].
 //!
 //! | module | what |
 //! |---|---|
 //! | `workflow` | the whole workflow: doubts, the estimate, changes to the model |
-//! | `doubt`, `suspected` | people's mistakes that records show by themselves: reported and left out |
+//! | `data_screening`, `suspected` | people's mistakes that records show by themselves: reported and left out |
 //! | `mistakes` | mistakes as hypotheses beside the model |
 //! | `subsample` | a subsample of very many rows |
 //! | `answer` | the estimate as findings |
@@ -28,8 +28,8 @@
 
 mod advice;
 mod answer;
+mod data_screening;
 mod document;
-mod doubt;
 mod gap;
 mod grid_aliases;
 mod interval;

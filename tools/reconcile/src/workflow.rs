@@ -3,7 +3,7 @@
 use crate::Options;
 use crate::advice::advice;
 use crate::answer::{Answer, Finding, analyse, stated};
-use crate::doubt::{self, Doubts, doubts};
+use crate::data_screening::{self, Doubts, doubts};
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::interval;
 use crate::localisation::{self, ResidualStructure};
@@ -121,7 +121,8 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         }
     }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
-    let strangers = doubt::other_machines(better.comparable(&answer, &held), machine, &better.model, &gap);
+    let strangers =
+        data_screening::other_machines(better.comparable(&answer, &held), machine, &better.model, &gap);
     let unsaid = doubts.unsaid(given.0, given.1, &better.model);
     let mut left_out = [doubts.left_out, held_out].concat();
     let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);
@@ -424,7 +425,7 @@ impl Analysed {
             return Self::of(train, machine, level);
         }
         let mut first = Self::of(&doubts.train, machine, level);
-        let lags = first.answer.findings.iter().any(|(f, _)| doubt::reads_clock(&f.effect));
+        let lags = first.answer.findings.iter().any(|(f, _)| data_screening::reads_clock(&f.effect));
         if lags && doubts.without_clocks() {
             if doubts.train.is_empty() {
                 return Self::of(train, machine, level);

@@ -83,7 +83,7 @@ pub fn csv_name(path: &Path, sidecar: &str) -> Result<String, InputError> {
 }
 
 /// Reads a record of any number of rows in pieces, with bounded memory.
-pub struct RecordPieces {
+pub struct RecordPieceReader {
     path: PathBuf,
     sidecar: Sidecar,
     /// Length of the CSV, bytes.
@@ -101,7 +101,7 @@ pub struct RecordPiece {
     pub texts: Vec<String>,
 }
 
-impl RecordPieces {
+impl RecordPieceReader {
     /// Opens a record before its first piece.
     /// Returns `None` for a ballbar's circle, because the place of a row there depends on the rows around it.
     ///
@@ -162,7 +162,7 @@ impl RecordPieces {
         Ok(record.map(|record| RecordPiece { record, texts }))
     }
 
-    /// As [`RecordPieces::next`], without the texts.
+    /// As [`RecordPieceReader::next`], without the texts.
     ///
     /// # Errors
     /// Errors of [`read`] in these rows.
@@ -564,7 +564,7 @@ impl SidecarLocation {
 }
 
 #[derive(Debug)]
-struct Listed {
+struct DeclaredColumn {
     name: String,
     role: Role,
     unit: String,
@@ -583,7 +583,7 @@ struct Sidecar {
     date: Option<String>,
     note: Option<String>,
     zero: Option<String>,
-    columns: Vec<Listed>,
+    columns: Vec<DeclaredColumn>,
 }
 
 impl Sidecar {
@@ -642,7 +642,7 @@ impl Sidecar {
         let note = root.get("note").map(|v| v.str("free text").map(str::to_owned)).transpose()?;
         let listed =
             root.required("columns", "a table [columns] of the CSV's columns")?.table("a table [columns]")?;
-        let mut columns: Vec<Listed> = Vec::new();
+        let mut columns: Vec<DeclaredColumn> = Vec::new();
         for entry in listed.entries() {
             let t = entry.table("{ role = \"…\", unit = \"…\" }")?;
             t.only(&["role", "unit"])?;
@@ -672,7 +672,7 @@ impl Sidecar {
                 return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));
             }
             let place = SidecarLocation(entry.key_error("", ""));
-            columns.push(Listed { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
+            columns.push(DeclaredColumn { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
         }
         let file_error = SidecarLocation(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();

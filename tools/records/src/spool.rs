@@ -7,7 +7,7 @@
 //! store unchanged.
 
 use rtec_files::InputError;
-use rtec_files::folder::Folder as Open;
+use rtec_files::untrusted_folder::Folder;
 use rtec_model::record::{Record, hex};
 use sha2::{Digest, Sha256};
 use std::io;
@@ -27,7 +27,7 @@ const PUTTING: &str = ".rtec-put-";
 const SENDING: &str = ".rtec-sent-";
 
 /// A store of records; its keys are paths with `/`.
-pub trait Store {
+pub trait RecordStore {
     /// Stores bytes under a key, whole or not at all.
     ///
     /// # Errors
@@ -44,16 +44,16 @@ pub trait Store {
 /// A store in a folder of this computer or a mounted share.
 /// Other programs write to it too, so no link in it is followed.
 #[derive(Debug, Clone)]
-pub struct Folder(PathBuf);
+pub struct FolderStore(PathBuf);
 
-impl Folder {
+impl FolderStore {
     /// Opens an existing folder.
     /// A missing folder is a share that is not mounted, and is not created.
     ///
     /// # Errors
     /// When there is no such folder.
     pub fn open(path: &Path) -> io::Result<Self> {
-        Open::open(path).map(|_| Self(path.to_owned()))
+        Folder::open(path).map(|_| Self(path.to_owned()))
     }
 }
 
@@ -63,17 +63,17 @@ fn parts(key: &str) -> (impl Iterator<Item = &str>, &str) {
     (folders.split('/').filter(|f| !f.is_empty()), file)
 }
 
-impl Store for Folder {
+impl RecordStore for FolderStore {
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
         let (mut folders, file) = parts(key);
-        let folder = folders.try_fold(Open::open(&self.0)?, |folder, name| folder.make_folder(name))?;
+        let folder = folders.try_fold(Folder::open(&self.0)?, |folder, name| folder.make_folder(name))?;
         folder.write(file, bytes, 0o644 & folder.mode()?, &|| true)
     }
 
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>> {
         let (mut folders, file) = parts(key);
         // A missing share is an error, and not a store without this key.
-        let root = Open::open(&self.0)?;
+        let root = Folder::open(&self.0)?;
         match folders.try_fold(root, |folder, name| folder.folder(name)) {
             Ok(folder) => folder.read(file, LONGEST_SENT),
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -139,7 +139,7 @@ impl SpoolLimits {
     pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
 
     /// Checks that there is room for `bytes` more bytes.
-    fn takes(self, folder: &Open, bytes: u64) -> io::Result<()> {
+    fn takes(self, folder: &Folder, bytes: u64) -> io::Result<()> {
         let full = |text: String| Err(io::Error::new(io::ErrorKind::StorageFull, text));
         let disk = nix::sys::statvfs::fstatvfs(folder)?;
         let (free, all) =
@@ -200,7 +200,7 @@ pub fn put(
         let text = format!("found the name {stem:?} with {hidden:?}, expected one that can be read");
         return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
     }
-    let folder = Open::open(spool)?;
+    let folder = Folder::open(spool)?;
     finish_begun(&folder)?;
     limits.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
     // A user who may read the folder may read the records, whatever the process's umask.
@@ -232,7 +232,7 @@ fn place(
     record: &mut Record,
     csv: &[u8],
     stem: &str,
-    (folder, begun): (&Open, &Open),
+    (folder, begun): (&Folder, &Folder),
     mode: u32,
     go_on: &dyn Fn() -> bool,
 ) -> io::Result<String> {
@@ -266,13 +266,13 @@ fn place(
 /// # Errors
 /// When the file system fails.
 pub fn finish(spool: &Path) -> io::Result<()> {
-    finish_begun(&Open::open(spool)?)
+    finish_begun(&Folder::open(spool)?)
 }
 
 /// Finishes the work of killed processes.
 /// A record with both files is moved to its place; a partial one is removed. A record that was sent is moved
 /// to the sent ones.
-fn finish_begun(folder: &Open) -> io::Result<()> {
+fn finish_begun(folder: &Folder) -> io::Result<()> {
     for name in folder.names()? {
         if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
             continue;
@@ -315,13 +315,13 @@ fn no_record(finding: &InputError) -> io::Error {
 ///
 /// # Errors
 /// The first failure of the store or of the spool.
-pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingResult, ShipError> {
+pub fn ship(spool: &Path, store: &dyn RecordStore, machine: &str) -> Result<ShippingResult, ShipError> {
     let letter = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
     if machine.is_empty() || machine.starts_with('.') || !machine.chars().all(letter) {
         return Err(ShipError::Name(machine.to_owned()));
     }
     let trouble = |path: &Path, error| ShipError::Spool { path: path.to_owned(), error };
-    let folder = Open::open(spool).map_err(|e| trouble(spool, e))?;
+    let folder = Folder::open(spool).map_err(|e| trouble(spool, e))?;
     finish_begun(&folder).map_err(|e| trouble(spool, e))?;
     let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
     let mut round = ShippingResult::default();
@@ -388,7 +388,7 @@ pub fn ship(spool: &Path, store: &dyn Store, machine: &str) -> Result<ShippingRe
 ///
 /// # Errors
 /// Why it is no record, so that it stays in the spool.
-fn read_waiting(folder: &Open, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
+fn read_waiting(folder: &Folder, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
     let read = |file: &str, longest, expected| {
         folder.read(file, longest).map_err(|e| InputError::whole(sidecar, e.to_string(), expected))
     };
@@ -408,7 +408,7 @@ fn read_waiting(folder: &Open, sidecar: &Path, name: &str) -> Result<Option<File
 
 /// Moves a sent record to the sent ones.
 /// Its sidecar is in the folder `sending` already.
-fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
+fn aside(folder: &Folder, sending: &Folder, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
     // A kill between the two moves leaves the CSV in the spool. The sidecar names it, and no other record
     // does.
@@ -440,7 +440,7 @@ fn aside(folder: &Open, sending: &Open, digits: &str) -> io::Result<()> {
 type Files = [(String, Vec<u8>); 2];
 
 /// Names of the sidecars of a spool, in order.
-fn waiting(folder: &Open) -> io::Result<Vec<String>> {
+fn waiting(folder: &Folder) -> io::Result<Vec<String>> {
     let mut names = folder.names()?;
     names.retain(|n| n.ends_with(".run.toml") && !n.starts_with('.'));
     Ok(names)
@@ -469,7 +469,7 @@ mod tests {
         }
     }
 
-    impl Store for Flaky {
+    impl RecordStore for Flaky {
         fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
             let gone = self.call();
             if gone.is_err() && self.torn {
@@ -488,11 +488,11 @@ mod tests {
     }
 
     fn waits(spool: &Path) -> Vec<String> {
-        waiting(&Open::open(spool).unwrap()).unwrap()
+        waiting(&Folder::open(spool).unwrap()).unwrap()
     }
 
     fn names(folder: &Path) -> Vec<String> {
-        Open::open(folder).unwrap().names().unwrap()
+        Folder::open(folder).unwrap().names().unwrap()
     }
 
     fn record(folder: &Path, name: &str, value: f64) {
@@ -542,7 +542,7 @@ mod tests {
     #[test]
     fn the_same_record_again_is_one_and_a_broken_one_stays() {
         let (spool, to) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let store = Folder::open(to.path()).unwrap();
+        let store = FolderStore::open(to.path()).unwrap();
         record(spool.path(), "a", 1.0);
         std::fs::write(spool.path().join("b.run.toml"), "kind = 3\n").unwrap();
         let round = ship(spool.path(), &store, "m").unwrap();
@@ -562,7 +562,7 @@ mod tests {
     /// A store whose spool is sent by another process too.
     struct Beside<'a> {
         spool: &'a Path,
-        store: &'a Folder,
+        store: &'a FolderStore,
         calls: Cell<usize>,
         at: usize,
     }
@@ -576,7 +576,7 @@ mod tests {
         }
     }
 
-    impl Store for Beside<'_> {
+    impl RecordStore for Beside<'_> {
         fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
             self.call();
             self.store.put(key, bytes)
@@ -595,7 +595,7 @@ mod tests {
             for (name, value) in [("a", 1.0), ("b", 2.0), ("c", 3.0)] {
                 record(spool.path(), name, value);
             }
-            let folder = Folder::open(to.path()).unwrap();
+            let folder = FolderStore::open(to.path()).unwrap();
             let store = Beside { spool: spool.path(), store: &folder, calls: Cell::new(0), at };
             let round = ship(spool.path(), &store, "m").unwrap();
             assert!(round.kept.is_empty(), "{at}: {:?}", round.kept);
@@ -611,7 +611,7 @@ mod tests {
         record(spool.path(), "a", 1.0);
         // A file is in the place of the folder for sent records.
         std::fs::write(spool.path().join(SENT), "").unwrap();
-        let store = Folder::open(to.path()).unwrap();
+        let store = FolderStore::open(to.path()).unwrap();
         assert!(matches!(ship(spool.path(), &store, "m"), Err(ShipError::Spool { .. })));
         assert!(std::fs::read_dir(to.path()).unwrap().next().is_none());
     }
@@ -644,11 +644,15 @@ mod tests {
         for linked in ["inbox", "inbox/m", "inbox/m/DIGEST"] {
             let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
             record(spool.path(), "a", 1.0);
-            let store = Folder::open(shop.path()).unwrap();
+            let store = FolderStore::open(shop.path()).unwrap();
             let place = {
                 let other = tempfile::tempdir().unwrap();
                 record(other.path(), "a", 1.0);
-                ship(other.path(), &Folder::open(tempfile::tempdir().unwrap().keep().as_path()).unwrap(), "m")
+                ship(
+                    other.path(),
+                    &FolderStore::open(tempfile::tempdir().unwrap().keep().as_path()).unwrap(),
+                    "m",
+                )
             };
             let linked = shop.path().join(linked.replace("inbox/m/DIGEST", &place.unwrap().sent[0]));
             std::fs::create_dir_all(linked.parent().unwrap()).unwrap();
@@ -661,7 +665,7 @@ mod tests {
         // A link in the place of the file itself is replaced.
         let (spool, shop) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         record(spool.path(), "a", 1.0);
-        let first = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap().sent.remove(0);
+        let first = ship(spool.path(), &FolderStore::open(shop.path()).unwrap(), "m").unwrap().sent.remove(0);
         let precious = away.path().join("precious");
         std::fs::write(&precious, "mine").unwrap();
         for file in ["a.csv", "a.run.toml"] {
@@ -670,7 +674,8 @@ mod tests {
             symlink(&precious, &at).unwrap();
         }
         record(spool.path(), "a", 1.0);
-        let error = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap_err().to_string();
+        let error =
+            ship(spool.path(), &FolderStore::open(shop.path()).unwrap(), "m").unwrap_err().to_string();
         assert!(error.contains("found a link"), "{error}");
         assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
         // Nothing is read through a link in the spool, or from another folder.
@@ -686,7 +691,7 @@ mod tests {
             std::fs::write(spool.path().join(format!("{name}.run.toml")), words.replace("far.csv", &file))
                 .unwrap();
         }
-        let round = ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap();
+        let round = ship(spool.path(), &FolderStore::open(shop.path()).unwrap(), "m").unwrap();
         assert_eq!((round.sent.len(), round.kept.len()), (0, 4), "{round:?}");
         assert!(names(shop.path()).is_empty());
     }
@@ -726,13 +731,13 @@ mod tests {
             if both {
                 std::fs::rename(spool.path().join("a.csv"), sending.join("a.csv")).unwrap();
             }
-            ship(spool.path(), &Folder::open(shop.path()).unwrap(), "m").unwrap();
+            ship(spool.path(), &FolderStore::open(shop.path()).unwrap(), "m").unwrap();
             assert_eq!(names(spool.path()), [SENT]);
             assert_eq!(names(&spool.path().join("sent/0123")), ["a.csv", "a.run.toml"]);
         }
         // The folder of a living process is left alone.
         let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let folder = Open::open(spool.path()).unwrap();
+        let folder = Folder::open(spool.path()).unwrap();
         let begun = folder.make_folder(&format!("{PUTTING}1-1")).unwrap();
         let _held = begun.lock().unwrap().unwrap();
         record(made.path(), "b", 8.0);

@@ -6,7 +6,7 @@ use crate::say;
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, ControlConfig, INSTALLED};
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Explained, Jump, Observed, Response};
+use rtec_control::protocol::{ClientRequest, DaemonSnapshot, DaemonStatus, Explained, Jump, Response};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -120,7 +120,7 @@ pub(crate) fn unexpected(answer: &Response) -> anyhow::Error {
 }
 
 /// Everything that the daemon shows, with the events after a known one.
-pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<Observed> {
+pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<DaemonSnapshot> {
     match ask(client, &ClientRequest::Observe { events_after })? {
         Response::Observed(seen) => Ok(*seen),
         other => Err(unexpected(&other)),

@@ -10,8 +10,8 @@ use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::trace::TraceReader;
 use rtec_part::fit::Zx;
-use rtec_sim::duty::{Cuts, Duty};
 use rtec_sim::lathe::Lathe;
+use rtec_sim::machining_task::{CutRecorder, MachiningTask};
 use rtec_sim::strokes::{MovingAxes, Operator, StrokeMotion, Truth, moving_axes};
 use rtec_sim::wires::MachineWires;
 use std::path::{Path, PathBuf};
@@ -77,19 +77,19 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Simulat
 pub(crate) fn lathe(
     config: &Config,
     file: &Path,
-) -> Result<(MockCard<MachineWires<Lathe>, Monotonic>, Cuts), InputError> {
+) -> Result<(MockCard<MachineWires<Lathe>, Monotonic>, CutRecorder), InputError> {
     let axis = |name: &str| {
         let missing = || InputError::whole(file, format!("a configuration without axis {name}"), "z and x");
         config.axes.iter().find(|a| a.name == name).ok_or_else(missing)
     };
     let (z, x) = (axis("z")?, axis("x")?);
-    let mut duty = Duty::read(file)?;
+    let mut task = MachiningTask::read(file)?;
     if z.count_um.to_bits() != x.count_um.to_bits() {
         return Err(InputError::whole(file, "axes of unequal count_um", "one count_um for z and x"));
     }
-    duty.bench.count_um = z.count_um;
+    task.bench.count_um = z.count_um;
     let home = Zx::new(z.home_counts as f64, x.home_counts as f64) * (z.count_um * 1e-3);
-    let (wires, cuts) = duty.machine([z.engine.lines, x.engine.lines], config.lines, home)?;
+    let (wires, cuts) = task.machine([z.engine.lines, x.engine.lines], config.lines, home)?;
     Ok((MockCard::new(wires, Monotonic), cuts))
 }
 

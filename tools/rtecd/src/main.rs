@@ -322,7 +322,7 @@ fn work<C: Card + Send + 'static>(
     for Finding { name, wanted, got, remedy, .. } in running.report.iter().flat_map(Report::missing) {
         log::say(Level::Warning, &format!("{name}: wanted {wanted}, found {got}: {remedy}"));
     }
-    let set_up = session::RtStartup {
+    let set_up = session::RtStartupReport {
         real,
         wanted: options.wanted,
         missing: running.report.take(),

@@ -10,7 +10,7 @@
 //! event reports that.
 
 use rtec_control::config::{ConfiguredAxis, ControlConfig};
-use rtec_control::protocol::TripReport;
+use rtec_control::protocol::ProbeTripReport;
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::message_text::{quoted, unseen};
@@ -30,7 +30,7 @@ const HANGING: usize = 4;
 const FREE_PERCENT: u64 = 5;
 
 /// One trip of the probe, at the same time for all axes.
-struct Trip {
+struct ProbeTrip {
     at_ns: [u64; 2],
     /// Position of each axis, mm.
     position_mm: Vec<Option<f64>>,
@@ -42,7 +42,7 @@ struct Run {
     /// Time of its begin: on the card's clock, ns, and in seconds since 1970.
     began_ns: u64,
     began_s: f64,
-    trips: Vec<Trip>,
+    trips: Vec<ProbeTrip>,
 }
 
 /// Result of a record: its file, or why it was not kept.
@@ -106,7 +106,7 @@ impl RecordSpool {
     }
 
     /// Adds one axis at a trip; the axes of one trip come one after the other.
-    pub(crate) fn trip(&mut self, axis: usize, axes: &[ConfiguredAxis], trip: &TripReport, now_s: f64) {
+    pub(crate) fn trip(&mut self, axis: usize, axes: &[ConfiguredAxis], trip: &ProbeTripReport, now_s: f64) {
         let Some(run) = &mut self.run else { return };
         if run.trips.last().is_none_or(|t| t.at_ns != trip.at_ns || t.position_mm[axis].is_some()) {
             if run.trips.len() == TRIPS {
@@ -116,7 +116,7 @@ impl RecordSpool {
                 return self.trip(axis, axes, trip, now_s);
             }
             let (position_mm, degc) = (vec![None; axes.len()], trip.degc.clone());
-            run.trips.push(Trip { at_ns: trip.at_ns, position_mm, degc });
+            run.trips.push(ProbeTrip { at_ns: trip.at_ns, position_mm, degc });
         }
         if let Some(last) = run.trips.last_mut() {
             last.position_mm[axis] = Some(trip.position_mm);
@@ -229,7 +229,8 @@ fn no_folder(folder: &Path) -> String {
 /// A probing run as a record with one row for each trip.
 /// An axis or a sensor that was not known at every trip has no column.
 fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Option<Record> {
-    let seconds = |t: &Trip| u64::midpoint(t.at_ns[0], t.at_ns[1]).saturating_sub(run.began_ns) as f64 / 1e9;
+    let seconds =
+        |t: &ProbeTrip| u64::midpoint(t.at_ns[0], t.at_ns[1]).saturating_sub(run.began_ns) as f64 / 1e9;
     let good = |role: &Role, data: &[f64]| data.iter().all(|v| check(role, *v, None).is_ok());
     let mut columns = vec![Column::new("t", Role::Time, run.trips.iter().map(seconds).collect())];
     let mut counts_um = Vec::new();
@@ -273,8 +274,8 @@ mod tests {
     use super::*;
     use rtec_control::config::Config;
 
-    fn report(t_ns: u64, position_mm: f64, degc: Vec<Option<f64>>) -> TripReport {
-        TripReport {
+    fn report(t_ns: u64, position_mm: f64, degc: Vec<Option<f64>>) -> ProbeTripReport {
+        ProbeTripReport {
             position_counts: position_mm * 1000.0,
             position_mm,
             uncertainty_counts: 0.5,

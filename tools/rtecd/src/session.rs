@@ -89,7 +89,7 @@ pub(crate) struct RequestContext {
 }
 
 /// Facts about the real-time thread from its start.
-pub(crate) struct RtStartup {
+pub(crate) struct RtStartupReport {
     /// The card drives a real machine.
     pub real: bool,
     pub wanted: Option<RtSettings>,
@@ -127,7 +127,7 @@ impl Time for SystemClock {
 
 pub(crate) struct Session {
     config: Config,
-    set_up: RtStartup,
+    set_up: RtStartupReport,
     time: Rc<dyn Time>,
     started: Instant,
     patience: Duration,
@@ -177,14 +177,14 @@ pub(crate) struct Session {
 impl Session {
     pub(crate) fn new(
         config: Config,
-        set_up: RtStartup,
+        set_up: RtStartupReport,
         (sensors, clock): (Buses, Clock),
         edited_files: Option<EditedFiles>,
     ) -> Self {
         Self { edited_files, ..Self::by(Rc::new(SystemClock(clock)), config, set_up, sensors) }
     }
 
-    fn by(time: Rc<dyn Time>, config: Config, set_up: RtStartup, mut sensors: Buses) -> Self {
+    fn by(time: Rc<dyn Time>, config: Config, set_up: RtStartupReport, mut sensors: Buses) -> Self {
         let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let (model, axes) = (&config.model, config.axes.len());
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;

@@ -54,20 +54,20 @@ pub struct SensorMonitor {
     raw: Option<(f64, f64)>,
     last_reading_s: Option<f64>,
     /// Possible range of the next reading, by good readings and the fastest change.
-    reach: Option<Reach>,
+    reach: Option<ReachableRange>,
     fault: Option<SensorFault>,
 }
 
 /// The range a value can have reached from the good readings so far, °C.
 /// The fastest rate bounds the change over time, however often readings come.
 #[derive(Debug, Clone, Copy)]
-struct Reach {
+struct ReachableRange {
     low: f64,
     high: f64,
     at_s: f64,
 }
 
-impl Reach {
+impl ReachableRange {
     fn of(value: f64, at_s: f64) -> Self {
         Self { low: value, high: value, at_s }
     }
@@ -136,8 +136,9 @@ impl SensorMonitor {
         if self.fault.is_none() {
             self.good = Some((value, now_s));
             let before = self.reach.filter(|_| self.rate().is_finite());
-            self.reach =
-                Some(before.map_or(Reach::of(value, now_s), |r| r.at(now_s, self.rate()).with(value)));
+            self.reach = Some(
+                before.map_or(ReachableRange::of(value, now_s), |r| r.at(now_s, self.rate()).with(value)),
+            );
         }
     }
 
@@ -150,7 +151,7 @@ impl SensorMonitor {
     /// One second of change is allowed for the reading itself.
     fn jumps(&self, now_s: f64, value: f64) -> bool {
         let Some(reach) = self.reach.filter(|_| self.rate().is_finite()) else { return false };
-        let Reach { low, high, .. } = reach.at(now_s, self.rate());
+        let ReachableRange { low, high, .. } = reach.at(now_s, self.rate());
         // A difference by rounding is not a change.
         let reading = self.rate() + 1e-9;
         value > high + reading || value < low - reading

@@ -3,7 +3,7 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use rtec_records::spool::Store;
+use rtec_records::spool::RecordStore;
 use rusty_s3::{Bucket, Credentials, S3Action, UrlStyle};
 use sha2::{Digest, Sha256};
 use std::io;
@@ -136,7 +136,7 @@ impl S3 {
     }
 }
 
-impl Store for S3 {
+impl RecordStore for S3 {
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
         let key = self.key(key);
         // The store computes the same sum over what it gets, and refuses anything that differs.

@@ -1,6 +1,6 @@
 //! One axis in motion with any design on any computer, and the count at the MTC.
 
-use crate::computer::Computer;
+use crate::computer_timing::ComputerTiming;
 use crate::design_b::DesignB;
 use crate::ecc::{Ecc, Pll};
 use crate::full_cycle::FullCycle;
@@ -173,7 +173,7 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
 /// It polls when it has time, and its writes take effect later.
 struct Rig<'a, G> {
     gates: G,
-    computer: Option<&'a Computer>,
+    computer: Option<&'a ComputerTiming>,
     /// Whether each poll is one pass of a loop (Design B).
     passes: bool,
     edges: &'a [Edge],
@@ -292,11 +292,11 @@ impl<G: Gates> Card for Rig<'_, G> {
 
 /// A run on the bench.
 #[derive(Debug, Clone)]
-pub struct BenchRun<'a> {
+pub struct BenchSetup<'a> {
     /// The insertion design.
     pub design: InsertionDesign,
     /// The computer. The ECC is a circuit and needs none.
-    pub computer: &'a Computer,
+    pub computer: &'a ComputerTiming,
     /// The axis; its times are replaced by the computer's.
     pub config: AxisConfig,
     /// The scale's state before the first edge.
@@ -358,10 +358,10 @@ impl BenchResult {
     }
 }
 
-impl BenchRun<'_> {
+impl BenchSetup<'_> {
     /// A run with the axis at rest at A = B = low, no requests, no stop, speed gate on.
-    pub fn new(design: InsertionDesign, computer: &Computer) -> BenchRun<'_> {
-        BenchRun {
+    pub fn new(design: InsertionDesign, computer: &ComputerTiming) -> BenchSetup<'_> {
+        BenchSetup {
             design,
             computer,
             config: AxisConfig::default(),

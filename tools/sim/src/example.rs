@@ -3,8 +3,8 @@
 //! drawings. Texts are in `machines/`. The runs are simulated from fixed seeds.
 
 use crate::axis::AxisSpec;
+use crate::compensation_experiments::{Experiment, ExperimentError, Setting};
 use crate::described::{self, wo97_of};
-use crate::experiment::{Experiment, ExperimentError, Setting};
 use crate::sim::MachineSpec;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;

@@ -5,25 +5,25 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`computer`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
+//! | [`computer_timing`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
 //! | [`mod@bench`] | one axis in motion with any design on any computer, and the count at the MTC |
 //! | [`insertion`] | the interface of every insertion design, and the designs for a whole machine |
 //! | [`full_cycle`] | the Original RTEC and Design A: four counts an insertion |
 //! | [`design_b`] | Design B: the signals pass through the computer |
 //! | [`replay`] | the engine on a recording, and the resulting count of the MTC |
-//! | [`designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
+//! | [`insertion_designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
 //! | [`described`] | the machines described in the sources, as files within the program |
 //! | [`path`], [`nc_block`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports the tool's position |
 //! | [`attended`], `polled` | events at the machine in every period; the card that polls it |
-//! | [`wires`], [`strokes`], [`duty`] | machines at a mock card's wires in real time: strokes, the lathe's task |
+//! | [`wires`], [`strokes`], [`machining_task`] | machines at a mock card's wires in real time: strokes, the lathe's task |
 //! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
 //! | [`example`] | example machines: models, runs, hold-outs, configuration, drawings |
-//! | [`experiment`] | the experiments that characterise a machine, without and with compensation |
+//! | [`compensation_experiments`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
 //! | `control`, `errors` | the control side above the engine; the true machine's errors and friction |
 //!
@@ -35,25 +35,25 @@
 pub mod attended;
 pub mod axis;
 pub mod bench;
-pub mod computer;
+#[cfg(feature = "experiments")]
+pub mod compensation_experiments;
+pub mod computer_timing;
 mod control;
 mod corrected;
 pub mod described;
 pub mod design_b;
-pub mod designs;
-pub mod duty;
 pub mod ecc;
 mod errors;
 #[cfg(feature = "experiments")]
 pub mod example;
-#[cfg(feature = "experiments")]
-pub mod experiment;
 pub mod full_cycle;
 pub mod heat;
 pub mod insertion;
+pub mod insertion_designs;
 pub mod job;
 pub mod lathe;
 pub mod machine;
+pub mod machining_task;
 pub mod nc_block;
 pub mod noise;
 pub mod path;

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_model::machine::Machine;
+use rtec_sim::compensation_experiments::{Experiment, PROMISED, Setting, UNSEEN};
 use rtec_sim::described::SourceFiles;
-use rtec_sim::experiment::{Experiment, PROMISED, Setting, UNSEEN};
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;

@@ -10,13 +10,13 @@ use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_files::InputError;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::event::{EventKind, Request};
-use rtec_sim::bench::{BenchRun, InsertionDesign, constant};
-use rtec_sim::computer::Computer;
+use rtec_sim::bench::{BenchSetup, InsertionDesign, constant};
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::insertion::{CorrectedAxis as _, homed_engine};
 use rtec_sim::replay::{ReplayOutcome, replay};
 
 /// The signed byte of the Original RTEC: the largest total that it takes.
-pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Result<(), PaperError> {
+pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &ComputerTiming) -> Result<(), PaperError> {
     let place = "General Considerations";
     let most = (1_i64 << (bench.correction_bits - 1)) - 1;
     let step = InsertionDesign::Original.increment_counts();
@@ -27,11 +27,11 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Resu
         // One correction more each time, far beyond the byte.
         let totals: Vec<(u64, i64)> =
             (1..=most + 40).map(|n| (edges[(100 + 200 * n) as usize].0, sign * n * step)).collect();
-        let run = BenchRun {
+        let run = BenchSetup {
             config,
             edges: &edges,
             totals: &totals,
-            ..BenchRun::new(InsertionDesign::Original, computer)
+            ..BenchSetup::new(InsertionDesign::Original, computer)
         };
         let seen = run.run().ok_or_else(|| cannot("the Original's insertions"))?;
         *taken = seen.requested;

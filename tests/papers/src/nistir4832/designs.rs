@@ -7,11 +7,11 @@ use crate::rows::Rows;
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchRun, Edge, InsertionDesign, constant, insert_at_rest};
-use rtec_sim::computer::Computer;
-use rtec_sim::designs::{safe_at, served_at_rest};
+use rtec_sim::bench::{BenchSetup, Edge, InsertionDesign, constant, insert_at_rest};
+use rtec_sim::compensation_experiments::one_metre;
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::ecc::Pll;
-use rtec_sim::experiment::one_metre;
+use rtec_sim::insertion_designs::{safe_at, served_at_rest};
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::Sim;
 use std::path::Path;
@@ -20,7 +20,7 @@ use std::path::Path;
 pub(super) fn at_rest(
     rows: &mut Rows,
     bench: &Bench,
-    computer: &Computer,
+    computer: &ComputerTiming,
     seed: u64,
 ) -> Result<(), PaperError> {
     let served = |design| {
@@ -78,19 +78,19 @@ fn dithering(bench: &Bench, dither_counts: f64, seed: u64) -> Result<usize, Pape
 }
 
 /// Design B: how fast must the computer be?
-pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) {
+pub(super) fn design_b(rows: &mut Rows, computer: &ComputerTiming, faster: &ComputerTiming) {
     let place = "Design B";
     let edges = constant(1_000_000, 100_000.0, 400, 1);
     let what = "a signal of 100 kHz has a transition every";
     let gets = (edges[399].0 - edges[0].0) as f64 / 399.0 / 1e3;
     rows.given().number((place, what, "µs"), 2.5, gets, Within(0.01), "");
-    let with = |pass_ns: u64| Computer {
+    let with = |pass_ns: u64| ComputerTiming {
         pass_ns,
         step_ns: pass_ns.min(computer.step_ns),
         react_ns: pass_ns,
         ..computer.clone()
     };
-    let slowest = |ok: &dyn Fn(&Computer) -> bool| {
+    let slowest = |ok: &dyn Fn(&ComputerTiming) -> bool| {
         let (mut good, mut bad) = (1_u64, computer.pass_ns.max(2));
         if !ok(&with(good)) {
             return 0;
@@ -102,8 +102,8 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
         good
     };
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let passes = |c: &Computer| {
-        let seen = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, c) }.run();
+    let passes = |c: &ComputerTiming| {
+        let seen = BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, c) }.run();
         seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0)
     };
     let passed = slowest(&passes);
@@ -111,41 +111,43 @@ pub(super) fn design_b(rows: &mut Rows, computer: &Computer, faster: &Computer) 
     let why = "to pass the signals alone a pass within the 2.5 µs between two transitions is enough, and the 8051's pass is taken as \
         ten instructions of a microsecond; corrections need more, see the next row";
     rows.number((place, what, "times"), 10.0, computer.pass_ns as f64 / passed.max(1) as f64, AtLeast, why);
-    let corrects =
-        |c: &Computer| safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1);
+    let corrects = |c: &ComputerTiming| {
+        safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1)
+    };
     let corrected = slowest(&corrects);
     let why = "edge, insertion and the MTC's separations within 2.5 µs";
     let what = "the same with corrections inserted between two transitions";
     let gets = if corrected == 0 { f64::INFINITY } else { computer.pass_ns as f64 / corrected as f64 };
     rows.number((place, what, "times"), 10.0, gets, AtLeast, why);
-    let serves =
-        |c: &Computer, hz: f64| safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1);
+    let serves = |c: &ComputerTiming, hz: f64| {
+        safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1)
+    };
     let what = "the 8051 is not fast enough";
     let gets = if serves(computer, 100_000.0) { "serves 100 kHz" } else { "not at 100 kHz" };
     rows.holds((place, what), "not at 100 kHz", gets, !serves(computer, 100_000.0), "");
-    let seen = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, faster) }.run();
+    let seen = BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, faster) }.run();
     let passed = seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0);
     let gets = if passed { "yes" } else { "no" };
     rows.holds((place, "signal processors have the speed for 100 kHz"), "yes", gets, passed, "");
     let totals = [(edges[500].0, 300), (edges[2500].0, 0)];
     let slow = constant(1_000_000, 5000.0, 8000, 1);
     let late = [(slow[100].0, 300)];
-    let run = BenchRun { edges: &slow, totals: &late, ..BenchRun::new(InsertionDesign::B, faster) };
+    let run = BenchSetup { edges: &slow, totals: &late, ..BenchSetup::new(InsertionDesign::B, faster) };
     let many = run.run().map_or(0, |s| s.completed);
     let what = "counts added or subtracted can be in the hundreds";
     rows.number((place, what, "counts"), 100.0, many as f64, AtLeast, "300 were asked for");
-    let dead = BenchRun { die_ns: edges[1000].0, totals: &totals, edges: &edges, ..run }.run();
+    let dead = BenchSetup { die_ns: edges[1000].0, totals: &totals, edges: &edges, ..run }.run();
     let moved = dead.and_then(|d| d.at_death.map(|(_, mtc)| d.mtc - mtc)).unwrap_or(0);
     let what = "the computer stops: counts that reach the MTC from then on";
     rows.number(("General Considerations", what, "counts"), 0.0, moved as f64, Within(0.0), "");
 }
 
 /// The state tables of Design C, line by line.
-pub(super) fn design_c(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
+pub(super) fn design_c(rows: &mut Rows, computer: &ComputerTiming) -> Result<(), PaperError> {
     let states = |start: u8, totals: &[(u64, i64)], edges: &[Edge], config: AxisConfig| {
         let start = State::from_bits(start);
-        let new = BenchRun::new(InsertionDesign::C, computer);
-        BenchRun { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
+        let new = BenchSetup::new(InsertionDesign::C, computer);
+        BenchSetup { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
             let mut table: Vec<String> = Vec::new();
             for (_, _, out, count) in &seen.log {
                 let line = format!("{}{}:{count}", u8::from(out.a()), u8::from(out.b()));

@@ -11,10 +11,10 @@ use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
 use rtec_sim::bench::InsertionDesign;
-use rtec_sim::computer::Computer;
+use rtec_sim::compensation_experiments::{Setting, one_metre, over_a_part};
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::described::SourceFiles;
-use rtec_sim::designs::waveforms;
-use rtec_sim::experiment::{Setting, one_metre, over_a_part};
+use rtec_sim::insertion_designs::waveforms;
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSpec, Sim};
 use serde::Deserialize;
@@ -49,9 +49,9 @@ struct Timing {
 }
 
 impl Timing {
-    fn computer(&self) -> Computer {
+    fn computer(&self) -> ComputerTiming {
         let Self { name, react_ns, step_ns, after_ns, pass_ns } = self.clone();
-        Computer { name, react_ns, step_ns, after_ns, pass_ns, looks: Vec::new(), write_ns: 0 }
+        ComputerTiming { name, react_ns, step_ns, after_ns, pass_ns, looks: Vec::new(), write_ns: 0 }
     }
 }
 

@@ -7,9 +7,9 @@ use crate::rows::{Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
-use rtec_sim::computer::Computer;
-use rtec_sim::experiment::one_metre;
+use rtec_sim::bench::{BenchResult, BenchSetup, Edge, InsertionDesign, constant};
+use rtec_sim::compensation_experiments::one_metre;
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
@@ -18,9 +18,9 @@ use std::path::Path;
 pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), PaperError> {
     let place = "Position Feedback Signals";
     let slow = constant(1_000_000, 1000.0, 4000, 1);
-    let computer = Computer::dsp();
+    let computer = ComputerTiming::dsp();
     let plain = |edges: &[Edge]| {
-        let run = BenchRun { edges, keep_log: true, ..BenchRun::new(InsertionDesign::C, &computer) };
+        let run = BenchSetup { edges, keep_log: true, ..BenchSetup::new(InsertionDesign::C, &computer) };
         run.run().ok_or_else(|| cannot("a plain motion"))
     };
     let seen = plain(&slow)?;
@@ -108,7 +108,7 @@ fn high_ns(log: &[Change], level: fn(&State) -> bool) -> f64 {
 }
 
 /// The Original RTEC's pulses at 10 kHz, and what does not fit at 30 kHz.
-pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Result<(), PaperError> {
+pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &ComputerTiming) -> Result<(), PaperError> {
     let go = |design, hz, total| insert(computer, design, hz, total);
     let place = "Figure 2";
     for (what, says, design, total) in [
@@ -144,20 +144,20 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &Computer) -> Res
 
 /// One correction on the way, at an encoder frequency.
 fn insert(
-    computer: &Computer,
+    computer: &ComputerTiming,
     design: InsertionDesign,
     hz: f64,
     total: i64,
 ) -> Result<BenchResult, PaperError> {
     let edges = constant(1_000_000, hz, 4000, 1);
     let totals = [(edges[500].0, total)];
-    BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) }
+    BenchSetup { edges: &edges, totals: &totals, keep_log: true, ..BenchSetup::new(design, computer) }
         .run()
         .ok_or_else(|| cannot("an insertion"))
 }
 
 /// Nine microseconds at 10 kHz, which do not fit at 30 kHz; the other designs beside it.
-fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
+fn times(rows: &mut Rows, computer: &ComputerTiming) -> Result<(), PaperError> {
     let go = |design, hz, total| insert(computer, design, hz, total);
     let place = "Altering the Position Signal";
     let slow = go(InsertionDesign::Original, 10_000.0, 4)?;
@@ -209,7 +209,7 @@ fn times(rows: &mut Rows, computer: &Computer) -> Result<(), PaperError> {
         (InsertionDesign::C, 2),
     ] {
         // Design B needs the faster computer; what it inserts is the same on any.
-        let quick = Computer::dsp();
+        let quick = ComputerTiming::dsp();
         let with = if design == InsertionDesign::B { &quick } else { computer };
         let seen = insert(with, design, 10_000.0, 8)?;
         let step = (seen.mtc - seen.scale) as f64 / (seen.insertions as f64).max(1.0);

@@ -7,7 +7,7 @@ use crate::rows::{Rows, shown};
 use rtec_measure::plot::{Chart, Colour, Series, Style};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_sim::experiment::Findings;
+use rtec_sim::compensation_experiments::Findings;
 use std::fmt::Write as _;
 
 /// Table 7, inches ·10⁻⁴: hole (and counterbore) by hole (and counterbore), X, Y, Z.

@@ -4,7 +4,7 @@ use super::{AXES, INCH_UM, column, error_of, of_axis, record};
 use crate::rows::Agreement::Within;
 use crate::rows::Rows;
 use rtec_model::record::{Record, Role};
-use rtec_sim::experiment::Findings;
+use rtec_sim::compensation_experiments::Findings;
 
 /// Table 1, inches ·10⁻⁴: plane, feed, total error clockwise and counter-clockwise, reversal error likewise.
 type Circle = ((usize, usize), u32, [Option<f64>; 2], [Option<f64>; 2]);

@@ -4,7 +4,7 @@ use super::{AXES, Centre, INCH_UM, PHASES, TABLE_4, TABLE_5, error_of, record};
 use crate::rows::Agreement::{AtMost, Within};
 use crate::rows::{Rows, shown};
 use rtec_model::record::Record;
-use rtec_sim::experiment::{Findings, Gauged};
+use rtec_sim::compensation_experiments::{Findings, Gauged};
 use rtec_sim::heat::FIGURE_9;
 
 /// What the five gauges showed in a record.

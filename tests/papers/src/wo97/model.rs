@@ -10,7 +10,7 @@ use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::Need;
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Record, Role};
-use rtec_sim::experiment::Findings;
+use rtec_sim::compensation_experiments::Findings;
 use std::fmt::Write as _;
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {

@@ -6,7 +6,7 @@ use rtec_driver::pci::{self, PciId};
 use rtec_driver::port::Ports;
 use rtec_driver::profile::{Space, Width};
 use rtec_driver::quadrature::State;
-use rtec_driver::registers::Bus;
+use rtec_driver::register_card::Bus;
 use rtec_tests::daemon::{Daemon, Lines, Machine};
 use std::fs;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! The protocol's words explained to people: refusals, faults, events.
 
-use super::{EventReport, TripReport};
+use super::{EventReport, ProbeTripReport};
 use rtec_rt::event::{Event, EventKind, Fault, Refusal};
 use serde::Serialize;
 
@@ -169,13 +169,13 @@ impl EventReport {
                 let (position_counts, uncertainty_counts) = capture.position_counts();
                 let count_um = axis.map_or(0.0, |(_, um)| um);
                 let position_mm = position_counts * count_um / 1000.0;
-                trip = Some(TripReport {
+                trip = Some(ProbeTripReport {
                     position_counts,
                     position_mm,
                     uncertainty_counts,
                     uncertainty_um: uncertainty_counts * count_um,
                     at_ns: [capture.trip_ns.0, capture.trip_ns.1],
-                    ..TripReport::default()
+                    ..ProbeTripReport::default()
                 });
                 ("trip", format!("probe tripped at {position_counts:.3} ± {uncertainty_counts:.3} counts"))
             }

@@ -1,6 +1,6 @@
 //! Growth of sets, and exchange and removal of their members.
 
-use super::screening::moves;
+use super::screening::parameter_steps;
 use super::{Member, ScreenedHypothesis, Search, Set, same_period};
 use crate::cause::Cause;
 use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
@@ -331,7 +331,7 @@ impl Search<'_> {
         }
         for i in 0..set.members.len() {
             let m = set.members[i].clone();
-            if m.cause.effect().is_none_or(|e| moves(self.family(m.family), e).is_empty()) {
+            if m.cause.effect().is_none_or(|e| parameter_steps(self.family(m.family), e).is_empty()) {
                 continue;
             }
             let without = self.without(&set, i);

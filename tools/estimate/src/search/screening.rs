@@ -304,7 +304,7 @@ impl Search<'_> {
     #[must_use]
     pub fn refined(&self, factor: &Factor, seed: &ScreenedHypothesis) -> ScreenedHypothesis {
         let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
-        let moves = moves(self.family(seed.family), &effect);
+        let moves = parameter_steps(self.family(seed.family), &effect);
         if moves.is_empty() {
             return seed.clone();
         }
@@ -493,7 +493,7 @@ pub(super) fn wave_weight(
 }
 
 /// A step of a non-linear parameter.
-pub(super) struct Move {
+pub(super) struct ParameterStep {
     parameter: usize,
     /// First step.
     step: f64,
@@ -502,20 +502,25 @@ pub(super) struct Move {
     range: [f64; 2],
 }
 
-pub(super) fn moves(family: &Family, effect: &Effect) -> Vec<Move> {
+pub(super) fn parameter_steps(family: &Family, effect: &Effect) -> Vec<ParameterStep> {
     if family.replaces.is_some() {
         return Vec::new();
     }
     if let Scan::Wave { along, unit, .. } = &family.scan {
         let step = 0.2 / along.span() * unit;
-        return vec![Move { parameter: 0, step, how: Refine::Stays, range: everything() }];
+        return vec![ParameterStep { parameter: 0, step, how: Refine::Stays, range: everything() }];
     }
     let of = |(parameter, p): (usize, &rtec_model::effect::Parameter)| {
         let (Refine::Step(step) | Refine::Factor(step) | Refine::TimeConstant(step)) = p.refine else {
             return None;
         };
         let range = family.range(parameter);
-        (p.search == ParameterSearch::Smooth).then_some(Move { parameter, step, how: p.refine, range })
+        (p.search == ParameterSearch::Smooth).then_some(ParameterStep {
+            parameter,
+            step,
+            how: p.refine,
+            range,
+        })
     };
     effect.description().parameters.iter().enumerate().filter_map(of).collect()
 }
@@ -525,7 +530,7 @@ pub(super) fn everything() -> [f64; 2] {
     [f64::NEG_INFINITY, f64::INFINITY]
 }
 
-impl Move {
+impl ParameterStep {
     fn moved(&self, effect: &Effect, by: f64) -> Option<Effect> {
         let v = effect.scalar(self.parameter);
         let to = match self.how {

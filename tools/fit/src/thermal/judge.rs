@@ -116,7 +116,7 @@ struct Ready {
 /// Columns with their products for least squares on some folds.
 /// The response, the constant, then one column per term. Terms are added and removed at the end; the products
 /// of those that stay are kept.
-pub(super) struct CachedColumns<'a> {
+pub(super) struct GramColumns<'a> {
     problem: &'a Problem,
     folds: &'a [usize],
     total: f64,
@@ -148,7 +148,7 @@ impl Solved {
     }
 }
 
-impl<'a> CachedColumns<'a> {
+impl<'a> GramColumns<'a> {
     /// Response and constant on some folds; `None` if the response does not vary.
     pub(super) fn new(problem: &'a Problem, folds: &'a [usize]) -> Option<Self> {
         let total = folds.iter().flat_map(|f| &problem.weight[problem.stretches[*f].clone()]).sum();
@@ -369,8 +369,8 @@ impl Problem {
     }
 
     /// The columns of these terms on some folds; `None` if one does not vary.
-    pub(super) fn beside<'a>(&'a self, terms: &[Term], folds: &'a [usize]) -> Option<CachedColumns<'a>> {
-        let mut beside = CachedColumns::new(self, folds)?;
+    pub(super) fn beside<'a>(&'a self, terms: &[Term], folds: &'a [usize]) -> Option<GramColumns<'a>> {
+        let mut beside = GramColumns::new(self, folds)?;
         for term in terms {
             beside.push(&self.column(*term))?;
         }
@@ -527,7 +527,7 @@ mod tests {
         let folds: Vec<usize> = (0..problem.folds).filter(|f| *f != 4).collect();
         let mut terms = vec![difference(0, 0), difference(1, 7), difference(3, 20)];
         let mut beside = problem.beside(&terms, &folds).unwrap();
-        let same = |beside: &mut CachedColumns, terms: &[Term]| {
+        let same = |beside: &mut GramColumns, terms: &[Term]| {
             let (kept, anew) = (beside.judge(terms).unwrap(), problem.judge(terms, &folds).unwrap());
             assert_eq!((kept.mse, kept.coefficients), (anew.mse, anew.coefficients));
         };

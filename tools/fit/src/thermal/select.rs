@@ -1,6 +1,6 @@
 //! Selects terms: CASC over the sensors, the refit by rounds, then exchanges.
 
-use super::judge::{CachedColumns, Judged};
+use super::judge::{GramColumns, Judged};
 use super::problem::Problem;
 use super::report::{Dropped, Ranked, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
@@ -484,7 +484,7 @@ impl Problem {
         for k in 0..now.terms.len() {
             let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
             let terms = now.terms.clone();
-            let mut with = |beside: &mut CachedColumns, lag: usize| {
+            let mut with = |beside: &mut GramColumns, lag: usize| {
                 let terms = relagged(&terms, k, lag);
                 for n in 0..terms.len() {
                     if standing[n] != terms[n] {
@@ -516,21 +516,21 @@ impl Problem {
     /// The terms' columns are given.
     fn best_lag(
         &self,
-        beside: &mut CachedColumns,
+        beside: &mut GramColumns,
         terms: &[Term],
         sensor: usize,
         minus: Option<usize>,
         folds: &[usize],
     ) -> Option<Judged> {
         let with = |lag: usize| [terms, &[Term::Thermal { sensor, minus, lag, square: false }]].concat();
-        let judge = |beside: &mut CachedColumns, lag: usize| {
+        let judge = |beside: &mut GramColumns, lag: usize| {
             let all = with(lag);
             beside.push(&self.column(all[terms.len()]))?;
             let judged = beside.judge(&all);
             beside.pop();
             judged
         };
-        let at = |beside: &mut CachedColumns, lag: usize| {
+        let at = |beside: &mut GramColumns, lag: usize| {
             let all = with(lag);
             let term = all[terms.len()];
             if terms.contains(&term) {

@@ -14,7 +14,7 @@ use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
 use serde::Serialize;
-use spans::{Span, Spans, State, TURNS_RPM};
+use spans::{HeatSource, Span, Spans, TURNS_RPM};
 use std::collections::BTreeMap;
 
 /// Thermal drift of one response over the whole test, and phase by phase.
@@ -150,7 +150,7 @@ fn is_move(from_mm: f64, to_mm: f64) -> bool {
     (from_mm - to_mm).abs() > 0.01
 }
 
-fn states(record: &Record) -> Vec<State> {
+fn states(record: &Record) -> Vec<HeatSource> {
     let rpm = record.data(&Role::SpindleSpeed);
     let positions = record.axes(Role::Position);
     let axes: Vec<_> = positions.filter_map(|a| Some((a.as_str(), record.position(a)?))).collect();
@@ -161,10 +161,10 @@ fn states(record: &Record) -> Vec<State> {
     (0..record.rows())
         .map(|row| {
             if rpm.is_some_and(|r| r[row].abs() > TURNS_RPM) {
-                return State::Spindle;
+                return HeatSource::Spindle;
             }
             let moving: Vec<&str> = axes.iter().filter(|(_, p)| moves(p, row)).map(|(a, _)| *a).collect();
-            if moving.is_empty() { State::Rest } else { State::Moves(moving.join(", ")) }
+            if moving.is_empty() { HeatSource::Rest } else { HeatSource::Moves(moving.join(", ")) }
         })
         .collect()
 }
@@ -189,7 +189,7 @@ fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scat
         let from_min = (t[rows[0]] - t[0]) / 60.0;
         span.phase(&record.columns, from_min, at_mm, figures(record, t, e, rows.iter().copied()))
     };
-    if let State::Moves(axes) = &span.state
+    if let HeatSource::Moves(axes) = &span.state
         && let Some(axis) = record.axes(Role::Position).find(|a| axes.split(", ").any(|n| n == a.as_str()))
         && let Some(p) = record.position(axis)
     {

@@ -1,7 +1,7 @@
 //! Suspicions: likely mistakes that records show without a model.
 //!
 //! A suspicion is a question to the person who measured, never an error. Records stay unchanged, and
-//! [`Unusable`] lists what a fit should leave out. Every rule demands more than chance, coarse resolution and
+//! [`Exclusions`] lists what a fit should leave out. Every rule demands more than chance, coarse resolution and
 //! normal physics explain, so clean data raise nothing. Checks that need a model (another machine, a sign)
 //! are elsewhere.
 //!
@@ -10,7 +10,7 @@
 //! | `sensors` | one temperature or channel against the others: unplugged, range, unit, jump, outliers, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run against one another |
 //! | `rows` | duplicated rows, outliers and constant stretches of responses |
-//! | `few_rows` | outliers in records of few rows |
+//! | `small_sample_outliers` | outliers in records of few rows |
 //! | `slips` | a position with a misplaced decimal point or a lost digit |
 //! | `stuck` | a frozen sensor, by its noise at other times and by the other sensors |
 //! | `repeats` | single approaches far from the others to the same target |
@@ -25,7 +25,6 @@
 
 mod between_records;
 pub(crate) mod clock;
-mod few_rows;
 mod motion;
 mod physical_peaks;
 mod pieces;
@@ -34,6 +33,7 @@ mod rows;
 mod sensor_regression;
 mod sensors;
 mod slips;
+mod small_sample_outliers;
 mod stats;
 mod step;
 mod stuck;
@@ -303,7 +303,7 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
 /// becomes NaN.
 pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = every_row(records, doubts);
-    let of_rows = Unusable { rows: rows_left_out(doubts), ..Unusable::default() };
+    let of_rows = Exclusions { rows: rows_left_out(doubts), ..Exclusions::default() };
     for (at, record) in records.iter().enumerate() {
         if !of_rows.rows(record).is_empty() {
             usable.to_mut()[at] = of_rows.without(&usable[at]);
@@ -460,7 +460,7 @@ impl Suspicion {
 
 /// What a fit should leave out.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Unusable {
+pub struct Exclusions {
     sensors: BTreeSet<String>,
     rows: BTreeMap<String, BTreeSet<usize>>,
 }
@@ -468,8 +468,8 @@ pub struct Unusable {
 /// What a fit should leave out after these suspicions.
 /// Sensors are dropped from all records, unless few rows are bad: then those rows. A response with a wrong
 /// unit, sign or direction stays, because only the person who measured knows the truth.
-pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
-    let mut out = Unusable::default();
+pub fn unusable(suspicions: &[Suspicion]) -> Exclusions {
+    let mut out = Exclusions::default();
     for s in suspicions {
         let is_kept =
             matches!(s.what, MistakeKind::Sign | MistakeKind::Direction | MistakeKind::OtherMachine);
@@ -482,7 +482,7 @@ pub fn unusable(suspicions: &[Suspicion]) -> Unusable {
     out
 }
 
-impl Unusable {
+impl Exclusions {
     /// Whether a temperature or channel of this name is left out.
     pub fn sensor(&self, name: &str) -> bool {
         self.sensors.contains(name)

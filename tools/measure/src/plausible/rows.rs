@@ -1,7 +1,7 @@
 //! Duplicated rows, and outliers and constant stretches of responses.
 
-use super::few_rows::{self, FewRowOutliers};
 use super::physical_peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
+use super::small_sample_outliers::{self, SmallSampleOutliers};
 use super::stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
 use super::{MistakeKind, Suspicion};
 use crate::steps::repeats;
@@ -29,7 +29,7 @@ pub(super) fn look(record: &Record, all: &[Record], out: &mut Vec<Suspicion>) {
         }
         // The other rows are checked as if these were interpolated.
         let without = Column { data: bridged(&c.data, &same), ..c.clone() };
-        let FewRowOutliers { mut rows, spread } = wild(record, &without);
+        let SmallSampleOutliers { mut rows, spread } = wild(record, &without);
         rows.retain(|row| same.binary_search(row).is_err());
         rows.extend(same);
         rows.sort_unstable();
@@ -275,13 +275,13 @@ fn flat(record: &Record, all: &[Record], c: &Column, out: &mut Vec<Suspicion>) {
 }
 
 /// Rows far from their neighbours in time and in position and direction.
-fn wild(record: &Record, c: &Column) -> FewRowOutliers {
+fn wild(record: &Record, c: &Column) -> SmallSampleOutliers {
     let n = c.data.len();
-    if few_rows::is_small_sample(n) {
-        return few_rows::of_response(record, c);
+    if small_sample_outliers::is_small_sample(n) {
+        return small_sample_outliers::of_response(record, c);
     }
-    if n < few_rows::FEW || range(&c.data) <= 0.0 {
-        return FewRowOutliers::default();
+    if n < small_sample_outliers::FEW || range(&c.data) <= 0.0 {
+        return SmallSampleOutliers::default();
     }
     let may_peak = excused(record);
     let mut orders = vec![vec![(0..n).collect()]];
@@ -303,9 +303,9 @@ fn wild(record: &Record, c: &Column) -> FewRowOutliers {
         lefts.push((left, vec![true; n], scale));
     }
     let Some((left, alone, scale)) = lefts.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)) else {
-        return FewRowOutliers::default();
+        return SmallSampleOutliers::default();
     };
-    let none = FewRowOutliers { rows: Vec::new(), spread: scale };
+    let none = SmallSampleOutliers { rows: Vec::new(), spread: scale };
     if scale <= 0.0 {
         return none;
     }
@@ -340,7 +340,7 @@ fn wild(record: &Record, c: &Column) -> FewRowOutliers {
     }
     let enough = rows.len() >= 2 && worst > 15.0 || worst > 20.0;
     let few = rows.len() as f64 <= FEW_ROWS * n as f64;
-    if enough && few && 2 * bulk <= rows.len() { FewRowOutliers { rows, spread: scale } } else { none }
+    if enough && few && 2 * bulk <= rows.len() { SmallSampleOutliers { rows, spread: scale } } else { none }
 }
 
 /// Robust standard deviation; from the 90th percentile if most values are 0.

@@ -1,7 +1,7 @@
 //! Checks one temperature or channel against the others of its record.
 
-use super::few_rows;
 use super::rows::bridged;
+use super::small_sample_outliers;
 use super::stats::{distinct, median, quantum, spread, steps};
 use super::{MistakeKind, Suspicion, is_sensor};
 use rtec_model::limits::disconnected;
@@ -404,8 +404,8 @@ fn wild(c: &Column, others: &[&Column]) -> Vec<usize> {
     let alone = |i: usize, off: f64| others.iter().all(|o| peak(&o.data, i).abs() < 0.1 * off.abs());
     if n < SHORTEST {
         let honest = |i: usize, off: f64| i == 0 || i == n - 1 || off < LEAST_K || !alone(i, off);
-        let found = few_rows::is_small_sample(n)
-            .then(|| few_rows::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
+        let found = small_sample_outliers::is_small_sample(n)
+            .then(|| small_sample_outliers::wild(&c.data, &[vec![(0..n).collect()]], &honest, |_| false));
         return found.map_or_else(Vec::new, |found| found.rows);
     }
     let (left, limit) = (off_near(&c.data), limit_k(&c.data));

@@ -1,6 +1,6 @@
 //! Polar plot of small deviations around a circle, enlarged, with a scale.
 
-use super::{Series, look};
+use super::{Series, series_style};
 use rtec_files::message_text::escaped;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -43,7 +43,7 @@ pub(super) fn head(definitions: &str, x: f64, title: &str) -> String {
 
 /// The dash of a series, as an SVG attribute.
 fn dash(series: &Series, place: usize) -> String {
-    look::dash(series.colour.place(place))
+    series_style::dash(series.colour.place(place))
         .map_or_else(String::new, |(on, off)| format!(" stroke-dasharray=\"{on} {off}\""))
 }
 

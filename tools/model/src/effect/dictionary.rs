@@ -2,7 +2,7 @@
 
 use super::laws::BUILT_IN;
 use super::{
-    Description, Difference, Effect, Law, Naming, Need, Owner, Parameter, ParameterSearch, Probing,
+    Difference, Effect, Law, LawDescription, Naming, Need, Owner, Parameter, ParameterSearch, Probing,
     ValueError,
 };
 use crate::record::{Axis, Kind, LINEAR, Record, Role};
@@ -94,7 +94,7 @@ fn form(naming: Naming) -> &'static str {
 
 /// The axes and the channel in the part of a name after the law's.
 /// `None` if that part does not suit the law.
-fn axes_of(law: &Description, rest: Option<&str>) -> Option<(Vec<Axis>, Option<String>)> {
+fn axes_of(law: &LawDescription, rest: Option<&str>) -> Option<(Vec<Axis>, Option<String>)> {
     let parts: Vec<&str> = match (law.naming, rest) {
         (Naming::Channel, Some(r)) => r.splitn(2, '.').collect(),
         (_, Some(r)) => r.split('.').collect(),
@@ -163,7 +163,7 @@ impl<'r> Common<'r> {
     }
 
     /// All names that a law's effects can have in these records.
-    fn names(&self, law: &Description) -> Vec<String> {
+    fn names(&self, law: &LawDescription) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
         for axis in &self.axes {
             let name = format!("{}.{axis}", law.name);

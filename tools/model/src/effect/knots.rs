@@ -1,14 +1,14 @@
 //! A smooth function of one position: linear between knots, constant beyond.
 
 use super::{
-    Description, Effect, EffectColumns, Extent, GridHypothesis, Input, Law, Out, Parameter, ParameterSearch,
-    State, ValueError,
+    Effect, EffectColumns, Extent, GridHypothesis, Input, Law, LawDescription, Out, Parameter,
+    ParameterSearch, State, ValueError,
 };
 
 /// A function of one axis's position, linear between knots.
 #[derive(Debug)]
 pub(super) struct BrokenLine {
-    pub(super) description: Description,
+    pub(super) description: LawDescription,
     /// Index of the axis in the name that the knots lie on.
     pub(super) along: usize,
 }
@@ -29,7 +29,7 @@ fn shares(knots: &[f64], p_mm: f64) -> [(usize, f64); 2] {
 }
 
 impl Law for BrokenLine {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.description
     }
 

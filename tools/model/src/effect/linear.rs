@@ -1,17 +1,17 @@
 //! Laws without state or shape parameter.
 //! Each is a function of what is read, times one parameter (or two).
 
-use super::{Basis, Description, Effect, Input, Law, Out, State};
+use super::{Basis, Effect, Input, Law, LawDescription, Out, State};
 
 /// A law whose parameters are all linear.
 #[derive(Debug)]
 pub(super) struct Linear {
-    pub(super) description: Description,
+    pub(super) description: LawDescription,
     pub(super) basis: Basis,
 }
 
 impl Law for Linear {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.description
     }
 

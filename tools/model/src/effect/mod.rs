@@ -11,14 +11,14 @@
 //! and um·sin(phase), so that amplitude and phase are found by one linear fit.
 //!
 //! A built-in effect is one file of [`laws`] and one line in its list. Other code never asks for the name of
-//! a law. It asks the law's [`Description`] how the law is searched, how it depends on heat, what it belongs
+//! a law. It asks the law's [`LawDescription`] how the law is searched, how it depends on heat, what it belongs
 //! to and what its bounds are.
 //! A program's own law implements [`Law`] and joins a [`Dictionary`]. A project's own law comes from a file
 //! (`own`).
 //!
 //! | module | what |
 //! |---|---|
-//! | `description` | the properties that a law states about itself |
+//! | `law_description` | the properties that a law states about itself |
 //! | [`laws`] | the built-in effects |
 //! | `linear`, `wave`, `knots`, `lag` | parts that several laws share |
 //! | `grid` | the points at which a search begins |
@@ -26,12 +26,12 @@
 //! | `dictionary`, `own` | all laws by name; laws from a file |
 
 mod bound;
-mod description;
 mod dictionary;
 mod difference;
 mod grid;
 mod knots;
 mod lag;
+mod law_description;
 pub mod laws;
 mod linear;
 mod project_laws;
@@ -41,15 +41,15 @@ pub use crate::role::sign;
 use bound::RADIAL;
 pub(crate) use bound::States;
 pub use bound::{EffectColumns, Missing};
-pub use description::{
-    Description, Heat, Mechanism, Naming, Need, Owner, Parameter, ParameterSearch, Probing, Quantity, Refine,
-    Searched, Wave,
-};
 pub use dictionary::Dictionary;
 pub(crate) use difference::read_difference;
 pub use difference::{Against, Difference, STANDARD_DEGC};
 pub use grid::{Extent, GridHypothesis};
 pub use lag::{Lag, Lags};
+pub use law_description::{
+    Heat, LawDescription, Mechanism, Naming, Need, Owner, Parameter, ParameterSearch, Probing, Quantity,
+    Refine, Searched, Wave,
+};
 
 use crate::record::{Axis, Kind, Record, Role};
 use linear::Linear;
@@ -108,7 +108,7 @@ pub type Basis = fn(&Input, usize, Out<'_>);
 /// A kind of effect.
 pub trait Law: fmt::Debug + Send + Sync {
     /// The law's description.
-    fn describe(&self) -> &Description;
+    fn describe(&self) -> &LawDescription;
 
     /// The basis values at one instant for `component`.
     /// `component` is 0, or 1 for the second axis of a pair. The state moves on to that instant. `out` has
@@ -272,7 +272,7 @@ impl Effect {
     }
 
     /// The law's description.
-    pub fn description(&self) -> &Description {
+    pub fn description(&self) -> &LawDescription {
         self.law.describe()
     }
 

@@ -19,7 +19,7 @@
 //! ```
 
 use super::{
-    Description, Dictionary, Effect, Input, Law, Naming, Need, Out, Parameter, Quantity, State, laws,
+    Dictionary, Effect, Input, Law, LawDescription, Naming, Need, Out, Parameter, Quantity, State, laws,
 };
 use rtec_files::InputError;
 use rtec_files::toml::{Document, Entry, Table};
@@ -62,13 +62,13 @@ struct Term {
 
 #[derive(Debug)]
 struct FileLaw {
-    description: Description,
+    description: LawDescription,
     /// Terms of each parameter.
     terms: Vec<Vec<Term>>,
 }
 
 impl Law for FileLaw {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.description
     }
 
@@ -168,7 +168,7 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
         return Err(name.error(format!("law `{id}` without parameters"), form));
     }
     let companion = needs.contains(&Need::Delta).then_some(laws::offset::NAME);
-    let description = Description {
+    let description = LawDescription {
         name: id.to_owned(),
         law: text("law", "the formula, for people")?,
         cause: text("cause", "what stands behind it in the machine")?,
@@ -178,7 +178,7 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
         needs,
         experiment: text("experiment", "the run that shows it")?,
         companion,
-        ..Description::default()
+        ..LawDescription::default()
     };
     Ok(FileLaw { description, terms })
 }

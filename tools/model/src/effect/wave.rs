@@ -2,7 +2,7 @@
 //!
 //! Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the phase.
 
-use super::{Description, Effect, Input, Law, Out, Parameter, ParameterSearch, State, ValueError};
+use super::{Effect, Input, Law, LawDescription, Out, Parameter, ParameterSearch, State, ValueError};
 use std::f64::consts::TAU;
 
 /// Indices of period, amplitude and phase among the parameters.
@@ -13,7 +13,7 @@ const PHASE: usize = 2;
 /// um·sin(2πp/period + phase).
 #[derive(Debug)]
 pub(super) struct Sine {
-    pub(super) description: Description,
+    pub(super) description: LawDescription,
     /// Unit of the period, mm.
     pub(super) unit_mm: f64,
     /// Largest amplitude in periods, if the amplitude is bound to the period.
@@ -63,7 +63,7 @@ impl Sine {
 }
 
 impl Law for Sine {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.description
     }
 

@@ -14,10 +14,10 @@ mod check;
 mod document;
 mod evaluate;
 mod fit_note;
-#[cfg(test)]
-mod lathe;
 mod read;
 mod relative_paths;
+#[cfg(test)]
+mod test_machine;
 mod write;
 
 pub use check::FitRangeCheck;

@@ -330,7 +330,7 @@ fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, Inpu
 
 #[cfg(test)]
 mod tests {
-    use super::super::lathe::{LATHE, parse};
+    use super::super::test_machine::{LATHE, parse};
     use super::*;
     use crate::effect::Difference;
 

@@ -314,7 +314,7 @@ fn effect_table(effect: &Effect, provenance: &Provenance) -> toml_edit::Table {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lathe::{LATHE, parse};
+    use super::super::test_machine::{LATHE, parse};
     use super::*;
     use crate::record::{Record, hex};
     use sha2::{Digest, Sha256};

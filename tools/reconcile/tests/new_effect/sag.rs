@@ -3,18 +3,18 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch, State,
+    LawDescription, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
 #[derive(Debug)]
-struct Sag(Description);
+struct Sag(LawDescription);
 
 const UM: usize = 0;
 const FREE: usize = 1;
 
 pub(crate) fn sample() -> Sample {
-    let law = Arc::new(Sag(Description {
+    let law = Arc::new(Sag(LawDescription {
         name: "sag".into(),
         law: "e_A = um·(max(p_B − free_mm, 0)/100)³".into(),
         cause: "a ram bending under its own weight once it leaves its guide".into(),
@@ -28,7 +28,7 @@ pub(crate) fn sample() -> Sample {
                 .refined(Refine::Step(20.0)),
         ],
         needs: vec![Need::Position(1)],
-        ..Description::default()
+        ..LawDescription::default()
     }));
     Sample { law, name: "sag.x.z", values: &[4.0, 130.0] }
 }
@@ -39,7 +39,7 @@ fn reach(effect: &Effect, now: &Input) -> f64 {
 }
 
 impl Law for Sag {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

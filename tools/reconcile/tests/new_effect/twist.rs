@@ -2,14 +2,14 @@
 //! The error is seen at the lever of A.
 
 use crate::Sample;
-use rtec_model::effect::{Description, Effect, Input, Law, Naming, Need, Out, Parameter, State};
+use rtec_model::effect::{LawDescription, Effect, Input, Law, Naming, Need, Out, Parameter, State};
 use std::sync::Arc;
 
 #[derive(Debug)]
-struct Twist(Description);
+struct Twist(LawDescription);
 
 pub(crate) fn sample() -> Sample {
-    let law = Arc::new(Twist(Description {
+    let law = Arc::new(Twist(LawDescription {
         name: "twist".into(),
         law: "e_A = um·(p_A/100)·(p_B/100)²".into(),
         cause: "a bed on three feet under a table that moves out".into(),
@@ -20,13 +20,13 @@ pub(crate) fn sample() -> Sample {
                 .within([-100.0, 100.0], "a bed twists by milliradians, not by tenths"),
         ],
         needs: vec![Need::Position(0), Need::Position(1)],
-        ..Description::default()
+        ..LawDescription::default()
     }));
     Sample { law, name: "twist.x.z", values: &[0.6] }
 }
 
 impl Law for Twist {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

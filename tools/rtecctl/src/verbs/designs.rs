@@ -4,8 +4,8 @@
 use crate::document::pretty;
 use anyhow::Context;
 use rtec_sim::bench::InsertionDesign;
-use rtec_sim::computer::Computer;
-use rtec_sim::designs::{TestMotion, compare, waveforms};
+use rtec_sim::computer_timing::ComputerTiming;
+use rtec_sim::insertion_designs::{TestMotion, compare, waveforms};
 use std::path::PathBuf;
 
 /// Compare the insertion designs: increment, time, safe speed, rest, what happens when the computer dies
@@ -66,9 +66,9 @@ fn within(text: &str, low: f64, high: f64, unit: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let computer = match (&args.latency, args.computer) {
-        (Some(file), _) => Computer::measured(file)?,
-        (None, ComputerModel::I8051) => Computer::i8051(),
-        (None, ComputerModel::Dsp) => Computer::dsp(),
+        (Some(file), _) => ComputerTiming::measured(file)?,
+        (None, ComputerModel::I8051) => ComputerTiming::i8051(),
+        (None, ComputerModel::Dsp) => ComputerTiming::dsp(),
     };
     let motion = TestMotion {
         encoder_hz: args.encoder_hz,

@@ -6,7 +6,7 @@ use crate::daemon::{Daemon, NO_EVENTS, observe};
 use crate::http::{Answer, Handler, Request, Server};
 use anyhow::Context;
 use rtec_control::metrics::{MetricsFormat, text};
-use rtec_control::protocol::Observed;
+use rtec_control::protocol::DaemonSnapshot;
 use rtec_files::InputError;
 use rtec_files::stamp::VERSION;
 use std::fs::{Permissions, remove_file};
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn seen(daemon: &Daemon) -> anyhow::Result<Observed> {
+fn seen(daemon: &Daemon) -> anyhow::Result<DaemonSnapshot> {
     observe(&mut daemon.view()?, NO_EVENTS)
 }
 
@@ -125,7 +125,7 @@ fn at_path(path: &Path) -> anyhow::Result<Server> {
 struct MetricsHandler {
     daemon: Daemon,
     /// Its last answer, and the time of that.
-    last: Mutex<Option<(Instant, Option<Observed>)>>,
+    last: Mutex<Option<(Instant, Option<DaemonSnapshot>)>>,
 }
 
 impl Handler for MetricsHandler {

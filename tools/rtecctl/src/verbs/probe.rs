@@ -4,7 +4,7 @@ use crate::Outcome;
 use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
 use crate::document::say_line;
 use clap::ValueEnum;
-use rtec_control::protocol::{ClientRequest, EventReport, Response, TripReport};
+use rtec_control::protocol::{ClientRequest, EventReport, ProbeTripReport, Response};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 fn show(happened: &EventReport, json: bool) {
     let (Some(trip), false) = (&happened.trip, json) else { return };
-    let TripReport { position_mm, position_counts, uncertainty_counts, .. } = trip;
+    let ProbeTripReport { position_mm, position_counts, uncertainty_counts, .. } = trip;
     let (t_ns, axis) = (happened.t_ns, happened.axis.as_deref().unwrap_or("-"));
     let by_model = trip.corrected_mm.map_or("-".to_owned(), |mm| format!("{mm:.6}"));
     println!(

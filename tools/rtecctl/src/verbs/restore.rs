@@ -8,7 +8,7 @@ use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
 use rtec_control::lock;
 use rtec_files::InputError;
-use rtec_files::folder::Folder;
+use rtec_files::untrusted_folder::Folder;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
 

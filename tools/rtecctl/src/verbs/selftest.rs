@@ -9,7 +9,7 @@ use rtec_control::card::{self, Access, OnCard};
 use rtec_control::config::{CardConfig, Config, LatencyProvenance};
 use rtec_files::InputError;
 use rtec_files::write::AtomicFile;
-use rtec_platform::selftest::{
+use rtec_platform::latency_test::{
     Backend, Latency, Measured, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
     run as measure, run_on_card,
 };

@@ -1,7 +1,7 @@
 //! `rtecctl ship`: finished records from a spool folder to the shop's store.
 
 use crate::Outcome;
-use rtec_measure::spool::{Folder, ShipError, ship};
+use rtec_measure::spool::{FolderStore, ShipError, ship};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::Command;
@@ -83,7 +83,7 @@ fn handed_over(args: &Args) -> Outcome {
 
 fn once(args: &Args) -> anyhow::Result<()> {
     let away = |e| Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()));
-    let store = Folder::open(&args.to).map_err(away)?;
+    let store = FolderStore::open(&args.to).map_err(away)?;
     let round = ship(&args.spool, &store, &args.machine).map_err(|error| match error {
         ShipError::Store { .. } => Outcome::Unreachable(error.to_string()),
         _ => Outcome::Bad(error.to_string()),

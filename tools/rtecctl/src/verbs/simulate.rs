@@ -5,7 +5,7 @@ use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Kind;
-use rtec_sim::experiment::{EXPERIMENTS, Experiment, ExperimentError, Setting};
+use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentError, Setting};
 use rtec_sim::job::RunError;
 use rtec_sim::sim::{MachineSpec, SimError};
 use rtec_sim::turning::TurningError;

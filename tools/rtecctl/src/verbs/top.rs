@@ -12,7 +12,7 @@ use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use ratatui_core::terminal::Terminal;
 use rtec_control::client::Client;
-use rtec_control::protocol::Observed;
+use rtec_control::protocol::DaemonSnapshot;
 use std::io::IsTerminal;
 use std::os::fd::AsFd;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -42,7 +42,7 @@ const FASTEST: Duration = Duration::from_millis(50);
 
 /// Result of a look at the daemon.
 enum PollResult {
-    Here(Box<Observed>),
+    Here(Box<DaemonSnapshot>),
     Gone(String),
 }
 

@@ -3,8 +3,8 @@
 use super::Session;
 use crate::start::OTHER_BOOT;
 use rtec_control::protocol::{
-    AxisReport, ConnectedClients, DaemonStatus, Distribution, Explained, Histograms, HoldReport,
-    LatchedFault, LogState, Observed, PROTOCOL, Response, RtStatus, explain_fault, explain_refusal, word,
+    AxisReport, ConnectedClients, DaemonSnapshot, DaemonStatus, Distribution, Explained, Histograms,
+    HoldReport, LatchedFault, LogState, PROTOCOL, Response, RtStatus, explain_fault, explain_refusal, word,
 };
 use rtec_rt::event::{DisableReason, HeldBy, Mode, Refusal, Status};
 use rtec_rt::histogram::Reader;
@@ -29,7 +29,7 @@ impl Session {
             [&timing.poll_gap_ns, &timing.edge_to_done_ns].map(buckets);
         let histograms = Histograms { poll_gap_ns, edge_to_done_ns, poll_gap_sum_ns, edge_to_done_sum_ns };
         let explained = self.explained(None, control);
-        Response::Observed(Box::new(Observed {
+        Response::Observed(Box::new(DaemonSnapshot {
             status: DaemonStatus { record_trouble: log.in_words(), ..self.status(control) },
             explained,
             events_missed: events_after.map_or(0, |known| first.saturating_sub(known.saturating_add(1))),

@@ -38,8 +38,14 @@ fn engine(config: &Config) -> (Engine, MockCard<SharedWires, Monotonic>) {
     (engine, card)
 }
 
-fn set_up(engine: &Engine, real: bool) -> RtStartup {
-    RtStartup { real, wanted: None, missing: None, timing: engine.timing(), before: StateAtOpen::NOTHING }
+fn set_up(engine: &Engine, real: bool) -> RtStartupReport {
+    RtStartupReport {
+        real,
+        wanted: None,
+        missing: None,
+        timing: engine.timing(),
+        before: StateAtOpen::NOTHING,
+    }
 }
 
 fn session(engine: &Engine) -> Session {

@@ -4,12 +4,14 @@
 
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchResult, BenchRun, InsertionDesign, constant, there_and_back};
-use rtec_sim::computer::Computer;
-use rtec_sim::designs::{Comparison, TestMotion, compare, safe_at, safe_range, waveforms};
+use rtec_sim::bench::{BenchResult, BenchSetup, InsertionDesign, constant, there_and_back};
+use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::ecc::Pll;
+use rtec_sim::insertion_designs::{
+    InsertionDesignComparison, TestMotion, compare, safe_at, safe_range, waveforms,
+};
 
-fn comparison(computer: &Computer) -> Comparison {
+fn comparison(computer: &ComputerTiming) -> InsertionDesignComparison {
     compare(computer, TestMotion { counts: 4000, ..TestMotion::default() }, 1)
 }
 
@@ -20,7 +22,7 @@ fn the_table_is_what_the_papers_say() {
     if !test_needs::long() {
         return;
     }
-    for (computer, b_serves) in [(Computer::i8051(), false), (Computer::dsp(), true)] {
+    for (computer, b_serves) in [(ComputerTiming::i8051(), false), (ComputerTiming::dsp(), true)] {
         let table = comparison(&computer);
         println!("{}", table.to_table());
         for row in &table.designs {
@@ -52,12 +54,12 @@ fn the_table_is_what_the_papers_say() {
 /// At 30 kHz A and B are low for about 8 µs, which is too short. Design C takes somewhat less time.
 #[test]
 fn at_30_khz_nine_microseconds_no_longer_fit() {
-    let computer = Computer::i8051();
+    let computer = ComputerTiming::i8051();
     let config = AxisConfig::default();
     let run = |design, hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
-        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) }.run().unwrap()
+        BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(design, &computer) }.run().unwrap()
     };
     let slow = run(InsertionDesign::Original, 10_000.0);
     assert_eq!((slow.completed, slow.edge_to_done_ns), (-40, Some((9000, 9000))));
@@ -78,15 +80,15 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
 /// (NISTIR 4832, The "Original RTEC")
 #[test]
 fn without_the_speed_gate_it_runs_into_the_next_transition() {
-    let computer = Computer::i8051();
+    let computer = ComputerTiming::i8051();
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
-        BenchRun {
+        BenchSetup {
             edges: &edges,
             totals: &totals,
             ungated: true,
-            ..BenchRun::new(InsertionDesign::Original, &computer)
+            ..BenchSetup::new(InsertionDesign::Original, &computer)
         }
         .run()
         .unwrap()
@@ -102,7 +104,7 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
 /// Its gates hide a pulse elsewhere.
 #[test]
 fn full_cycle_designs_keep_the_ledger() {
-    let computer = Computer::i8051();
+    let computer = ComputerTiming::i8051();
     for design in [InsertionDesign::Original, InsertionDesign::A] {
         for n in 0..60_u64 {
             let accel = 1e5 * (1 + n % 7) as f64;
@@ -111,12 +113,12 @@ fn full_cycle_designs_keep_the_ledger() {
             let mut totals: Vec<(u64, i64)> =
                 (0..12).map(|k| (at(k), (k * 7 + n) as i64 % 41 - 20)).collect();
             totals.sort_unstable();
-            let run = BenchRun {
+            let run = BenchSetup {
                 config: AxisConfig { max_accel_counts_s2: accel, ..AxisConfig::default() },
                 start: State::from_bits(n as u8 % 4),
                 edges: &edges,
                 totals: &totals,
-                ..BenchRun::new(design, &computer)
+                ..BenchSetup::new(design, &computer)
             };
             let seen = run.run().unwrap();
             let wrong = (seen.error_counts(), seen.illegal, seen.faults, seen.overlaps, seen.completed % 4);
@@ -128,12 +130,12 @@ fn full_cycle_designs_keep_the_ledger() {
 
 #[test]
 fn full_cycle_designs_leave_less_than_four_counts() {
-    let computer = Computer::i8051();
+    let computer = ComputerTiming::i8051();
     let edges = constant(1_000_000, 5000.0, 400, 1);
     for design in [InsertionDesign::Original, InsertionDesign::A] {
         for (total, served) in [(7, 4), (3, 0), (-2, 0), (-3, 0), (-7, -4), (8, 8)] {
             let totals = [(edges[20].0, total)];
-            let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) };
+            let run = BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(design, &computer) };
             let seen = run.run().unwrap();
             assert_eq!((seen.completed, seen.mtc - seen.scale), (served, served), "{design:?} {total}");
         }
@@ -144,7 +146,7 @@ fn full_cycle_designs_leave_less_than_four_counts() {
 /// (NISTIR 4832, The "Original RTEC")
 #[test]
 fn the_original_cannot_insert_at_rest_outside_low_low() {
-    let computer = Computer::i8051();
+    let computer = ComputerTiming::i8051();
     for bits in 0..4 {
         for (design, served) in
             [(InsertionDesign::Original, bits == 0), (InsertionDesign::A, true), (InsertionDesign::C, true)]
@@ -152,7 +154,7 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
             let config = rtec_sim::bench::insert_at_rest(AxisConfig::default());
             let totals = [(1_000_000, 8), (60_000_000, 8)];
             let start = State::from_bits(bits);
-            let seen = BenchRun { config, start, totals: &totals, ..BenchRun::new(design, &computer) }
+            let seen = BenchSetup { config, start, totals: &totals, ..BenchSetup::new(design, &computer) }
                 .run()
                 .unwrap();
             assert_eq!(seen.completed, if served { 8 } else { 0 }, "{design:?} in {start:?}");
@@ -168,26 +170,28 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
 #[test]
 fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let config = AxisConfig::default();
-    assert!(!safe_at(InsertionDesign::B, &Computer::i8051(), config, Pll::default(), 10_000.0, 1));
-    assert!(safe_at(InsertionDesign::B, &Computer::dsp(), config, Pll::default(), 40_000.0, 1));
-    let computer = Computer::dsp();
+    assert!(!safe_at(InsertionDesign::B, &ComputerTiming::i8051(), config, Pll::default(), 10_000.0, 1));
+    assert!(safe_at(InsertionDesign::B, &ComputerTiming::dsp(), config, Pll::default(), 40_000.0, 1));
+    let computer = ComputerTiming::dsp();
     // "Current generation digital signal processors have the speed capability to handle these signals."
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let passed = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &computer) }.run().unwrap();
+    let passed =
+        BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, &computer) }.run().unwrap();
     assert_eq!((passed.mtc, passed.illegal), (4000, 0));
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 7), (edges[2000].0, -3)];
-    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::B, &computer) };
+    let run = BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::B, &computer) };
     let seen = run.run().unwrap();
     assert_eq!((seen.completed, seen.error_counts(), seen.insertions, seen.illegal), (-3, 0, 17, 0));
-    let dead = BenchRun { die_ns: edges[1000].0, ..run }.run().unwrap();
+    let dead = BenchSetup { die_ns: edges[1000].0, ..run }.run().unwrap();
     let (scale, mtc) = dead.at_death.unwrap();
     assert_eq!((dead.mtc - mtc, dead.illegal), (0, 0));
     assert!(dead.scale - scale > 2900);
     // An 8051 that has to pass 100 kHz loses counts; the MTC may see an illegal state or none.
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let lost =
-        BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &Computer::i8051()) }.run().unwrap();
+    let lost = BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, &ComputerTiming::i8051()) }
+        .run()
+        .unwrap();
     assert!(lost.mtc < lost.scale / 2, "{lost:?}");
 }
 
@@ -195,16 +199,16 @@ fn design_b_needs_a_faster_computer_and_steps_by_one() {
 /// (CMTI 2014, section 3, figures 8 and 9)
 #[test]
 fn three_pulses_added_and_three_subtracted() {
-    let computer = Computer::dsp();
+    let computer = ComputerTiming::dsp();
     for direction in [1, -1] {
         let edges = constant(1_000_000, 10_000.0, 4000, direction);
         for total in [12, -12] {
             let totals = [(edges[500].0, total)];
-            let run = BenchRun {
+            let run = BenchSetup {
                 edges: &edges,
                 totals: &totals,
                 keep_log: true,
-                ..BenchRun::new(InsertionDesign::Ecc, &computer)
+                ..BenchSetup::new(InsertionDesign::Ecc, &computer)
             };
             let seen = run.run().unwrap();
             assert_eq!((seen.mtc - seen.scale, seen.completed, seen.illegal), (total, total, 0));
@@ -221,12 +225,12 @@ fn three_pulses_added_and_three_subtracted() {
 /// (CMTI 2014, sections 2.2.7 and 2.3)
 #[test]
 fn more_than_fifteen_pulses_take_two_compensations() {
-    let computer = Computer::dsp();
+    let computer = ComputerTiming::dsp();
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     for (pulses, compensations) in [(15, 1), (16, 2), (45, 3)] {
         let totals = [(edges[500].0, 4 * pulses)];
         let seen =
-            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
+            BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) }
                 .run()
                 .unwrap();
         assert_eq!((seen.insertions, seen.completed, seen.error_counts()), (compensations, 4 * pulses, 0));
@@ -239,14 +243,14 @@ fn more_than_fifteen_pulses_take_two_compensations() {
 #[test]
 fn the_ecc_works_in_its_lock_range_only() {
     let (low, high) =
-        safe_range(InsertionDesign::Ecc, &Computer::dsp(), AxisConfig::default(), Pll::default(), 1);
+        safe_range(InsertionDesign::Ecc, &ComputerTiming::dsp(), AxisConfig::default(), Pll::default(), 1);
     assert!((1150.0..1153.0).contains(&low), "{low} Hz");
     assert!((62_400.0..=62_501.0).contains(&high), "{high} Hz");
-    let computer = Computer::dsp();
+    let computer = ComputerTiming::dsp();
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 8000, 1);
         let totals = [(edges[2000].0, 12)];
-        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
+        BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) }
             .run()
             .unwrap()
     };
@@ -267,12 +271,12 @@ fn the_ecc_works_in_its_lock_range_only() {
 /// The controller waits for it.
 #[test]
 fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
-    let computer = Computer::dsp();
+    let computer = ComputerTiming::dsp();
     for hz in [500.0, 2000.0, 10_000.0, 60_000.0, 79_000.0] {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(0, 60)];
         let run =
-            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) };
+            BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) };
         let seen = run.run().unwrap();
         assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (60, 0, 0), "{hz} Hz");
         assert!(seen.min_separation_ns > 1000, "{hz} Hz: {seen:?}");
@@ -283,13 +287,13 @@ fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
 /// The CMTI paper does not mention it.
 #[test]
 fn the_ecc_goes_wrong_at_reversal() {
-    let computer = Computer::dsp();
+    let computer = ComputerTiming::dsp();
     let edges = there_and_back(5000.0, 2e6, 2000, 0);
     let turn = edges[1999].0;
     let wrong = (0..40).filter(|n| {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let seen =
-            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
+            BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) }
                 .run()
                 .unwrap();
         seen.error_counts() != 0 || seen.illegal > 0
@@ -299,11 +303,11 @@ fn the_ecc_goes_wrong_at_reversal() {
     for n in 0..40 {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let config = AxisConfig { max_accel_counts_s2: 2e6, ..AxisConfig::default() };
-        let seen = BenchRun {
+        let seen = BenchSetup {
             config,
             edges: &edges,
             totals: &totals,
-            ..BenchRun::new(InsertionDesign::C, &computer)
+            ..BenchSetup::new(InsertionDesign::C, &computer)
         }
         .run()
         .unwrap();
@@ -317,12 +321,12 @@ fn the_ecc_goes_wrong_at_reversal() {
 /// mention.
 #[test]
 fn when_the_computer_stops() {
-    let computer = Computer::i8051();
+    let computer = ComputerTiming::i8051();
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 2)];
-    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::C, &computer) };
+    let run = BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::C, &computer) };
     let after = |die_ns| {
-        let seen = BenchRun { die_ns, ..run.clone() }.run().unwrap();
+        let seen = BenchSetup { die_ns, ..run.clone() }.run().unwrap();
         let (scale, mtc) = seen.at_death.unwrap();
         (seen.mtc - mtc) as f64 / (seen.scale - scale) as f64
     };
@@ -339,15 +343,15 @@ fn same_seed_same_bytes_and_every_design_draws() {
     }
     let table = |seed| {
         serde_json::to_string(&compare(
-            &Computer::dsp(),
+            &ComputerTiming::dsp(),
             TestMotion { counts: 400, ..TestMotion::default() },
             seed,
         ))
     };
     assert_eq!(table(3).unwrap(), table(3).unwrap());
     for design in InsertionDesign::ALL {
-        let svg = waveforms(design, &Computer::dsp(), 3);
+        let svg = waveforms(design, &ComputerTiming::dsp(), 3);
         assert!(svg.starts_with("<svg") && svg.matches("polyline").count() == 5, "{design:?}");
-        assert_eq!(svg, waveforms(design, &Computer::dsp(), 3));
+        assert_eq!(svg, waveforms(design, &ComputerTiming::dsp(), 3));
     }
 }

@@ -5,7 +5,7 @@
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use rtec_rt::axis::RestPolicy;
-use rtec_sim::experiment::{EXPERIMENTS, Experiment, Findings, Setting};
+use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, Findings, Setting};
 use rtec_sim::heat::FIGURE_9;
 use rtec_sim::sim::MachineSpec;
 use std::path::Path;

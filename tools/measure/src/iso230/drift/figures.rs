@@ -44,9 +44,9 @@ impl FirstPass {
 
 /// Smallest and largest value so far.
 #[derive(Debug, Clone, Copy, Default)]
-struct Span(Option<[f64; 2]>);
+struct MinMax(Option<[f64; 2]>);
 
-impl Span {
+impl MinMax {
     fn see(&mut self, v: f64) {
         let [low, high] = self.0.unwrap_or([v; 2]);
         self.0 = Some([low.min(v), high.max(v)]);
@@ -85,7 +85,7 @@ struct SensorSums {
     mean: f64,
     /// Number of its readings.
     rows: usize,
-    span: Span,
+    span: MinMax,
     ends: FirstLastSums,
     first: Option<f64>,
     last: f64,
@@ -144,9 +144,9 @@ pub(super) struct SecondPass {
     few: usize,
     mean_t: f64,
     mean_e: f64,
-    first_hour: Span,
-    all: Span,
-    last_hour: Span,
+    first_hour: MinMax,
+    all: MinMax,
+    last_hour: MinMax,
     ends: FirstLastSums,
     tt: f64,
     te: f64,

@@ -3,11 +3,11 @@
 
 use super::figures::{FirstPass, Row, SecondPass};
 use super::scatter::Scatter;
-use super::spans::{Span, Spans, State, TURNS_RPM};
+use super::spans::{HeatSource, Span, Spans, TURNS_RPM};
 use super::{Drift, Figures, Phase, charts_of, displaced};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
-use crate::record::RecordPieces;
+use crate::record::RecordPieceReader;
 use rtec_files::{InputError, Result};
 use rtec_model::limits::disconnected;
 use rtec_model::record::{Column, Record, Role, median, span};
@@ -20,7 +20,7 @@ const PIECE_ROWS: usize = 4096;
 /// A drift test on file after its first pass.
 pub(crate) struct LongDrift {
     path: PathBuf,
-    pieces: RecordPieces,
+    pieces: RecordPieceReader,
     /// The record with its first rows only.
     pub(crate) head: Record,
     pub(crate) rows: usize,
@@ -69,7 +69,8 @@ impl LongDrift {
     /// Reads a record of more than `more_than` rows; `None` for a shorter one.
     /// Also `None` if an axis moves, because its positions are grouped over all rows.
     pub(crate) fn of(path: &Path, more_than: usize) -> Result<Option<Self>> {
-        let Some(mut pieces) = RecordPieces::of(path)?.filter(|p| p.most_rows() > more_than as u64) else {
+        let Some(mut pieces) = RecordPieceReader::of(path)?.filter(|p| p.most_rows() > more_than as u64)
+        else {
             return Ok(None);
         };
         let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
@@ -80,7 +81,7 @@ impl LongDrift {
             let rpm = record.data(&Role::SpindleSpeed);
             for (row, t) in t.iter().enumerate() {
                 let rpm = rpm.map_or(0.0, |r| r[row]);
-                let state = if rpm.abs() > TURNS_RPM { State::Spindle } else { State::Rest };
+                let state = if rpm.abs() > TURNS_RPM { HeatSource::Spindle } else { HeatSource::Rest };
                 spans.see(state, *t, rpm);
             }
             errors.resize_with(displaced(&record.columns).count(), Outline::default);

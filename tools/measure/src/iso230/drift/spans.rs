@@ -11,7 +11,7 @@ pub(super) const TURNS_RPM: f64 = 0.5;
 
 /// The source of heat at a row.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum State {
+pub(super) enum HeatSource {
     Rest,
     Spindle,
     Moves(String),
@@ -20,7 +20,7 @@ pub(super) enum State {
 /// A stretch of rows in one state.
 #[derive(Debug, Clone)]
 pub(super) struct Span {
-    pub(super) state: State,
+    pub(super) state: HeatSource,
     pub(super) rows: Range<usize>,
     /// Time of its first row, s.
     pub(super) start_s: f64,
@@ -39,7 +39,7 @@ pub(super) struct Spans {
 
 impl Spans {
     /// Adds the next row.
-    pub(super) fn see(&mut self, state: State, t_s: f64, rpm: f64) {
+    pub(super) fn see(&mut self, state: HeatSource, t_s: f64, rpm: f64) {
         let row = self.spans.last().map_or(0, |s| s.rows.end);
         self.last_s = t_s;
         match self.spans.last_mut() {
@@ -85,7 +85,7 @@ impl Spans {
         let mut heat = false;
         for s in &mut spans {
             s.after_heat = heat;
-            heat |= s.state != State::Rest;
+            heat |= s.state != HeatSource::Rest;
         }
         spans
     }
@@ -104,14 +104,14 @@ impl Span {
     /// Name of the phase in one word and in several.
     pub(super) fn name(&self, columns: &[Column]) -> (&'static str, String) {
         match &self.state {
-            State::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
-            State::Rest if columns.iter().all(|c| c.role != Role::SpindleSpeed) => {
+            HeatSource::Rest if self.after_heat => ("cooling", "at rest after heat".to_owned()),
+            HeatSource::Rest if columns.iter().all(|c| c.role != Role::SpindleSpeed) => {
                 let what = "no axis moves, spindle_speed not recorded: environment (ETVE) only if it stood";
                 ("environment", what.to_owned())
             }
-            State::Rest => ("environment", "environment (ETVE), at rest".to_owned()),
-            State::Moves(axes) => ("movement", format!("movement of {axes}")),
-            State::Spindle => {
+            HeatSource::Rest => ("environment", "environment (ETVE), at rest".to_owned()),
+            HeatSource::Moves(axes) => ("movement", format!("movement of {axes}")),
+            HeatSource::Spindle => {
                 let [lo, hi] = self.speed_rpm;
                 let speed =
                     if hi - lo > 0.02 * hi { format!("{lo:.0} to {hi:.0}") } else { format!("{hi:.0}") };

@@ -1,13 +1,13 @@
 //! `acceleration_error.A`: bending under the machine's own inertia.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter, Searched};
 use std::sync::Arc;
 
 /// Extra price over an effect of the position, nats: it is rarer.
 const RARER: f64 = 1.0;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "acceleration_error".into(),
         law: "e = um_per_m_s2·a/1000".into(),
         cause: "drive train and structure bending under their own inertia".into(),
@@ -19,7 +19,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![Need::Acceleration],
         // Around a circle at constant speed the acceleration is proportional to the position, as of a scale.
         searched: Searched { price: RARER, ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })
 }

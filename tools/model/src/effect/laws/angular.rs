@@ -1,10 +1,10 @@
 //! `angular.A.B.C`: a tilt that grows along one axis, at the lever of another.
 
-use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "angular".into(),
         law: "e_A = urad_per_m·p_B·p_C/1e6".into(),
         cause: "pitch, yaw or roll that grows along one axis, at the lever of another".into(),
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         )],
         needs: vec![Need::Position(1), Need::Position(2)],
         symmetric: true,
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[1] * i.p_mm[2] / 1e6 })
 }

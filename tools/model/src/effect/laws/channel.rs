@@ -1,13 +1,13 @@
 //! `channel.A.NAME`: a logged quantity with no physics named.
 
-use crate::effect::{Description, Law, Linear, Naming, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter, Searched};
 use std::sync::Arc;
 
 /// Extra price over an effect that has a physical cause, nats.
 const NO_PHYSICS: f64 = 2.5;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "channel".into(),
         law: "e = gain·NAME".into(),
         cause: "a logged quantity with no physics named".into(),
@@ -23,7 +23,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Channel],
         searched: Searched { price: NO_PHYSICS, ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.channel })
 }

@@ -1,13 +1,13 @@
 //! `coolant.A`: a constant error while coolant flows.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "coolant";
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e = um while coolant is on".into(),
         cause: "coolant's pressure and chill on spindle and work".into(),
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             "a spindle of steel half a metre long and 100 K colder is 0.6 mm shorter",
         )],
         needs: vec![Need::Coolant],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = f64::from(i.coolant > 0.5) })
 }

@@ -1,6 +1,6 @@
 //! `following_error.A`: lag of the position loop.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter, Probing};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter, Probing};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -8,7 +8,7 @@ pub const NAME: &str = "following_error";
 
 pub(super) fn law() -> Arc<dyn Law> {
     let description =
-        Description {
+        LawDescription {
             name: NAME.into(),
             law: "e = ms·v".into(),
             cause: "lag of the position loop (1/Kv), delay of the reading".into(),
@@ -19,7 +19,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             )],
             needs: vec![Need::Velocity],
             probing: Probing::Displaced,
-            ..Description::default()
+            ..LawDescription::default()
         };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s })
 }

@@ -1,10 +1,10 @@
 //! `force_offset.A`: a constant force.
 
-use crate::effect::{Description, Law, Linear, Mechanism, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, Mechanism, Parameter, Quantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "force_offset".into(),
         law: "f = N".into(),
         cause: "weight that is not balanced, amplifier offset, Coulomb friction that differs by direction"
@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![Parameter::linear("N", "N", 10_000.0).typically(20.0).within([-1e6, 1e6], "the weight of 100 t")],
         constant: true,
         mechanism: Some(Mechanism::ConstantForce),
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |_, _, out| out[0] = 1.0 })
 }

@@ -2,7 +2,7 @@
 //! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Refine,
+    LawDescription, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Refine,
     ParameterSearch,
     Searched, State,
 };
@@ -10,14 +10,14 @@ use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 #[derive(Debug)]
-struct FormBump(Description);
+struct FormBump(LawDescription);
 
 const UM: usize = 0;
 const CENTRE: usize = 1;
 const WIDTH: usize = 2;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    Arc::new(FormBump(Description {
+    Arc::new(FormBump(LawDescription {
         name: "form_bump".into(),
         law: "e = um·(1 + cos(2π(angle − centre_rad)/width_rad))/2 within ±width_rad/2 of the centre, else 0"
             .into(),
@@ -39,7 +39,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "the part probed densely all around, twice (a bump stays, a chip does not)".into(),
         owner: Owner::Part,
         searched: Searched { repeats: true, ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
@@ -50,7 +50,7 @@ fn from_centre(effect: &Effect, now: &Input) -> f64 {
 }
 
 impl Law for FormBump {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

@@ -1,10 +1,10 @@
 //! `friction_coulomb.A`: dry friction.
 
-use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity, sign};
+use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Parameter, Quantity, sign};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "friction_coulomb".into(),
         law: "f = N·sign(v)".into(),
         cause: "dry friction of guideways, seals and preloaded nuts".into(),
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Velocity],
         mechanism: Some(Mechanism::CoulombFriction),
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = sign(i.v_mm_s) })
 }

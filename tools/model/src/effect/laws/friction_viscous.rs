@@ -1,10 +1,10 @@
 //! `friction_viscous.A`: force in proportion to the velocity.
 
-use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Parameter, Quantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "friction_viscous".into(),
         law: "f = N_s_per_m·v/1000".into(),
         cause: "lubricant sheared in guideways, screw and bearings".into(),
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Velocity],
         mechanism: Some(Mechanism::ViscousFriction),
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
 }

@@ -1,10 +1,10 @@
 //! `inertia.A`: the force that accelerates an axis.
 
-use crate::effect::{Description, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Parameter, Quantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "inertia".into(),
         law: "f = kg·a/1000".into(),
         cause: "moved mass, with the drive's inertia referred to the axis".into(),
@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Acceleration],
         mechanism: Some(Mechanism::Mass),
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })
 }

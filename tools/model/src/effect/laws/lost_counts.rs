@@ -1,19 +1,19 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    EffectColumns, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    EffectColumns, LawDescription, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
 #[derive(Debug)]
-struct LostCounts(Description);
+struct LostCounts(LawDescription);
 
 const UM: usize = 0;
 const AT: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    Arc::new(LostCounts(Description {
+    Arc::new(LostCounts(LawDescription {
         name: "lost_counts".into(),
         law: "e = um from at_s on; whole counts".into(),
         cause: "edges lost or gained by a decoder, a connector, a scale that is dirty".into(),
@@ -29,12 +29,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "return to a fixed stop or to the reference mark before and after".into(),
         heat: Heat::StandsIn,
         whole_counts: true,
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
 impl Law for LostCounts {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

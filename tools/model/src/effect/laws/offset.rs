@@ -1,13 +1,13 @@
 //! `offset.A`: the zero of an axis.
 
-use crate::effect::{Description, Heat, Law, Linear, Parameter};
+use crate::effect::{LawDescription, Heat, Law, Linear, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "offset";
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e = um".into(),
         cause: "zero point, tool length, datum of the gauge".into(),
@@ -21,7 +21,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         heat: Heat::StandsIn,
         constant: true,
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |_, _, out| out[0] = 1.0 })
 }

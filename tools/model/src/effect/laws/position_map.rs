@@ -1,14 +1,14 @@
 //! `position_map.A`: an axis's repeatable error beyond a straight line.
 
 use crate::effect::knots::{BrokenLine, parameters};
-use crate::effect::{Description, Law, Need};
+use crate::effect::{LawDescription, Law, Need};
 use std::sync::Arc;
 
 /// Index of the axis in the name that the knots lie on.
 const ALONG: usize = 0;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "position_map".into(),
         law: "e = smooth, repeatable function of p beyond scale: linear between knots, constant beyond"
             .into(),
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "linear displacement with closely spaced targets (ISO 230-2), several cycles".into(),
         parameters: parameters(),
         needs: vec![Need::Position(ALONG)],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(BrokenLine { description, along: ALONG })
 }

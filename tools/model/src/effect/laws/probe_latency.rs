@@ -1,10 +1,10 @@
 //! `probe_latency.A`: time from contact to capture.
 
-use crate::effect::{Description, Law, Linear, Mechanism, Need, Owner, Parameter, Probing};
+use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Owner, Parameter, Probing};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "probe_latency".into(),
         law: "e = us·v/1000, in a record of kind probing".into(),
         cause: "time from the probe's contact to the captured position".into(),
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         owner: Owner::Probe,
         probing: Probing::Only,
         mechanism: Some(Mechanism::ProbeDelay),
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
 }

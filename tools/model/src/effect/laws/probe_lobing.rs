@@ -2,7 +2,7 @@
 
 use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis,
+    LawDescription, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis,
     ParameterSearch, Searched,
     State, ValueError,
 };
@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// um·cos(lobes·angle + phase).
 #[derive(Debug)]
-struct Lobing(Description);
+struct Lobing(LawDescription);
 
 const UM: usize = 0;
 const LOBES: usize = 1;
@@ -20,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
     let lobes = Parameter::new("lobes", "1", [2.0, 12.0], ParameterSearch::Chosen)
         .within([1.0, 1000.0], "one lobe is an eccentric ring; a thousand are roughness")
         .telling_apart();
-    Arc::new(Lobing(Description {
+    Arc::new(Lobing(LawDescription {
         name: "probe_lobing".into(),
         law: "e = um·cos(lobes·angle + phase)".into(),
         cause: "a kinematic probe's pre-travel, different in every direction of touch".into(),
@@ -36,12 +36,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![Need::Angle],
         owner: Owner::Probe,
         searched: Searched { repeats: true, ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
 impl Law for Lobing {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

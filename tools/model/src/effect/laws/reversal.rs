@@ -1,13 +1,13 @@
 //! `reversal.A`: the lost motion of an axis after it turned back.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "reversal";
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e = um·dir/2".into(),
         cause: "backlash and elastic wind-up between scale and tool".into(),
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             "lost motion of a millimetre is a loose coupling, and repeats in no way",
         )],
         needs: vec![Need::Direction],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.dir / 2.0 })
 }

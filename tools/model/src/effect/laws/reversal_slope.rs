@@ -1,11 +1,11 @@
 //! `reversal_slope.A`: a reversal that grows along the axis.
 //! A worn screw causes it.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter, Searched};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "reversal_slope".into(),
         law: "e = um_per_m·p/1000·dir/2".into(),
         cause: "a screw or rack that is worn more at one end of the travel".into(),
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Direction, Need::Position(0)],
         searched: Searched { beside: Some(super::reversal::NAME), ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 * i.dir / 2.0 })
 }

@@ -2,7 +2,7 @@
 //! It fades with the travel since the change.
 
 use crate::effect::{
-    Description, Effect, Extent, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
+    LawDescription, Effect, Extent, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
     State,
 };
 use std::sync::Arc;
@@ -11,13 +11,13 @@ use std::sync::Arc;
 pub const NAME: &str = "reversal_spike";
 
 #[derive(Debug)]
-struct ReversalSpike(Description);
+struct ReversalSpike(LawDescription);
 
 const UM: usize = 0;
 const LENGTH: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    Arc::new(ReversalSpike(Description {
+    Arc::new(ReversalSpike(LawDescription {
         name: NAME.into(),
         law: "e = um·dir·exp(−d/length_mm), d = travel since the last reversal".into(),
         cause: "static friction: the axis sticks while the drive winds up".into(),
@@ -33,7 +33,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             "ballbar (ISO 230-4), read at the quadrants; short strokes with dense readings after reversal"
                 .into(),
         after_turn: true,
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
@@ -69,7 +69,7 @@ fn travel(now: &Input, state: &mut State) -> Option<f64> {
 }
 
 impl Law for ReversalSpike {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

@@ -1,10 +1,10 @@
 //! `rotation.A.B`: the work or plate is turned in the plane of two axes.
 
-use crate::effect::{Description, Law, Linear, Naming, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "rotation".into(),
         law: "e_A = −urad·p_B/1000, e_B = +urad·p_A/1000".into(),
         cause: "work or plate turned about the normal of the plane of both axes".into(),
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             "beyond 50 mrad an error in proportion to the angle is no longer the rotation's to a thousandth",
         )],
         needs: vec![Need::Position(0), Need::Position(1)],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear {
         description,

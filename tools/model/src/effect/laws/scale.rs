@@ -1,13 +1,13 @@
 //! `scale.A`: an error proportional to the position.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "scale";
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e = ppm·p/1000".into(),
         cause: "length error of the scale or of the screw's lead, cosine error of the set-up".into(),
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-1000.0, 1000.0], "the loosest screw (ISO 3408-3, grade 10) is 700 ppm off"),
         ],
         needs: vec![Need::Position(0)],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 })
 }

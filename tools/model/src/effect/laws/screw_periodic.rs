@@ -2,7 +2,7 @@
 //! Its period is a turn of a screw or an encoder.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{Description, Law, Need, Searched, Wave};
+use crate::effect::{LawDescription, Law, Need, Searched, Wave};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "half the finest and one and a half times the coarsest lead of ISO 3408-2, 1 to 40 mm";
     let wobble = "a screw that wobbles by more than a millimetre does not turn";
     let wave = Wave { unit_mm: 1.0, usual_mm: &LEADS_MM, steps: None, most_periods: None };
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e = um·sin(2πp/period_mm + phase)".into(),
         cause: "wobble of the ball screw or of its bearings, once or twice a turn; eccentric rotary encoder".into(),
@@ -29,7 +29,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: false })
 }

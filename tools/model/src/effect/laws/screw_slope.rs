@@ -1,11 +1,11 @@
 //! `screw_slope.A`: the amplitude of a screw's wave grows along the axis.
 
 use crate::effect::wave::{Sine, period, phase};
-use crate::effect::{Description, Law, Need, Parameter, ParameterSearch, Searched};
+use crate::effect::{LawDescription, Law, Need, Parameter, ParameterSearch, Searched};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "screw_slope".into(),
         law: "e = um_per_m·p/1000·sin(2πp/period_mm + phase)".into(),
         cause: "a screw that wobbles more the farther its nut is from the fixed bearing".into(),
@@ -19,7 +19,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Position(0)],
         searched: Searched { repeats: true, beside: Some(super::screw_periodic::NAME), ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: true })
 }

@@ -1,13 +1,13 @@
 //! `spindle_speed.A`: growth that follows the spindle's speed at once.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "spindle_speed";
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e = um_per_krpm·n + um_per_krpm2·n²".into(),
         cause: "centrifugal growth of bearings and shaft, axial shift under preload".into(),
@@ -21,7 +21,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .or(0.0),
         ],
         needs: vec![Need::SpindleSpeed],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear {
         description,

@@ -1,13 +1,13 @@
 //! `squareness.A.B`: two axes that are not square to each other.
 
-use crate::effect::{Description, Law, Linear, Naming, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter, Searched};
 use std::sync::Arc;
 
 /// First part of the effect's name.
 pub const NAME: &str = "squareness";
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: NAME.into(),
         law: "e_A = urad·p_B/1000".into(),
         cause: "axis B not square to axis A".into(),
@@ -19,7 +19,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Position(1)],
         searched: Searched { one_beside: Some("rotation"), ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[1] / 1000.0 })
 }

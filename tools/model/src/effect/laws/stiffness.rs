@@ -1,10 +1,10 @@
 //! `stiffness.A`: bending under a load.
 
-use crate::effect::{Description, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "stiffness".into(),
         law: "e = um_per_N·load".into(),
         cause: "compliance between scale and tool or work".into(),
@@ -14,7 +14,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-100.0, 100.0], "0.01 N/µm: a spring, no machine"),
         ],
         needs: vec![Need::Load],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.load_n })
 }

@@ -2,14 +2,14 @@
 //! A straight line is not part of it.
 
 use crate::effect::knots::{BrokenLine, parameters};
-use crate::effect::{Description, Law, Naming, Need};
+use crate::effect::{LawDescription, Law, Naming, Need};
 use std::sync::Arc;
 
 /// Index of the axis in the name that the knots lie on.
 const ALONG: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let description = Description {
+    let description = LawDescription {
         name: "straightness".into(),
         law: "e_A = smooth non-linear function of p_B: linear between knots, constant beyond".into(),
         cause: "a guideway that is not straight".into(),
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         naming: Naming::Two,
         parameters: parameters(),
         needs: vec![Need::Position(ALONG)],
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(BrokenLine { description, along: ALONG })
 }

@@ -1,7 +1,7 @@
 //! `subdivision.A`: a wave along the travel with the signal period of the scale.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{Description, Law, Need, Searched, Wave};
+use crate::effect::{LawDescription, Law, Need, Searched, Wave};
 use std::sync::Arc;
 
 /// Unit of the period, mm.
@@ -19,7 +19,7 @@ pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "signal periods of linear scales, from interferential (1 µm) to inductive ones (200 µm)";
     // Two steps of the positions to a period: a finer wave looks like a coarser one.
     let wave = Wave { unit_mm: UNIT_MM, usual_mm: &SIGNALS_MM, steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
-    let description = Description {
+    let description = LawDescription {
         name: "subdivision".into(),
         law: "e = um·sin(2πp/period_um + phase)".into(),
         cause:
@@ -33,7 +33,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![Need::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
-        ..Description::default()
+        ..LawDescription::default()
     };
     Arc::new(Sine { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS), grows: false })
 }

@@ -1,15 +1,15 @@
 //! `thermal_expansion.A`: a temperature difference changes a length.
 
 use crate::effect::{
-    EffectColumns, Description, Effect, Heat, Input, Law, Need, Out, Parameter, State,
+    EffectColumns, LawDescription, Effect, Heat, Input, Law, Need, Out, Parameter, State,
 };
 use std::sync::Arc;
 
 #[derive(Debug)]
-struct ThermalExpansion(Description);
+struct ThermalExpansion(LawDescription);
 
 pub(super) fn law() -> Arc<dyn Law> {
-    Arc::new(ThermalExpansion(Description {
+    Arc::new(ThermalExpansion(LawDescription {
         name: "thermal_expansion".into(),
         law: "e = ppm_per_K·ΔT·p/1000".into(),
         cause: "scale, screw or work longer than at the reference temperature".into(),
@@ -21,12 +21,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![Need::Delta, Need::Position(0)],
         heat: Heat::Expansion,
         companion: Some(super::scale::NAME),
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
 impl Law for ThermalExpansion {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

@@ -1,7 +1,7 @@
 //! `thermal_growth.A`: a temperature difference moves a point.
 
 use crate::effect::{
-    EffectColumns, Description, Effect, Heat, Input, Law, Need, Out, Parameter,
+    EffectColumns, LawDescription, Effect, Heat, Input, Law, Need, Out, Parameter,
     State,
 };
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub const NAME: &str = "thermal_growth";
 
 #[derive(Debug)]
-struct ThermalGrowth(Description);
+struct ThermalGrowth(LawDescription);
 
 /// Growth per kelvin, and per kelvin squared.
 pub(super) fn gains() -> [Parameter; 2] {
@@ -24,7 +24,7 @@ pub(super) fn gains() -> [Parameter; 2] {
 }
 
 pub(super) fn law() -> Arc<dyn Law> {
-    Arc::new(ThermalGrowth(Description {
+    Arc::new(ThermalGrowth(LawDescription {
         name: NAME.into(),
         law: "e = um_per_K·ΔT + um_per_K2·ΔT²".into(),
         cause: "spindle, housing or column growing as it warms".into(),
@@ -35,12 +35,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![Need::Delta],
         heat: Heat::Growth,
         companion: Some(super::offset::NAME),
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
 impl Law for ThermalGrowth {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

@@ -2,7 +2,7 @@
 
 use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
-    EffectColumns, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    EffectColumns, LawDescription, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch,
     State,
 };
@@ -12,7 +12,7 @@ use std::sync::Arc;
 pub const NAME: &str = "thermal_lag";
 
 #[derive(Debug)]
-struct ThermalLag(Description);
+struct ThermalLag(LawDescription);
 
 const TAU: usize = 2;
 
@@ -22,7 +22,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         .refined(Refine::TimeConstant(0.35))
         .telling_apart();
     let [linear, square] = super::thermal_growth::gains();
-    Arc::new(ThermalLag(Description {
+    Arc::new(ThermalLag(LawDescription {
         name: NAME.into(),
         law: "e = um_per_K·L + um_per_K2·L², L = ΔT passed through a first-order lag".into(),
         cause: "a massive part that follows the measured temperature late".into(),
@@ -34,7 +34,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         heat: Heat::Growth,
         companion: Some(super::offset::NAME),
         lag: Some(TAU),
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
@@ -60,7 +60,7 @@ fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut State) -> (f6
 }
 
 impl Law for ThermalLag {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

@@ -1,19 +1,19 @@
 //! `warm_up.A`: a drift from the start, without a logged cause.
 
 use crate::effect::{
-    EffectColumns, Description, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    EffectColumns, LawDescription, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
 #[derive(Debug)]
-struct WarmUp(Description);
+struct WarmUp(LawDescription);
 
 const UM: usize = 0;
 const TAU: usize = 1;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    Arc::new(WarmUp(Description {
+    Arc::new(WarmUp(LawDescription {
         name: "warm_up".into(),
         law: "e = um·(1 − exp(−t/tau_s)), from t = 0".into(),
         cause: "warming that no sensor of the record follows".into(),
@@ -29,7 +29,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "drift from a cold start with temperatures logged at every heat source (ISO 230-3)"
             .into(),
         heat: Heat::FromStart,
-        ..Description::default()
+        ..LawDescription::default()
     }))
 }
 
@@ -39,7 +39,7 @@ fn drift(t_s: f64, tau_s: f64) -> f64 {
 }
 
 impl Law for WarmUp {
-    fn describe(&self) -> &Description {
+    fn describe(&self) -> &LawDescription {
         &self.0
     }
 

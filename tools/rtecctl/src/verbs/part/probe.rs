@@ -193,7 +193,7 @@ fn follow(
     let mut captured = Captured::default();
     let mut degc = Vec::new();
     // The two axes of a trip arrive when each meets its next edge; they share the trip's time.
-    let mut half: Option<(usize, protocol::TripReport)> = None;
+    let mut half: Option<(usize, protocol::ProbeTripReport)> = None;
     let no = |fault: TripFault| anyhow::Error::from(Outcome::No(fault.to_string()));
     // The session's own clock begins at its first trip.
     let mut zero_ns = None;

@@ -5,7 +5,8 @@ use ratatui_core::style::{Color, Modifier, Style};
 use ratatui_core::terminal::Frame;
 use ratatui_core::text::{Line, Span, Text};
 use rtec_control::protocol::{
-    AxisReport, Contribution, DaemonStatus, Distribution, Explained, NumberedEvent, Observed, Reading, word,
+    AxisReport, Contribution, DaemonSnapshot, DaemonStatus, Distribution, Explained, NumberedEvent, Reading,
+    word,
 };
 use rtec_model::record::span;
 use std::collections::VecDeque;
@@ -43,8 +44,8 @@ impl View {
         Self { colour, every, ..Self::default() }
     }
 
-    pub(super) fn take(&mut self, seen: Observed) {
-        let Observed { status, explained, events, .. } = seen;
+    pub(super) fn take(&mut self, seen: DaemonSnapshot) {
+        let DaemonSnapshot { status, explained, events, .. } = seen;
         // Another machine or a restarted daemon: the old trend is not its own.
         if self.status.as_ref().is_some_and(|s| s.uptime_s > status.uptime_s || s.machine != status.machine) {
             self.trend.clear();

@@ -26,7 +26,7 @@ const WORTH_ONE: f64 = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
 
 /// Outliers of a column, and the noise of its other readings.
 #[derive(Debug, Default)]
-pub(super) struct FewRowOutliers {
+pub(super) struct SmallSampleOutliers {
     pub(super) rows: Vec<usize>,
     pub(super) spread: f64,
 }
@@ -41,7 +41,7 @@ struct NeighbourDeviation {
 }
 
 /// Outliers of a response.
-pub(super) fn of_response(record: &Record, c: &Column) -> FewRowOutliers {
+pub(super) fn of_response(record: &Record, c: &Column) -> SmallSampleOutliers {
     let is_error = matches!(c.role, Role::Error(_));
     // A peak over the angle is a form error.
     let form = record.column(&Role::Angle).is_some();
@@ -58,7 +58,7 @@ pub(super) fn of_response(record: &Record, c: &Column) -> FewRowOutliers {
         && returns_to_one_place(record)
         && let Some((row, spread)) = apart_from_all(&c.data)
     {
-        found = FewRowOutliers { rows: vec![row], spread };
+        found = SmallSampleOutliers { rows: vec![row], spread };
     }
     let usual = median(c.data.clone());
     found.rows.retain(|row| !stays(&c.data, *row, c.data[*row] - usual));
@@ -97,9 +97,9 @@ pub(super) fn wild(
     orders: &[Vec<Vec<usize>>],
     excused: &dyn Fn(usize, f64) -> bool,
     beyond: impl Fn(f64) -> bool,
-) -> FewRowOutliers {
+) -> SmallSampleOutliers {
     let most = ((MOST * v.len() as f64) as usize).max(1);
-    let (mut out, mut wild) = (Vec::new(), FewRowOutliers::default());
+    let (mut out, mut wild) = (Vec::new(), SmallSampleOutliers::default());
     for _ in 0..most {
         // Use the order in which the other rows are smoothest.
         let held = orders.iter().filter_map(|order| farthest(v, order, &out, excused));
@@ -112,7 +112,7 @@ pub(super) fn wild(
         if worst.off > bound(rest.len() + 1, worst.differences) * noise
             || beyond(worst.off) && worst.off > 100.0 * worst.noise
         {
-            wild = FewRowOutliers { rows: out.clone(), spread: worst.noise };
+            wild = SmallSampleOutliers { rows: out.clone(), spread: worst.noise };
         }
     }
     wild.rows.sort_unstable();

@@ -324,7 +324,7 @@ pub struct Searched {
 /// The description of a law. Its defaults hold for most laws.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[allow(clippy::struct_excessive_bools)] // facts that do not depend on each other
-pub struct Description {
+pub struct LawDescription {
     /// First part of the effect's name.
     pub name: String,
     /// The formula, as the guide's page of effects shows it.
@@ -366,7 +366,7 @@ pub struct Description {
     pub searched: Searched,
 }
 
-impl Description {
+impl LawDescription {
     /// Whether it may be the zero of a gauge. A constant force belongs to the machine.
     pub fn may_be_set_up(&self) -> bool {
         self.constant && self.quantity == Quantity::Error

@@ -55,7 +55,7 @@ pub fn over_a_part(
 pub(super) fn rapid_catch_up(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
     let mut spec = one_metre(1.0, 1000.0);
     // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
-    let nine = crate::computer::Computer::i8051().configure(AxisConfig::default());
+    let nine = crate::computer_timing::ComputerTiming::i8051().configure(AxisConfig::default());
     (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
     let (mut waited, mut entering) = (0, Vec::new());
     let runs = both(setting, &spec, [0.0; 3], "rapid-catch-up", |sim, log| {

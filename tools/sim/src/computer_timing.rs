@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// A computer that corrects one axis. All times in ns.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Computer {
+pub struct ComputerTiming {
     /// The hardware, in words.
     pub name: String,
     /// Time from recognising an edge to the first possible change of an output, ns.
@@ -31,7 +31,7 @@ pub struct Computer {
 /// Later values are rarer than any test can show.
 const TAIL: f64 = 0.9999;
 
-impl Computer {
+impl ComputerTiming {
     /// The 8051 family at 12 MHz.
     /// It takes 4 µs from recognising "A&B low" until a pulse can be added. Pulses are 2 µs wide and overlap
     /// by half (3 µs for the pair), with 2 µs after them (NISTIR 4832, The "Original RTEC"). A pass of Design
@@ -141,7 +141,7 @@ mod tests {
     /// NISTIR 4832, The "Original RTEC": "a total of 9 µs".
     #[test]
     fn the_8051_needs_nine_microseconds() {
-        let computer = Computer::i8051();
+        let computer = ComputerTiming::i8051();
         let config = computer.configure(AxisConfig::default());
         assert_eq!(crate::full_cycle::gate(&config).unwrap().need_ns(), 9000);
         // Design C: two inversions instead of four.
@@ -155,13 +155,13 @@ mod tests {
         let looks = "[[40,41,99990],[80,81,9],[5000,5119,1]]";
         std::fs::write(&file, format!("{{\"poll_gap_ns\":{{\"histogram\":{looks}}},\"verdict\":\"pass\"}}"))
             .unwrap();
-        let computer = Computer::measured(&file).unwrap();
+        let computer = ComputerTiming::measured(&file).unwrap();
         assert_eq!(computer.worst_look_ns(), 41);
         let mut noise = NoiseGenerator::new(1, 0);
         assert!((0..1000).all(|_| computer.next_look_ns(&mut noise) <= 5119));
         std::fs::write(&file, "{\"poll_gap_ns\":{\"histogram\":[]}}").unwrap();
-        assert!(Computer::measured(&file).unwrap_err().to_string().contains("empty"));
+        assert!(ComputerTiming::measured(&file).unwrap_err().to_string().contains("empty"));
         std::fs::write(&file, "{\n\"poll\":1}").unwrap();
-        assert_eq!(Computer::measured(&file).unwrap_err().line, 2);
+        assert_eq!(ComputerTiming::measured(&file).unwrap_err().line, 2);
     }
 }

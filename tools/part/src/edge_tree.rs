@@ -7,7 +7,7 @@ const LEAF: usize = 4;
 
 /// Edges in their order, with a binary tree of the boxes around runs of them.
 #[derive(Debug, Clone)]
-pub(crate) struct Edges {
+pub(crate) struct EdgeTree {
     edges: Vec<[Zx; 2]>,
     /// Lowest and highest corner of each node.
     /// Node `k` has the children `2 k` and `2 k + 1`; the root is 1.
@@ -41,7 +41,7 @@ fn foot(p: Zx, [a, b]: [Zx; 2]) -> Zx {
     a + d * t
 }
 
-impl Edges {
+impl EdgeTree {
     pub(crate) fn new(edges: Vec<[Zx; 2]>) -> Self {
         let leaves = edges.len().div_ceil(LEAF).next_power_of_two();
         let mut boxes = vec![NOTHING; 2 * leaves];
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn looks_at_few_edges_of_many() {
         let corner = |i: u32| Zx::at_angle(f64::from(i) / 40_000.0) * 20.0;
-        let edges = Edges::new((0..60_000).map(|i| [corner(i), corner(i + 1)]).collect());
+        let edges = EdgeTree::new((0..60_000).map(|i| [corner(i), corner(i + 1)]).collect());
         LOOKS.with(|looks| looks.set(0));
         for k in 0..1000_u32 {
             edges.nearest(Zx::at_angle(f64::from(k) / 700.0) * (20.0 + f64::from(k % 7)), f64::INFINITY);
@@ -144,7 +144,7 @@ mod tests {
                 Zx::at_angle(turn) * (10.0 + (7.0 * turn).sin())
             };
             let all: Vec<[Zx; 2]> = (0..n).map(|i| [corner(i), corner((i + 1) % n)]).collect();
-            let edges = Edges::new(all.clone());
+            let edges = EdgeTree::new(all.clone());
             for k in 0..500_u32 {
                 let p = Zx::new(f64::from(k % 25) - 12.0, f64::from(k / 20) - 12.0);
                 let by_all = all.iter().enumerate().map(|(i, e)| ((p - foot(p, *e)).norm(), i));
@@ -156,7 +156,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(Edges::new(Vec::new()).nearest(Zx::new(0.0, 0.0), f64::INFINITY), None);
-        assert_eq!(Edges::new(Vec::new()).crossings(Zx::new(0.0, 0.0)), 0);
+        assert_eq!(EdgeTree::new(Vec::new()).nearest(Zx::new(0.0, 0.0), f64::INFINITY), None);
+        assert_eq!(EdgeTree::new(Vec::new()).crossings(Zx::new(0.0, 0.0)), 0);
     }
 }

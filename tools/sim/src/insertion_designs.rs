@@ -1,7 +1,9 @@
 //! The designs compared on the same motion, and their waveforms.
 
-use crate::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant, insert_at_rest, there_and_back};
-use crate::computer::Computer;
+use crate::bench::{
+    BenchResult, BenchSetup, Edge, InsertionDesign, constant, insert_at_rest, there_and_back,
+};
+use crate::computer_timing::ComputerTiming;
 use crate::ecc::Pll;
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
@@ -110,30 +112,31 @@ pub struct DesignRow {
 
 /// The comparison, as `rtecctl designs --json` prints it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Comparison {
+pub struct InsertionDesignComparison {
     /// One row per design.
     pub designs: Vec<DesignRow>,
     /// The motion on which they were compared.
     pub motion: TestMotion,
     /// The computer that they ran on.
-    pub timing: Computer,
+    pub timing: ComputerTiming,
 }
 
 /// Runs every design on the same motion and computer.
-pub fn compare(computer: &Computer, motion: TestMotion, seed: u64) -> Comparison {
+pub fn compare(computer: &ComputerTiming, motion: TestMotion, seed: u64) -> InsertionDesignComparison {
     let designs = InsertionDesign::ALL.map(|d| row(d, computer, &motion, seed)).into();
-    Comparison { designs, motion, timing: computer.clone() }
+    InsertionDesignComparison { designs, motion, timing: computer.clone() }
 }
 
-fn row(design: InsertionDesign, computer: &Computer, motion: &TestMotion, seed: u64) -> DesignRow {
+fn row(design: InsertionDesign, computer: &ComputerTiming, motion: &TestMotion, seed: u64) -> DesignRow {
     let edges = motion.edges();
     let totals = motion.totals(&edges);
     let config = AxisConfig { max_accel_counts_s2: motion.accel_counts_s2, ..AxisConfig::default() };
-    let run = BenchRun { config, edges: &edges, totals: &totals, seed, ..BenchRun::new(design, computer) };
+    let run =
+        BenchSetup { config, edges: &edges, totals: &totals, seed, ..BenchSetup::new(design, computer) };
     let (mut illegal, mut worst, mut served) = (0, 0_i64, true);
     let mut insertion_ns: Option<u64> = None;
     for start in 0..4 {
-        let run = BenchRun { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
+        let run = BenchSetup { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
         let Some(seen) = run.run() else {
             served = false;
             continue;
@@ -172,7 +175,7 @@ fn row(design: InsertionDesign, computer: &Computer, motion: &TestMotion, seed: 
 /// transition, no edge closer than its separation, no wrong count, and phases of 90°.
 pub fn safe_at(
     design: InsertionDesign,
-    computer: &Computer,
+    computer: &ComputerTiming,
     config: AxisConfig,
     pll: Pll,
     encoder_hz: f64,
@@ -184,14 +187,14 @@ pub fn safe_at(
             let edges = constant(1_000_000 + 137 * u64::from(phase), encoder_hz, counts, direction);
             let at = |share: u64| edges[(counts * share / 100) as usize].0;
             let totals = [(at(20), 12), (at(60), -12)];
-            let run = BenchRun {
+            let run = BenchSetup {
                 config,
                 start: State::from_bits(phase),
                 edges: &edges,
                 totals: &totals,
                 seed: seed + u64::from(phase),
                 pll,
-                ..BenchRun::new(design, computer)
+                ..BenchSetup::new(design, computer)
             };
             run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
         })
@@ -212,7 +215,7 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
 /// Found by bisection to 0.1 %; (0, 0) if there is none.
 pub fn safe_range(
     design: InsertionDesign,
-    computer: &Computer,
+    computer: &ComputerTiming,
     config: AxisConfig,
     pll: Pll,
     seed: u64,
@@ -236,21 +239,21 @@ pub fn safe_range(
 /// Whether corrections are exact and legal at rest in this state.
 pub fn served_at_rest(
     design: InsertionDesign,
-    computer: &Computer,
+    computer: &ComputerTiming,
     config: AxisConfig,
     state: State,
 ) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
     let config = insert_at_rest(config);
-    let run = BenchRun { config, start: state, totals: &totals, ..BenchRun::new(design, computer) };
+    let run = BenchSetup { config, start: state, totals: &totals, ..BenchSetup::new(design, computer) };
     run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
 }
 
 /// Stops the computer at many moments, including every stage of the insertions.
-fn death(run: &BenchRun<'_>) -> Death {
+fn death(run: &BenchSetup<'_>) -> Death {
     let mut death =
         Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
-    let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else { return death };
+    let Some(whole) = (BenchSetup { keep_log: true, ..run.clone() }).run() else { return death };
     death.worst_follows = 1.0;
     // Just after changes of A' and B', and moments spread over the motion.
     let changes: Vec<u64> = whole.log.windows(2).filter(|w| w[0].1 == w[1].1).map(|w| w[1].0).collect();
@@ -268,7 +271,7 @@ fn death(run: &BenchRun<'_>) -> Death {
                 (longest, upto) = (travel.abs(), n + 1);
             }
         }
-        let seen = BenchRun { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
+        let seen = BenchSetup { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
         let (scale, mtc) = seen.at_death?;
         let (moved, counted) = (seen.scale - scale, seen.mtc - mtc);
         (moved != 0).then(|| (counted as f64 / moved as f64, counted - moved))
@@ -313,7 +316,7 @@ impl Death {
     }
 }
 
-impl Comparison {
+impl InsertionDesignComparison {
     /// The comparison as a table.
     pub fn to_table(&self) -> String {
         let m = &self.motion;
@@ -356,13 +359,14 @@ impl Comparison {
 
 /// Waveforms of one design as an SVG: A, B, A', B' and the MTC's count.
 /// The design adds `pulses` increments, then removes them (NISTIR 4832, figure 2; CMTI 2014, figures 8 and 9).
-pub fn waveforms(design: InsertionDesign, computer: &Computer, pulses: i64) -> String {
+pub fn waveforms(design: InsertionDesign, computer: &ComputerTiming, pulses: i64) -> String {
     let increments = pulses * design.increment_counts();
     let counts = 8 * (increments as u64) + 40;
     let edges = constant(100_000, 5000.0, counts, 1);
     let at = |share: u64| edges[(counts * share / 100) as usize].0 - 1;
     let totals = [(at(12), increments), (at(55), 0)];
-    let run = BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) };
+    let run =
+        BenchSetup { edges: &edges, totals: &totals, keep_log: true, ..BenchSetup::new(design, computer) };
     let Some(seen) = run.run() else { return String::new() };
     draw(design, &seen.log, &totals)
 }

@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// The task of a simulated turning centre, as a TOML file: a probing path or a cut.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Duty {
+pub struct MachiningTask {
     /// The part file that `part finish` writes; a cut changes it.
     /// The path is relative to this file.
     pub workpiece: PathBuf,
@@ -49,7 +49,7 @@ pub struct Duty {
 
 /// The cuts of a real-time machine, written to its part at the end.
 #[derive(Debug)]
-pub struct Cuts {
+pub struct CutRecorder {
     places: Arc<Mutex<Vec<Cut>>>,
     part: Workpiece,
     bench: Bench,
@@ -57,7 +57,7 @@ pub struct Cuts {
     file: PathBuf,
 }
 
-impl Cuts {
+impl CutRecorder {
     /// Writes the part after the cuts; nothing if the tool has not cut.
     ///
     /// # Errors
@@ -72,7 +72,7 @@ impl Cuts {
     }
 }
 
-impl Duty {
+impl MachiningTask {
     /// Reads the task.
     ///
     /// # Errors
@@ -80,13 +80,13 @@ impl Duty {
     pub fn read(file: &Path) -> Result<Self, InputError> {
         let text = rtec_files::text::read(file)?;
         let expected = "what the simulated turning centre does";
-        let mut duty: Self = rtec_files::toml::from_str(file, &text, expected)?;
+        let mut task: Self = rtec_files::toml::from_str(file, &text, expected)?;
         let at = |key: &str, found: String, expected: &str| {
             InputError::at_offset(file, &text, text.find(key).unwrap_or(0), found, expected)
         };
-        duty.bench.check().map_err(|(key, expected)| at(key, format!("{key} out of range"), expected))?;
-        let finite = [duty.tip_mm, duty.begin_s, duty.origin_mm[0], duty.origin_mm[1]];
-        if !finite.iter().all(|v| v.is_finite()) || !(0.0..=1e6).contains(&duty.begin_s) || duty.tip_mm < 0.0
+        task.bench.check().map_err(|(key, expected)| at(key, format!("{key} out of range"), expected))?;
+        let finite = [task.tip_mm, task.begin_s, task.origin_mm[0], task.origin_mm[1]];
+        if !finite.iter().all(|v| v.is_finite()) || !(0.0..=1e6).contains(&task.begin_s) || task.tip_mm < 0.0
         {
             return Err(at(
                 "",
@@ -94,19 +94,19 @@ impl Duty {
                 "finite numbers; tip_mm and begin_s 0 or more",
             ));
         }
-        if !(duty.feed_mm_min.is_finite() && duty.feed_mm_min > 0.0) {
-            return Err(at("feed_mm_min", duty.feed_mm_min.to_string(), "a positive feed"));
+        if !(task.feed_mm_min.is_finite() && task.feed_mm_min > 0.0) {
+            return Err(at("feed_mm_min", task.feed_mm_min.to_string(), "a positive feed"));
         }
-        match (&duty.path, duty.cut_radius_mm) {
+        match (&task.path, task.cut_radius_mm) {
             (Some(_), None) => {}
             (None, Some(r)) if r.is_finite() && r > 0.0 => {}
             _ => return Err(at("", "neither or both".into(), "path, or a positive cut_radius_mm")),
         }
         let folder = file.parent().unwrap_or(Path::new(""));
-        duty.workpiece = folder.join(&duty.workpiece);
-        duty.path = duty.path.map(|p| folder.join(p));
-        duty.machine = duty.machine.map(|p| folder.join(p));
-        Ok(duty)
+        task.workpiece = folder.join(&task.workpiece);
+        task.path = task.path.map(|p| folder.join(p));
+        task.machine = task.machine.map(|p| folder.join(p));
+        Ok(task)
     }
 
     /// The machine at rest at `home` (machine mm), with its lines and its part.
@@ -118,7 +118,7 @@ impl Duty {
         lines: [AxisLines; 2],
         machine_lines: MachineLines,
         home: Zx,
-    ) -> Result<(MachineWires<Lathe>, Cuts), InputError> {
+    ) -> Result<(MachineWires<Lathe>, CutRecorder), InputError> {
         let part = Workpiece::read(&self.workpiece)?;
         let origin = Zx::new(self.origin_mm[0], self.origin_mm[1]);
         let feed_mm_s = self.feed_mm_min / 60.0;
@@ -167,6 +167,6 @@ impl Duty {
         let places = Arc::clone(&lathe.cuts);
         let wires = MachineWires::new([(lathe, lines.to_vec())], machine_lines);
         let file = self.workpiece.clone();
-        Ok((wires, Cuts { places, part, bench: self.bench.clone(), seed: self.seed, file }))
+        Ok((wires, CutRecorder { places, part, bench: self.bench.clone(), seed: self.seed, file }))
     }
 }
