@@ -214,10 +214,9 @@ impl<'r> Problem<'r> {
     #[must_use]
     pub fn new(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
         let mut problem = Self {
-            terms: setup::terms(rows, model),
             floors: setup::floors(rows),
             weights: setup::weights(rows),
-            ..Self::unrounded(rows, model, intervals)
+            ..Self::with_terms(rows, model, intervals, setup::terms(rows, model))
         };
         problem.take_rounding_out();
         problem
@@ -226,6 +225,17 @@ impl<'r> Problem<'r> {
     /// The same for computed rows, which no gauge has rounded.
     #[must_use]
     pub fn unrounded(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
+        let mut terms = setup::terms(rows, model);
+        terms.retain(|t| t.what != setup::SetUpKind::Rounding);
+        Self::with_terms(rows, model, intervals, terms)
+    }
+
+    fn with_terms(
+        rows: &'r Rows<'r>,
+        model: &[Effect],
+        intervals: &[Vec<Option<f64>>],
+        terms: Vec<Term>,
+    ) -> Self {
         let mut missing = rows.measured.clone();
         for effect in model {
             add(&mut missing, -1.0, &rows.predict(effect));
@@ -233,10 +243,7 @@ impl<'r> Problem<'r> {
         Self {
             rows,
             missing,
-            terms: setup::terms(rows, model)
-                .into_iter()
-                .filter(|t| t.what != setup::SetUpKind::Rounding)
-                .collect(),
+            terms,
             known: known(rows, model, intervals),
             floors: vec![0.0; rows.responses.len()],
             weights: vec![1.0; rows.n],
