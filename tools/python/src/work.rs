@@ -659,12 +659,11 @@ pub(crate) fn simulate(
 ) -> PyResult<(Vec<Record>, String)> {
     quietly(py, move || {
         let found = one_of("simulate", &name, &EXPERIMENTS.each_ref().map(|e| (e.name, e)))?;
-        let truth = match truth {
-            Some(machine) => machine.inner,
-            None => {
-                let expected = format!("a machine: {name} brings none of its own");
-                found.own_machine()?.ok_or_else(|| bad("simulate", "no machine", expected))?
-            }
+        let truth = if let Some(machine) = truth {
+            machine.inner
+        } else {
+            let expected = format!("a machine: {name} brings none of its own");
+            found.own_machine()?.ok_or_else(|| bad("simulate", "no machine", expected))?
         };
         let known = known.map(|m| m.inner);
         let spec = MachineSpec::machining_centre();
