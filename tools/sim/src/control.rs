@@ -1,9 +1,8 @@
 //! The control side of the simulated machine.
 //! It has sensors with plausibility checks, and the daemon's control law.
 
-use crate::errors::NAMES;
 use crate::heat::SENSORS;
-use crate::path::AXES;
+use crate::path::{AXES, AXIS_NAMES};
 use rtec_correct::part_table::PartTable;
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
@@ -54,7 +53,7 @@ impl Control {
         let temperatures = SENSORS.iter().map(|s| (s.0.to_owned(), Role::Temperature));
         let channels = channels.iter().map(|c| (c.clone(), Role::Channel));
         let others = [("rpm".to_owned(), Role::SpindleSpeed), ("wet".to_owned(), Role::Coolant)];
-        let loads = NAMES.iter().filter_map(|n| Some((format!("load_{n}"), axis(n)?)));
+        let loads = AXIS_NAMES.iter().filter_map(|n| Some((format!("load_{n}"), axis(n)?)));
         let all = temperatures.chain(channels).chain(others).chain(loads);
         let watches: Vec<SensorMonitor> =
             all.map(|(name, role)| SensorMonitor::new(SensorConfig::believed(&name, role))).collect();

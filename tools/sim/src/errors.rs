@@ -6,19 +6,16 @@ use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
 use crate::noise::NoiseGenerator;
-use crate::path::AXES;
+use crate::path::{AXES, AXIS_NAMES};
 use rtec_model::effect::{Effect, Mechanism, Owner};
 use rtec_model::live::{AxisNow, Frame, Layout, Live};
 use rtec_model::record::Axis;
-
-/// Names of the controller's axes.
-pub(crate) const NAMES: [&str; AXES] = ["x", "y", "z"];
 
 /// Inputs that a model of the simulated machine may read.
 /// They are the controller's axes, all sensors and these channels.
 pub(crate) fn layout(channels: Vec<String>) -> Layout {
     Layout {
-        axes: NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
+        axes: AXIS_NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
         sensors: SENSORS.iter().map(|s| s.0.to_owned()).collect(),
         channels,
     }
@@ -39,7 +36,7 @@ pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) 
 /// Sets the forces that the true machine's effects describe, on all its axes.
 pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
     for n in 0..machine.axes.len() {
-        let axis = NAMES[machine.place(n)];
+        let axis = AXIS_NAMES[machine.place(n)];
         let mut friction = Friction::default();
         let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == axis);
         for effect in effects.iter().copied().filter(of_axis) {

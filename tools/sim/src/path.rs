@@ -127,6 +127,8 @@ impl FeedProfile {
 
 /// Axes that a controller moves together: X, Y, Z.
 pub const AXES: usize = 3;
+/// Their names, in the order of all arrays.
+pub(crate) const AXIS_NAMES: [&str; AXES] = ["x", "y", "z"];
 
 /// Position, speed and acceleration of every axis, mm and s.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -2,11 +2,10 @@
 
 use super::runs::{Both, Log, Row, both, digits, feed, places, seed_of};
 use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, PROMISED, Setting, UNSEEN};
-use crate::errors::NAMES;
 use crate::heat::{FIGURE_9, SENSORS};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::AXES;
+use crate::path::{AXES, AXIS_NAMES};
 use crate::sim::{MachineSpec, Sim, SimError};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
@@ -73,7 +72,7 @@ fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
 }
 
 fn placed(row: &Row, axis: &Axis) -> f64 {
-    NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.position_mm[p])
+    AXIS_NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.position_mm[p])
 }
 
 /// A temperature difference from the sensors' readings, K.
@@ -278,13 +277,13 @@ fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
     let labels = || records.iter().zip(["without", "with"]);
     let mut largest = Map::new();
     for (record, label) in labels() {
-        for (p, axis) in NAMES.iter().enumerate() {
+        for (p, axis) in AXIS_NAMES.iter().enumerate() {
             let worst = off_um(record, p).iter().fold(0.0_f64, |w, um| w.max(um.abs()));
             largest.insert(format!("{axis}_{label}_um"), json!(worst));
         }
     }
     findings.summary.insert("largest deviation from hole 1".to_owned(), Value::Object(largest));
-    for (p, axis) in NAMES.iter().enumerate() {
+    for (p, axis) in AXIS_NAMES.iter().enumerate() {
         let title = format!("{name}: deviation from hole 1 in {}", axis.to_uppercase());
         let mut chart = Chart::new(&title, "hole", "deviation (µm)");
         for (record, label) in labels() {
@@ -301,7 +300,7 @@ fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
     }
     let mut table = "cycle,pass,hole,bore".to_owned();
     for (_, label) in labels() {
-        table += &NAMES.map(|axis| format!(",{axis}_{label}_um")).concat();
+        table += &AXIS_NAMES.map(|axis| format!(",{axis}_{label}_um")).concat();
     }
     for row in 0..records[0].rows() {
         let (hole, bore) = (row / 2, ["hole", "counterbore"][row % 2]);

@@ -2,10 +2,9 @@
 
 use super::runs::{Log, Row, along, both, feed, places};
 use super::{ExperimentError, Findings, Setting};
-use crate::errors::NAMES;
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::AXES;
+use crate::path::{AXES, AXIS_NAMES};
 use crate::sim::Sim;
 use rtec_model::record::Kind;
 
@@ -60,7 +59,7 @@ pub(super) fn ballbar(setting: &Setting<'_>, findings: &mut Findings) -> Result<
             let feed_mm_s = inches * 25.4 / 60.0;
             let mut start = [0.0; AXES];
             start[i] = radius;
-            let name = format!("ballbar-{}{}-{inches}", NAMES[i], NAMES[j]);
+            let name = format!("ballbar-{}{}-{inches}", AXIS_NAMES[i], AXIS_NAMES[j]);
             let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {

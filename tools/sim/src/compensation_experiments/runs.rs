@@ -2,11 +2,10 @@
 //! The module makes their rows, records and plots.
 
 use super::{ExperimentError, Findings, Setting};
-use crate::errors::NAMES;
 use crate::heat::SENSORS;
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::AXES;
+use crate::path::{AXES, AXIS_NAMES};
 use crate::sim::{MachineSpec, Moment, Sim, SimError};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -88,7 +87,7 @@ impl Log {
         };
         let column =
             |f: &dyn Fn(&Row) -> f64, per: f64| rows.iter().map(|r| digits(f(r), per)).collect::<Vec<_>>();
-        let names: Vec<Axis> = NAMES.iter().filter_map(|n| Axis::new(n)).collect();
+        let names: Vec<Axis> = AXIS_NAMES.iter().filter_map(|n| Axis::new(n)).collect();
         add("t", Role::Time, "s", column(&|r| r.now.t_s, 1e6), true);
         for (p, axis) in names.iter().enumerate() {
             let n = axis.as_str();
@@ -233,7 +232,7 @@ impl Findings {
 
 /// The controller's axis (0 X, 1 Y, 2 Z) of each axis that a machine has.
 pub(super) fn places(spec: &MachineSpec) -> Vec<usize> {
-    spec.axes.iter().filter_map(|a| NAMES.iter().position(|n| *n == a.name)).collect()
+    spec.axes.iter().filter_map(|a| AXIS_NAMES.iter().position(|n| *n == a.name)).collect()
 }
 
 pub(super) fn along(axis: usize, p: f64) -> [f64; AXES] {
