@@ -309,10 +309,16 @@ fn report(lines: &[&Outcome], baselines: bool) -> bool {
         );
     }
     let mean = lines.iter().map(|l| l.seconds).sum::<f64>() / lines.len().max(1) as f64;
-    if let Some(l) = lines.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds)) {
+    let mut by_time: Vec<&Outcome> = lines.iter().copied().collect();
+    by_time.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
+    if let Some(l) = by_time.last() {
         println!(
-            "    time per case: mean {mean:.2} s, longest {:.2} s ({:?} seed {}, {})",
-            l.seconds, l.case.hides, l.case.seed, l.case.design
+            "    processor time per case: median {:.2} s, mean {mean:.2} s, longest {:.2} s ({:?} seed {}, {})",
+            by_time[by_time.len() / 2].seconds,
+            l.seconds,
+            l.case.hides,
+            l.case.seed,
+            l.case.design
         );
     }
     println!(

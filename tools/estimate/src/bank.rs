@@ -79,21 +79,24 @@ impl Bank {
             among[*at..at + own.len()].copy_from_slice(&own);
         }
         let mut look = ScreeningProducts { along, among };
-        self.take(&mut look, &self.all_shares(factor));
+        self.take(&mut look, &self.shares_of(factor.columns()));
         look
     }
 
-    /// Products of all columns with each column of a factor.
-    fn all_shares(&self, factor: &Factor) -> Vec<Vec<f64>> {
-        let (k, m) = (factor.len(), self.raw.len());
-        let packed: Vec<f32> = factor.columns().iter().flat_map(|c| c.iter()).map(|x| *x as f32).collect();
+    /// Products of all columns with each of these.
+    #[must_use]
+    pub fn shares_of<C: AsRef<[f64]>>(&self, columns: &[C]) -> Vec<Vec<f64>> {
+        if let [one] = columns {
+            return vec![self.shares(one.as_ref())];
+        }
+        let (k, m) = (columns.len(), self.raw.len());
+        let packed: Vec<f32> = columns.iter().flat_map(|c| c.as_ref()).map(|x| *x as f32).collect();
         let products = self.products(0..m, &packed, k);
         (0..k).map(|j| (0..m).map(|i| products[i * k + j]).collect()).collect()
     }
 
     /// Products of all columns with another column.
-    #[must_use]
-    pub fn shares(&self, column: &[f64]) -> Vec<f64> {
+    fn shares(&self, column: &[f64]) -> Vec<f64> {
         if self.n == 0 {
             return vec![0.0; self.raw.len()];
         }

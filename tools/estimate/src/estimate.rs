@@ -241,8 +241,7 @@ fn settled<T>(
         families.bank.whiten(rows, &noise);
         let search = Search::new(problem, families, problem.base(noise.clone()));
         // Under another noise a value may be impossible.
-        let start = members.take().map(|m| search.of(m)).filter(|s| search.possible(s));
-        let start = start.unwrap_or_else(|| search.nothing());
+        let start = search.possible_part(search.of(members.take().unwrap_or_default()));
         let set = search.best(&start, regrow && round == 0);
         if !goes_on(&search, &set) {
             return then(&search, &set);
@@ -314,8 +313,7 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
 /// Each set is compared under the noise that it leaves, and returned with that noise. Noise may have absorbed
 /// a member, and a member may have absorbed noise.
 fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
-    let look = search.look_at(set);
-    let seeds = search.screened(set, &look, false);
+    let seeds = search.screened(set, false);
     let (now, _) = with_own_noise(search, set);
     let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
     let more = more.filter_map(|seed| search.with(set, &search.refined(&set.factor, seed)));

@@ -35,6 +35,8 @@ pub struct Member {
     weight: f64,
     /// Its columns, whitened by the noise of its search.
     columns: Rc<Columns>,
+    /// A number that stands for its columns and its level.
+    mark: u64,
     /// The bank's products with its columns after the base; computed on first use.
     shares: Rc<OnceCell<Columns>>,
 }
@@ -52,9 +54,16 @@ impl Member {
     }
 
     fn set_columns(&mut self, columns: Columns) {
+        self.mark = mark(&columns, self.level);
         self.columns = Rc::new(columns);
         self.shares = Rc::default();
     }
+}
+
+/// A number that stands for columns and a level; others have another one, but for one chance in 2⁶⁴.
+fn mark(columns: &Columns, level: f64) -> u64 {
+    let numbers = columns.iter().flatten().chain([&level]);
+    numbers.fold(0, |mark, x| (mark.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95))
 }
 
 /// A set with its fit.
@@ -93,14 +102,26 @@ pub struct Search<'p> {
     pub look: ScreeningProducts,
     /// Rounding errors that rows share; they widen intervals.
     pub rounding: Vec<crate::setup::Term>,
-    /// Cached columns of waves, whitened, and their products with the base's columns.
+    cache: Cache,
+}
+
+/// What a search computes once.
+#[derive(Default)]
+struct Cache {
+    /// Columns of waves, whitened, and their products with the base's columns.
     waves: RefCell<Waves>,
+    /// Seeds of sets. Exchanges and removals come back to the same sets.
+    screenings: RefCell<Screenings>,
+    /// Sizes of changing waves by family, at all rows.
+    envelopes: RefCell<HashMap<usize, Rc<Columns>>>,
 }
 
 /// Whitened columns.
 type Columns = Vec<Vec<f64>>;
 /// Waves by family and by the bits of the frequency.
 type Waves = HashMap<(usize, u64), Rc<[Columns; 2]>>;
+/// Seeds by the marks of a set's members, without and with long waves.
+type Screenings = HashMap<(Vec<u64>, bool), Rc<[ScreenedHypothesis]>>;
 
 /// Evidence of columns at each level of their size.
 #[derive(Debug, Clone, Copy)]
@@ -187,7 +208,7 @@ impl<'p> Search<'p> {
     pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Baseline) -> Self {
         let look = families.bank.look(&base.factor);
         let rounding = crate::setup::rounding(problem.rows);
-        Self { problem, families, base, look, rounding, waves: RefCell::default() }
+        Self { problem, families, base, look, rounding, cache: Cache::default() }
     }
 
     fn family(&self, family: usize) -> &Family {
@@ -217,11 +238,23 @@ impl<'p> Search<'p> {
     /// Gain of columns added to a factor.
     #[must_use]
     pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
-        self.gain_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
+        let (along, among) = self.products(factor, columns);
+        gain(&along, &among, factor.left(), self.base.freedom)
+    }
+
+    /// As [`Self::products_of`], for columns whose products with the factor's columns are not known yet.
+    fn products(&self, factor: &Factor, columns: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
+        Self::products_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
     }
 
     /// As [`Self::gain`], for columns whose products with the factor are known.
     fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> Gain {
+        let (along, among) = Self::products_of(factor, columns, shares);
+        gain(&along, &among, factor.left(), self.base.freedom)
+    }
+
+    /// Products of columns with a factor's residual, and among each other after projection on it.
+    fn products_of(factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
         let mut among = vec![0.0; p * p];
@@ -232,7 +265,7 @@ impl<'p> Search<'p> {
                 among[j * p + i] = d;
             }
         }
-        gain(&along, &among, factor.left(), self.base.freedom)
+        (along, among)
     }
 
     /// The quick look after a set.
@@ -244,8 +277,9 @@ impl<'p> Search<'p> {
         let from = self.base.factor.len();
         let mut new: Columns = Vec::new();
         for m in &set.members {
-            let beside = |c: &Vec<f64>| bank.shares(&self.base.factor.beside(c));
-            for raw in m.shares.get_or_init(|| m.columns.iter().map(beside).collect()) {
+            let beside = |c: &Vec<f64>| self.base.factor.beside(c);
+            let shares = || bank.shares_of(&m.columns.iter().map(beside).collect::<Columns>());
+            for raw in m.shares.get_or_init(shares) {
                 let r = &set.factor.triangle()[from + new.len()][from..];
                 let mut share: Vec<f64> = raw.iter().map(|x| x * m.level).collect();
                 for (r, other) in r.iter().zip(&new) {
@@ -288,6 +322,7 @@ impl<'p> Search<'p> {
             level: gain.level,
             prior: prior + level_weight,
             weight: seed.weight,
+            mark: mark(&columns, gain.level),
             columns: Rc::new(columns),
             shares: Rc::default(),
         };
@@ -402,14 +437,28 @@ impl<'p> Search<'p> {
     /// Whether all effects are within their physical bounds, and no companion is alone.
     #[must_use]
     pub fn possible(&self, set: &Set) -> bool {
+        self.impossible(set).is_none()
+    }
+
+    /// The first member beyond its physical bounds, or a companion that is alone.
+    fn impossible(&self, set: &Set) -> Option<usize> {
         let beta = self.coefficients(set);
-        set.members.iter().zip(&beta).all(|(m, b)| {
-            self.is_accompanied(set, m)
-                && (self.family(m.family).replaces.is_some()
-                    || m.cause
+        set.members.iter().zip(&beta).position(|(m, b)| {
+            !self.is_accompanied(set, m)
+                || self.family(m.family).replaces.is_none()
+                    && m.cause
                         .solved(self.problem.rows, b)
-                        .is_none_or(|e| e.is_physical() && !turns_back(self.problem.rows, &e)))
+                        .is_some_and(|e| !e.is_physical() || turns_back(self.problem.rows, &e))
         })
+    }
+
+    /// A set without the members that are impossible in it.
+    #[must_use]
+    pub fn possible_part(&self, mut set: Set) -> Set {
+        while let Some(member) = self.impossible(&set) {
+            set = self.without(&set, member);
+        }
+        set
     }
 
     /// Whether a family may join a set.
@@ -443,8 +492,9 @@ impl<'p> Search<'p> {
     #[must_use]
     pub fn without(&self, set: &Set, member: usize) -> Set {
         let mut members = set.members.clone();
-        members.remove(member);
-        self.grown_from(self.first(set, member), members, member)
+        let width = members.remove(member).width();
+        let from = self.base.factor.len() + set.members[..member].iter().map(Member::width).sum::<usize>();
+        self.scored(members, set.factor.without(from..from + width))
     }
 
     /// The same set with one of its members moved to the end.
@@ -462,10 +512,10 @@ impl<'p> Search<'p> {
     /// The same set with one of its members moved to the end.
     #[must_use]
     pub fn of_last(&self, set: &Set, member: usize) -> Set {
-        let mut members = set.members.clone();
-        let last = members.remove(member);
-        members.push(last);
-        self.grown_from(self.first(set, member), members, member)
+        let Set { mut members, factor, .. } = self.without(set, member);
+        let done = members.len();
+        members.push(set.members[member].clone());
+        self.grown_from(factor, members, done)
     }
 }
 

@@ -10,6 +10,7 @@ use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::{Rows, Segment};
 use crate::setup::place_of;
 use crate::smooth::{Kernel, directions, knots, shares};
+use crate::wave::Along;
 use rtec_least_squares::{add, dot};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Role};
@@ -481,39 +482,26 @@ fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-/// A wave whose size changes along its travel, for a frequency that the rows show.
+/// Sizes of a wave that changes along its travel, at all of `n` rows.
+/// Each is a smooth function of the position. However often it bends, it bends as much.
 #[must_use]
-pub fn changing_wave(rows: &Rows<'_>, basis: &[Vec<f64>], along: &[f64]) -> Vec<Vec<f64>> {
-    let shown: Vec<usize> = (0..rows.n).filter(|i| basis.iter().any(|b| b[*i] != 0.0)).collect();
-    let values: Vec<f64> = shown.iter().map(|i| along[*i]).collect();
-    let knots = knots(&values, KNOTS);
+pub fn envelopes(along: &Along, n: usize) -> Vec<Vec<f64>> {
+    let knots = knots(&along.positions(), KNOTS);
     if knots.len() < 8 {
         return Vec::new();
     }
     let range = knots[knots.len() - 1] - knots[0];
-    let mut found = directions(&knots, Kernel::Kinked(LENGTHS[1] * range), &[], CHANGING);
-    // However often its size bends, it bends as much.
-    for d in &mut found {
-        let size = (dot(d, d) / d.len() as f64).sqrt();
-        for x in d {
-            *x /= size;
-        }
-    }
-    let mut out = Vec::new();
-    for b in basis {
-        for d in &found {
-            let mut column = vec![0.0; rows.n];
-            for i in &shown {
-                let envelope: f64 = shares(&knots, along[*i]).iter().map(|(k, w)| w * d[*k]).sum();
-                column[*i] = b[*i] * envelope;
-            }
-            out.push(column);
-        }
-    }
-    let total = (out.len() as f64).sqrt();
-    for c in &mut out {
-        let copy = c.clone();
-        add(c, 2.0 / total - 1.0, &copy);
-    }
-    out
+    let of = |d: Vec<f64>| {
+        let size = (dot(&d, &d) / d.len() as f64).sqrt();
+        along.at(n, |place| shares(&knots, place).iter().map(|(k, w)| w * d[*k]).sum::<f64>() / size)
+    };
+    directions(&knots, Kernel::Kinked(LENGTHS[1] * range), &[], CHANGING).into_iter().map(of).collect()
+}
+
+/// A wave whose size changes, from sine and cosine of a frequency and its sizes.
+#[must_use]
+pub fn changing_wave(basis: &[Vec<f64>], envelopes: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let size = 2.0 / ((basis.len() * envelopes.len()) as f64).sqrt();
+    let of = |(b, e): (&Vec<f64>, &Vec<f64>)| b.iter().zip(e).map(|(b, e)| size * b * e).collect();
+    basis.iter().flat_map(|b| envelopes.iter().map(move |e| (b, e))).map(of).collect()
 }

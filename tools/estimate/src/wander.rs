@@ -8,7 +8,8 @@ use crate::problem::Problem;
 use crate::rows::{Noise, Rows};
 use crate::setup::{SetUpKind, Term};
 use crate::smooth::{Kernel, directions, knots, shares};
-use rustfft::{FftPlanner, num_complex::Complex};
+use crate::wave::transformed;
+use realfft::RealFftPlanner;
 
 /// A walk found in a response.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +29,7 @@ pub struct Wander {
 #[must_use]
 pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
     let rows = problem.rows;
-    let mut planner = FftPlanner::new();
+    let mut planner = RealFftPlanner::new();
     let mut out = Vec::new();
     // If the noise is rounding, its steps look like a walk.
     for response in (0..rows.responses.len()).filter(|j| problem.floors[*j] <= 0.0) {
@@ -36,12 +37,11 @@ pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wa
         for s in rows.segments.iter().filter(|s| s.response == response && s.rows.len() >= WALK_FEWEST_ROWS) {
             let part = &residual[s.rows.clone()];
             let mean = part.iter().sum::<f64>() / part.len() as f64;
-            let mut x: Vec<Complex<f64>> =
-                part.iter().map(|v| Complex::new((v - mean).clamp(-5.0, 5.0), 0.0)).collect();
-            planner.plan_fft_forward(x.len()).process(&mut x);
+            let mut x: Vec<f64> = part.iter().map(|v| (v - mean).clamp(-5.0, 5.0)).collect();
             let n = x.len() as f64;
+            let sums = transformed(&*planner.plan_fft_forward(x.len()), &mut x);
             // Begins at the second frequency, because the set-up terms absorb the first.
-            spectra.push(x[2..x.len() / 2].iter().map(|c| c.norm_sqr() / n).collect());
+            spectra.push(sums[2..part.len() / 2].iter().map(|c| c.norm_sqr() / n).collect());
         }
         if spectra.is_empty() {
             continue;

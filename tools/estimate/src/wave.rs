@@ -2,7 +2,7 @@
 
 use crate::effort::{ALONE, FREQUENCY_STEP, LONGEST, PER_PERIOD};
 use crate::priors::ALIKE;
-use rustfft::{Fft, FftPlanner, num_complex::Complex};
+use realfft::{RealFftPlanner, RealToComplex, num_complex::Complex};
 use std::fmt;
 use std::sync::Arc;
 
@@ -19,7 +19,9 @@ pub struct Along {
     /// Pitch of the grid for the spectrum, and its number of points.
     pitch: f64,
     length: usize,
-    transform: Arc<dyn Fft<f64>>,
+    transform: Arc<dyn RealToComplex<f64>>,
+    /// Factor of each frequency's sums: linear spreading over the grid damps short periods.
+    undamped: Vec<f64>,
     /// Products of cosine and sine at each frequency, without their means.
     /// They are of cosine with itself, of sine with itself, and of both.
     products: Vec<[f64; 3]>,
@@ -49,12 +51,17 @@ impl Along {
         let length = ((whole * to * PER_PERIOD).ceil() as usize).next_power_of_two().clamp(64, LONGEST);
         let pitch = whole / length as f64;
         let to = to.min(0.4 / pitch);
-        let transform = FftPlanner::new().plan_fft_forward(length);
+        let transform = RealFftPlanner::new().plan_fft_forward(length);
         if to <= from {
             return None;
         }
-        let products = Vec::new();
-        let mut new = Self { rows, range: [from, to], span, from: lo, pitch, length, transform, products };
+        let damped = |i: usize| {
+            let x = std::f64::consts::PI * i as f64 / length as f64;
+            if x > 0.0 { (x.sin() / x).powi(2) } else { 1.0 }
+        };
+        let undamped = (0..length / 2).map(|i| 1.0 / damped(i)).collect();
+        let (range, products) = ([from, to], Vec::new());
+        let mut new = Self { rows, range, span, from: lo, pitch, length, transform, undamped, products };
         new.products = new.products();
         Some(new)
     }
@@ -108,14 +115,20 @@ impl Along {
         out
     }
 
-    /// Position of each of `n` rows; zero if a row shows nothing.
+    /// As [`Self::over`], whatever share of the wave a row shows.
     #[must_use]
-    pub fn places(&self, n: usize) -> Vec<f64> {
+    pub fn at(&self, n: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
         let mut out = vec![0.0; n];
         for (row, place, _) in &self.rows {
-            out[*row] = *place;
+            out[*row] = f(*place);
         }
         out
+    }
+
+    /// The positions.
+    #[must_use]
+    pub fn positions(&self) -> Vec<f64> {
+        self.rows.iter().map(|r| r.1).collect()
     }
 
     /// Whether its spectrum takes as long to compute as all other looks together.
@@ -228,21 +241,22 @@ impl Along {
 
     /// Step of frequency, and each frequency's sums of values with cosine and sine.
     fn transformed(&self, values: impl Iterator<Item = (f64, f64)>) -> (f64, Vec<Complex<f64>>) {
-        let mut grid = vec![Complex::new(0.0, 0.0); self.length];
+        let mut grid = vec![0.0; self.length];
         for (place, x) in values {
             let u = (place - self.from) / self.pitch;
             let (i, w) = (u.floor() as usize % self.length, u.fract());
-            grid[i].re += (1.0 - w) * x;
-            grid[(i + 1) % self.length].re += w * x;
+            grid[i] += (1.0 - w) * x;
+            grid[(i + 1) % self.length] += w * x;
         }
-        self.transform.process(&mut grid);
-        grid.truncate(self.length / 2);
-        for (i, sum) in grid.iter_mut().enumerate() {
-            // Linear spreading damps short periods.
-            let x = std::f64::consts::PI * i as f64 / self.length as f64;
-            let damped = if x > 0.0 { (x.sin() / x).powi(2) } else { 1.0 };
-            *sum = sum.conj() / damped;
-        }
-        (1.0 / (self.pitch * self.length as f64), grid)
+        let sums = transformed(&*self.transform, &mut grid);
+        let sums = sums.iter().zip(&self.undamped).map(|(sum, undamped)| sum.conj() * undamped).collect();
+        (1.0 / (self.pitch * self.length as f64), sums)
     }
+}
+
+/// The transform of real numbers, which it overwrites.
+pub(crate) fn transformed(transform: &dyn RealToComplex<f64>, values: &mut [f64]) -> Vec<Complex<f64>> {
+    let mut sums = transform.make_output_vec();
+    transform.process(values, &mut sums).expect("buffers of the transform's own length");
+    sums
 }

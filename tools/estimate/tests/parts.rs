@@ -5,7 +5,7 @@
 use rtec_estimate::family::Families;
 use rtec_estimate::problem::Problem;
 use rtec_estimate::rows::{Rows, needs_place};
-use rtec_estimate::search::Search;
+use rtec_estimate::search::{Member, Search};
 use rtec_estimate::setup::step_of;
 use rtec_estimate::smooth::{Kernel, directions, knots};
 use rtec_estimate::wave::Along;
@@ -65,6 +65,52 @@ fn the_look_beside_a_set_is_that_beside_its_factor() {
     };
     assert!(near(&quick.along, &anew.along, 1.0) < 0.05, "{}", near(&quick.along, &anew.along, 1.0));
     assert!(near(&quick.among, &anew.among, 1.0) < 0.05, "{}", near(&quick.among, &anew.among, 1.0));
+}
+
+/// A set from other readings keeps its members that are possible.
+#[test]
+fn only_what_is_impossible_leaves_a_set() {
+    let n = 200;
+    let warm = |i: f64| 0.2 * (i / 40.0).sin();
+    let record = |um_per_k: [f64; 2]| {
+        let column = |name: &str, role: Role, of: &dyn Fn(f64) -> f64| Column {
+            name: name.to_owned(),
+            unit: role.unit().unwrap_or("1").to_owned(),
+            role,
+            data: (0..n).map(|i| of(f64::from(i))).collect(),
+        };
+        let error = |axis| Role::Error(Axis::new(axis).unwrap());
+        let columns = vec![
+            column("t", Role::Time, &|i| 30.0 * i),
+            column("T1", Role::Temperature, &|i| 20.0 + warm(i)),
+            column("e_x", error("x"), &|i| um_per_k[0] * warm(i) + 0.05 * (i * 1.7).sin()),
+            column("e_z", error("z"), &|i| um_per_k[1] * warm(i) + 0.05 * (i * 2.3).sin()),
+        ];
+        [Record::new(std::path::Path::new("r.run.toml"), Kind::Drift, columns).unwrap()]
+    };
+    let searched = |records: &[Record], then: &dyn Fn(&Search<'_>) -> Vec<Member>| {
+        let rows = Rows::new(records);
+        let problem = Problem::new(&rows, &[], &[]);
+        let mut families = Families::new(&rows, &Dictionary::default(), &[]);
+        let mut noise = problem.first_noise();
+        (noise.sigma, noise.phi) = (vec![0.05; 2], vec![0.0; 2]);
+        families.bank.whiten(&rows, &noise);
+        then(&Search::new(&problem, &families, problem.base(noise)))
+    };
+    let axes = |members: &[Member]| -> Vec<String> {
+        let mut axes: Vec<String> = members.iter().filter_map(|m| Some(m.cause.effect()?.name())).collect();
+        axes.sort();
+        axes
+    };
+    let both = searched(&record([5.0, 30.0]), &|search| search.best(&search.nothing(), true).members);
+    assert_eq!(axes(&both), ["thermal_growth.x", "thermal_growth.z"]);
+    // 300 µm/K are more than any machine grows.
+    let left = searched(&record([5.0, 300.0]), &|search| {
+        let set = search.of(both.clone());
+        assert!(!search.possible(&set));
+        search.possible_part(set).members
+    });
+    assert_eq!(axes(&left), ["thermal_growth.x"]);
 }
 
 #[test]

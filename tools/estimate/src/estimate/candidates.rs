@@ -91,8 +91,7 @@ fn add_refined(
 pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> CandidatePosterior {
     let own = &set.members[member];
     let without = search.without(set, member);
-    let look = search.look_at(&without);
-    let seeds = search.screened(&without, &look, true);
+    let seeds = search.screened(&without, true);
     let families = &search.families.list;
     let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
     // Family, label, effect, log mass.

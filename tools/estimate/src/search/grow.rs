@@ -23,19 +23,18 @@ impl Search<'_> {
         long: bool,
         kind: impl Fn(&Family) -> bool,
     ) -> Vec<Set> {
-        let look = self.look_at(set);
-        let mut seeds = self.screened(set, &look, long);
-        seeds.retain(|s| kind(self.family(s.family)));
-        let Some(top) = seeds.first().map(|s| s.score) else { return Vec::new() };
+        let seeds = self.screened(set, long);
+        let mut seeds = seeds.iter().filter(|s| kind(self.family(s.family))).peekable();
+        let Some(top) = seeds.peek().map(|s| s.score) else { return Vec::new() };
         let mut out: Vec<Set> = Vec::new();
         let mut forms: Vec<(f64, usize, Member)> = Vec::new();
         let mut pairs: Vec<Set> = Vec::new();
         let mut waves: Vec<usize> = Vec::new();
-        for (number, seed) in seeds.into_iter().take(TRIED).enumerate() {
+        for (number, seed) in seeds.take(TRIED).enumerate() {
             if seed.score < (top - HOPELESS).max(WORTHLESS) {
                 break;
             }
-            let seed = self.refined(&set.factor, &seed);
+            let seed = self.refined(&set.factor, seed);
             let mut own = Self::richer(&seed);
             let wave = matches!(self.family(seed.family).scan, Scan::Wave { .. });
             if wave && !waves.contains(&seed.family) {
@@ -337,6 +336,9 @@ impl Search<'_> {
             let without = self.without(&set, i);
             let seed = ScreenedHypothesis { family: m.family, cause: m.cause, weight: 0.0, score: 0.0 };
             let refined = self.refined(&without.factor, &seed);
+            if refined.cause.effect() == seed.cause.effect() {
+                continue;
+            }
             let mut members = set.members.clone();
             members[i].set_columns(self.columns(&refined.cause));
             members[i].cause = refined.cause;

@@ -7,8 +7,9 @@ use crate::effort::{CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, 
 use crate::family::{Families, Family, Scan};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
 use crate::rows::Rows;
-use crate::shapes::changing_wave;
-use rtec_least_squares::{Factor, add, dot};
+use crate::shapes::{changing_wave, envelopes};
+use crate::wave::Along;
+use rtec_least_squares::{Factor, add, dot, products_beside};
 use rtec_model::effect::{Difference, Effect, Heat, ParameterSearch, Refine};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -17,7 +18,20 @@ impl Search<'_> {
     /// Seeds worth computing exactly for a set, best first.
     /// `long`: also fine waves over long travel.
     #[must_use]
-    pub fn screened(&self, set: &Set, look: &ScreeningProducts, long: bool) -> Vec<ScreenedHypothesis> {
+    pub fn screened(&self, set: &Set, long: bool) -> Rc<[ScreenedHypothesis]> {
+        let mut marks: Vec<u64> = set.members.iter().map(|m| m.mark).collect();
+        marks.sort_unstable();
+        let key = (marks, long);
+        let known = self.cache.screenings.borrow().get(&key).cloned();
+        known.unwrap_or_else(|| {
+            let new: Rc<[ScreenedHypothesis]> = self.screened_anew(set, long).into();
+            self.cache.screenings.borrow_mut().insert(key, Rc::clone(&new));
+            new
+        })
+    }
+
+    fn screened_anew(&self, set: &Set, long: bool) -> Vec<ScreenedHypothesis> {
+        let look = &self.look_at(set);
         let (left, freedom) = (set.factor.left(), self.base.freedom);
         let mut seeds: Vec<ScreenedHypothesis> = Vec::new();
         let mut weighed: Option<Vec<f64>> = None;
@@ -118,12 +132,12 @@ impl Search<'_> {
             let Some(cause) = self.wave(family, f, 1) else { continue };
             let weight = wave_weight(family, f, *unit, along.range(), along.span());
             let key = (number, f.to_bits());
-            let known = self.waves.borrow().get(&key).cloned();
+            let known = self.cache.waves.borrow().get(&key).cloned();
             let known = known.unwrap_or_else(|| {
                 let columns = self.columns(&cause);
                 let shares = columns.iter().map(|c| self.base.factor.shares(c)).collect();
                 let new = Rc::new([columns, shares]);
-                let mut waves = self.waves.borrow_mut();
+                let mut waves = self.cache.waves.borrow_mut();
                 if waves.len() < WAVES_KEPT {
                     waves.insert(key, Rc::clone(&new));
                 }
@@ -145,16 +159,16 @@ impl Search<'_> {
             && let Some(cause) = self.wave(family, best.1, HARMONICS)
         {
             let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
-            let gain = self.gain(&set.factor, &self.columns(&cause)).total;
+            let products = self.products(&set.factor, &self.columns(&cause));
+            let (left, freedom) = (set.factor.left(), self.base.freedom);
+            let gain = gain(&products.0, &products.1, left, freedom).total;
             seeds.push(ScreenedHypothesis { family: number, cause, weight, score: prior + weight + gain });
             let weight = weight - f64::from(SAW_PHASES).ln();
-            let of = |k| {
-                let cause =
-                    saw_tooth(family, best.1, f64::from(k) / f64::from(SAW_PHASES), self.problem.rows.n)?;
+            let saw = saw_tooth(family, best.1, saw_phase(products, left, freedom), self.problem.rows.n);
+            seeds.extend(saw.map(|cause| {
                 let gain = self.gain(&set.factor, &self.columns(&cause)).total;
-                Some(ScreenedHypothesis { family: number, cause, weight, score: prior + weight + gain })
-            };
-            seeds.extend((0..SAW_PHASES).filter_map(of).max_by(|a, b| a.score.total_cmp(&b.score)));
+                ScreenedHypothesis { family: number, cause, weight, score: prior + weight + gain }
+            }));
         }
         seeds
     }
@@ -400,23 +414,35 @@ impl Search<'_> {
         let of = |f: &Family| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
         let number = self.families.list.iter().position(of)?;
         let shape = Shape { manner: "periodic, of changing size".to_owned(), ..shape };
-        let places = along.places(rows.n);
+        let envelopes = self.envelopes(seed.family, along);
+        if envelopes.is_empty() {
+            return None;
+        }
+        let orthonormal = factor.matrix();
         let own = |basis: &[Vec<f64>]| {
-            let columns = changing_wave(rows, basis, &places);
-            let gain =
-                (!columns.is_empty()).then(|| self.gain(factor, &self.whitened(columns.clone())).total)?;
-            Some((gain, columns))
+            let columns = changing_wave(basis, &envelopes);
+            let white = self.whitened(columns.clone());
+            let along: Vec<f64> = white.iter().map(|c| dot(c, factor.residual())).collect();
+            let among = products_beside(&orthonormal, &white);
+            (gain(&along, &among, factor.left(), self.base.freedom).total, columns)
         };
         let beside = |k: i32| {
             let frequency = 1.0 / (seed.cause.effect()?.scalar(0) * unit) + f64::from(k) / along.span();
             (along.range()[0]..along.range()[1]).contains(&frequency).then_some(())?;
-            own(&self.wave(family, frequency, 1)?.columns(rows))
+            Some(own(&self.wave(family, frequency, 1)?.columns(rows)))
         };
         let half = CHANGING as i32 / 2;
         let near = (-half..=half).filter(|k| *k != 0).filter_map(beside);
-        let columns = near.chain(own(&seed.cause.columns(rows))).max_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        let columns = near.chain([own(&seed.cause.columns(rows))]).max_by(|a, b| a.0.total_cmp(&b.0))?.1;
         let cause = Cause::Shape(Arc::new((shape, columns)));
         Some(ScreenedHypothesis { family: number, cause, weight: seed.weight, score: seed.score })
+    }
+
+    /// Sizes of a changing wave of a family.
+    fn envelopes(&self, family: usize, along: &Along) -> Rc<Columns> {
+        let mut known = self.cache.envelopes.borrow_mut();
+        let new = || Rc::new(envelopes(along, self.problem.rows.n));
+        Rc::clone(known.entry(family).or_insert_with(new))
     }
 
     /// One wave of changing size instead of a wave and another one.
@@ -445,6 +471,22 @@ impl Search<'_> {
         }
         best
     }
+}
+
+/// The phase at which a saw-tooth explains most, by its harmonics.
+/// `along` and `among` are the products of sines and cosines of size one over their number.
+fn saw_phase((along, among): (Vec<f64>, Vec<f64>), left: f64, freedom: f64) -> f64 {
+    let p = along.len();
+    let gain_at = |phase: &f64| {
+        // x − ½ = −Σ sin(2πkx) / (πk) for x in 0 … 1.
+        let of = |k: usize| (-std::f64::consts::TAU * k as f64 * phase).sin_cos();
+        let shares: Vec<f64> = (1..=p / 2).map(of).flat_map(|(sin, cos)| [cos, sin]).collect();
+        let square: f64 = (0..p).map(|i| shares[i] * dot(&among[i * p..(i + 1) * p], &shares)).sum();
+        let size = 2.0 / std::f64::consts::PI;
+        gain_of_one(size * size * square, size * dot(&along, &shares), left, freedom).total
+    };
+    let phases = (0..SAW_PHASES).map(|k| f64::from(k) / f64::from(SAW_PHASES));
+    phases.max_by(|a, b| gain_at(a).total_cmp(&gain_at(b))).unwrap_or(0.0)
 }
 
 /// A saw-tooth of this frequency that falls back at a phase, in turns.
