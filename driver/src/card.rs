@@ -94,7 +94,7 @@ pub struct Sample {
     /// A card with queued edges shows the last known level of the others.
     pub fresh: u64,
     /// Fault that the card found since the previous look.
-    pub trouble: Option<Trouble>,
+    pub trouble: Option<CardFault>,
     /// Delay of a late look, during which the card's time did not advance, ns.
     /// A simulated machine waits for a process that was not scheduled.
     pub waited_ns: u64,
@@ -117,16 +117,16 @@ impl Sample {
 
 /// Fault that a card found, and the input lines concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Trouble {
+pub struct CardFault {
     /// The kind of fault.
-    pub kind: TroubleKind,
+    pub kind: CardFaultKind,
     /// Mask of the input lines concerned.
     pub lines: u64,
 }
 
 /// Kinds of faults that a card can find in what it read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum TroubleKind {
+pub enum CardFaultKind {
     /// The kernel's numbering of edges jumps: two of them were merged into one.
     SequenceGap,
     /// The kernel's queue of edges was full, and the oldest were dropped.

@@ -10,7 +10,7 @@
 //! ([`GpioCard::kept`]) and give it to the next daemon ([`GpioCard::open`]). When the last descriptor is closed, the
 //! lines may fall.
 
-use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
+use crate::card::{Card, CardError, CardFault, CardFaultKind, Sample};
 use crate::clock::Clock;
 use gpiocdev::Chip;
 pub use gpiocdev::line::{Bias, Drive};
@@ -344,15 +344,15 @@ struct Numbering {
 
 impl Numbering {
     /// Takes the numbers of an edge of line `n`; returns what a gap before it means.
-    fn next(&mut self, n: usize, all: u32, line: u32) -> Option<TroubleKind> {
+    fn next(&mut self, n: usize, all: u32, line: u32) -> Option<CardFaultKind> {
         let merged = all != self.all.wrapping_add(1);
         let dropped = line != self.line[n].wrapping_add(1);
         self.all = all;
         self.line[n] = line;
         if dropped {
-            Some(TroubleKind::QueueOverflow)
+            Some(CardFaultKind::QueueOverflow)
         } else if merged {
-            Some(TroubleKind::SequenceGap)
+            Some(CardFaultKind::SequenceGap)
         } else {
             None
         }
@@ -408,7 +408,7 @@ impl Inputs {
     }
 
     /// Shows one edge: its time, its bit and level, and what is wrong with it.
-    fn take(&mut self, levels: u64) -> Option<(u64, u64, Option<TroubleKind>)> {
+    fn take(&mut self, levels: u64) -> Option<(u64, u64, Option<CardFaultKind>)> {
         let edge = self.head()?;
         let (time_ns, rising) = (edge.timestamp_ns, edge.kind == 1);
         let (offset, all, line) = (edge.offset, edge.seqno, edge.line_seqno);
@@ -419,7 +419,7 @@ impl Inputs {
         let trouble = self.numbering.next(n, all, line);
         // An edge to the level that the line already has: the edge between them was missed.
         let idle = self.known & bit != 0 && rising == (levels & bit != 0);
-        let trouble = trouble.or(idle.then_some(TroubleKind::EdgeMissed));
+        let trouble = trouble.or(idle.then_some(CardFaultKind::EdgeMissed));
         self.known = if trouble.is_some() { bit } else { self.known | bit };
         Some((time_ns, if rising { levels | bit } else { levels & !bit }, trouble))
     }
@@ -522,7 +522,7 @@ impl<K: Clock> GpioCard<K> {
                 let t_ns = self.clock.now_ns();
                 match r.differs {
                     Some((how, since_ns)) if how == differs && t_ns > since_ns + MISSED_AFTER_NS => {
-                        trouble = Some(Trouble { kind: TroubleKind::EdgeMissed, lines: differs });
+                        trouble = Some(CardFault { kind: CardFaultKind::EdgeMissed, lines: differs });
                         self.levels ^= differs;
                         r.differs = None;
                     }
@@ -563,9 +563,9 @@ impl<K: Clock> Card for GpioCard<K> {
                 (Some(edge_ns), trouble)
             }
             // An edge of a line that was not requested.
-            None => (None, Some(TroubleKind::EdgeMissed)),
+            None => (None, Some(CardFaultKind::EdgeMissed)),
         };
-        let trouble = trouble.map(|kind| Trouble { kind, lines: r.mask });
+        let trouble = trouble.map(|kind| CardFault { kind, lines: r.mask });
         let more = self.inputs.iter().any(|r| r.more || r.head().is_some());
         let sample = Sample::stamped(self.clock.now_ns(), self.levels, edge_ns);
         Ok(Sample { complete: u64::MAX, more, fresh: 0, trouble, ..sample })
@@ -751,7 +751,7 @@ mod tests {
         }
     }
 
-    fn troubles(edges: &[(u32, bool, u32, u32)]) -> Vec<Option<TroubleKind>> {
+    fn troubles(edges: &[(u32, bool, u32, u32)]) -> Vec<Option<CardFaultKind>> {
         let (mut r, mut levels, mut found) = (request_of(edges), 0, Vec::new());
         while let Some((_, now, trouble)) = r.take(levels) {
             levels = now;
@@ -774,13 +774,13 @@ mod tests {
     fn a_merged_pair_is_a_gap_in_the_request_alone() {
         // A rose and B rose; the kernel saw B twice before its thread ran.
         let found = troubles(&[(A, true, 1, 1), (B, true, 3, 1), (A, false, 4, 2)]);
-        assert_eq!(found, [None, Some(TroubleKind::SequenceGap), None]);
+        assert_eq!(found, [None, Some(CardFaultKind::SequenceGap), None]);
     }
 
     #[test]
     fn a_dropped_edge_is_a_gap_in_its_line_too() {
         let found = troubles(&[(A, true, 1, 1), (A, false, 5, 3), (B, true, 6, 3)]);
-        assert_eq!(found, [None, Some(TroubleKind::QueueOverflow), Some(TroubleKind::QueueOverflow)]);
+        assert_eq!(found, [None, Some(CardFaultKind::QueueOverflow), Some(CardFaultKind::QueueOverflow)]);
     }
 
     #[test]
@@ -793,7 +793,7 @@ mod tests {
     #[test]
     fn an_edge_that_leads_nowhere_was_preceded_by_one_unseen() {
         let found = troubles(&[(A, true, 1, 1), (A, true, 2, 2), (A, false, 3, 3)]);
-        assert_eq!(found, [None, Some(TroubleKind::EdgeMissed), None]);
+        assert_eq!(found, [None, Some(CardFaultKind::EdgeMissed), None]);
         // A line's first edge may have come before the levels were read. Then the line already has its level.
         assert_eq!(troubles(&[(A, false, 1, 1), (B, false, 2, 1)]), [None, None]);
     }

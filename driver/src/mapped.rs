@@ -4,7 +4,7 @@
 use crate::card::CardError;
 use crate::clock::Clock;
 use crate::profile::{Profile, Width};
-use crate::register_card::{Bus, RegisterCard, SetUpError};
+use crate::register_card::{RegisterAccess, RegisterCard, SetUpError};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::ffi::c_void;
 use std::fs::File;
@@ -152,7 +152,7 @@ impl Drop for Registers {
     }
 }
 
-impl Bus for Registers {
+impl RegisterAccess for Registers {
     #[inline]
     fn read(&self, offset: usize, width: Width) -> Result<u32, CardError> {
         Ok(Registers::read(self, offset, width))

@@ -6,7 +6,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::profile::Space;
+use crate::profile::AddressSpace;
 
 /// Directory in which the kernel lists the bus.
 const SYSFS: &str = "/sys/bus/pci/devices";
@@ -83,7 +83,7 @@ pub struct Bar {
     /// Size, bytes.
     pub size: u64,
     /// Memory or port I/O.
-    pub space: Space,
+    pub space: AddressSpace,
     /// The file in sysfs that can be mapped.
     pub file: PathBuf,
 }
@@ -165,8 +165,8 @@ impl Function {
             .filter_map(|word| u64::from_str_radix(word.trim_start_matches("0x"), 16).ok())
             .collect();
         let space = match words[..] {
-            [_, _, flags] if flags & RESOURCE_IO != 0 => Some(Space::Io),
-            [_, _, flags] if flags & RESOURCE_MEM != 0 => Some(Space::Memory),
+            [_, _, flags] if flags & RESOURCE_IO != 0 => Some(AddressSpace::Io),
+            [_, _, flags] if flags & RESOURCE_MEM != 0 => Some(AddressSpace::Memory),
             _ => None,
         };
         let (Some(space), [start, end, _]) = (space, &words[..]) else {
@@ -184,7 +184,7 @@ impl Function {
     ///
     /// # Errors
     /// When it is not as wanted, or the system refuses.
-    pub fn prepare(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+    pub fn prepare(&self, bar: u8, space: AddressSpace, size: usize) -> Result<Bar, PciError> {
         self.free()?;
         self.fits(bar, space, size)?;
         let enable = &self.directory.join("enable");
@@ -212,7 +212,7 @@ impl Function {
     ///
     /// # Errors
     /// When a check fails, or the system refuses.
-    pub fn check(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+    pub fn check(&self, bar: u8, space: AddressSpace, size: usize) -> Result<Bar, PciError> {
         self.free()?;
         let found = self.fits(bar, space, size)?;
         let path = self.directory.join("config");
@@ -220,8 +220,8 @@ impl Function {
         // PCI Local Bus Specification 3.0, 6.2.2: bit 0 of the command register lets it answer to I/O, bit 1 to memory.
         let command = bytes.get(4..6).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
         let (bit, name) = match space {
-            Space::Io => (0, "I/O"),
-            Space::Memory => (1, "memory"),
+            AddressSpace::Io => (0, "I/O"),
+            AddressSpace::Memory => (1, "memory"),
         };
         if command >> bit & 1 == 0 {
             return Err(PciError::Off { address: self.address.clone(), command, space: name });
@@ -229,14 +229,14 @@ impl Function {
         Ok(found)
     }
 
-    fn fits(&self, bar: u8, space: Space, size: usize) -> Result<Bar, PciError> {
+    fn fits(&self, bar: u8, space: AddressSpace, size: usize) -> Result<Bar, PciError> {
         let found = self.bar(bar)?;
         if found.space == space && found.size >= size as u64 {
             return Ok(found);
         }
         let shown = |space, size| match space {
-            Space::Memory => format!("{size} bytes of memory"),
-            Space::Io => format!("{size} I/O ports"),
+            AddressSpace::Memory => format!("{size} bytes of memory"),
+            AddressSpace::Io => format!("{size} I/O ports"),
         };
         let expected = format!("at least {}", shown(space, size as u64));
         Err(self.wrong_bar(bar, shown(found.space, found.size), expected))
@@ -297,16 +297,16 @@ mod tests {
     fn a_card_is_enabled_and_its_bar_and_command_register_checked() {
         let sysfs = bus(2);
         let card = &functions_in(sysfs.path())[0];
-        let bar = card.prepare(2, Space::Memory, 8).unwrap();
+        let bar = card.prepare(2, AddressSpace::Memory, 8).unwrap();
         assert_eq!((bar.start, bar.size), (0xfea0_0000, 1 << 20));
         assert_eq!(bar.file, sysfs.path().join("0000:00:04.0/resource2"));
         assert_eq!(fs::read_to_string(sysfs.path().join("0000:00:04.0/enable")).unwrap(), "1");
         for (bar, space, size, wants) in [
-            (2, Space::Io, 4, "BAR 2: found 1048576 bytes of memory, expected at least 4 I/O ports"),
-            (0, Space::Io, 64, "BAR 0: found 32 I/O ports, expected at least 64 I/O ports"),
-            (1, Space::Io, 4, "BAR 1: found none"),
-            (7, Space::Io, 4, "BAR 7: found none"),
-            (0, Space::Io, 4, "command register 0x0002 leaves I/O access off"),
+            (2, AddressSpace::Io, 4, "BAR 2: found 1048576 bytes of memory, expected at least 4 I/O ports"),
+            (0, AddressSpace::Io, 64, "BAR 0: found 32 I/O ports, expected at least 64 I/O ports"),
+            (1, AddressSpace::Io, 4, "BAR 1: found none"),
+            (7, AddressSpace::Io, 4, "BAR 7: found none"),
+            (0, AddressSpace::Io, 4, "command register 0x0002 leaves I/O access off"),
         ] {
             let found = card.prepare(bar, space, size).unwrap_err().to_string();
             assert!(found.contains(wants), "{found}\n  wants {wants}");
@@ -323,7 +323,7 @@ mod tests {
             std::os::unix::fs::symlink(format!("../../../bus/pci/drivers/{name}"), link).unwrap();
         };
         driver("8255_pci");
-        for refused in [card.prepare(2, Space::Memory, 8), card.check(2, Space::Memory, 8)] {
+        for refused in [card.prepare(2, AddressSpace::Memory, 8), card.check(2, AddressSpace::Memory, 8)] {
             let text = refused.unwrap_err().to_string();
             assert!(
                 text.starts_with("PCI card 0000:00:04.0 is in the hands of the kernel's driver 8255_pci"),
@@ -334,7 +334,7 @@ mod tests {
         assert_eq!(fs::read_to_string(sysfs.path().join("0000:00:04.0/enable")).unwrap(), "0\n");
         for name in FOR_PROGRAMS {
             driver(name);
-            assert!(card.prepare(2, Space::Memory, 8).is_ok(), "{name}");
+            assert!(card.prepare(2, AddressSpace::Memory, 8).is_ok(), "{name}");
         }
     }
 }

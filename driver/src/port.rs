@@ -6,7 +6,7 @@
 
 use crate::card::CardError;
 use crate::profile::Width;
-use crate::register_card::Bus;
+use crate::register_card::RegisterAccess;
 use std::fs::File;
 use std::io;
 use std::os::fd::AsRawFd;
@@ -68,7 +68,7 @@ fn permit(_base: u16, _len: usize) -> io::Result<()> {
 }
 
 #[cfg(target_arch = "x86_64")]
-impl Bus for Ports {
+impl RegisterAccess for Ports {
     #[inline]
     fn read(&self, offset: usize, width: Width) -> Result<u32, CardError> {
         use std::arch::asm;
@@ -106,7 +106,7 @@ impl Bus for Ports {
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-impl Bus for Ports {
+impl RegisterAccess for Ports {
     fn read(&self, _offset: usize, _width: Width) -> Result<u32, CardError> {
         Err(CardError::Io { op: "reading an I/O port", errno: libc::ENOSYS })
     }
@@ -157,7 +157,7 @@ impl Parport {
     }
 }
 
-impl Bus for Parport {
+impl RegisterAccess for Parport {
     fn read(&self, offset: usize, _width: Width) -> Result<u32, CardError> {
         let (fd, mut value) = (self.file.as_raw_fd(), 0_u8);
         // SAFETY: the descriptor is open, and each call writes the one byte that it is given.

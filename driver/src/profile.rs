@@ -103,7 +103,7 @@ impl Counter {
 
 /// Address space of a card's registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Space {
+pub enum AddressSpace {
     /// Memory.
     Memory,
     /// Port I/O.
@@ -112,13 +112,13 @@ pub enum Space {
 
 /// Location of a PCI card's registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PciPlace {
+pub struct PciBarSpec {
     /// Vendor and device.
     pub id: (u16, u16),
     /// Base address register, 0 to 5.
     pub bar: u8,
     /// Address space that this BAR must have.
-    pub space: Space,
+    pub space: AddressSpace,
 }
 
 /// A card's registers and lines, checked.
@@ -139,7 +139,7 @@ pub struct Profile {
     /// The lines by name.
     pub lines: BTreeMap<String, WordBit>,
     /// Location on the PCI bus.
-    pub pci: Option<PciPlace>,
+    pub pci: Option<PciBarSpec>,
     /// Registers to be set before use.
     pub setup: Vec<RegisterPreset>,
     /// The card's own counters.
@@ -174,7 +174,7 @@ impl Profile {
             input_invert: 0,
             output_invert: 0,
             lines: inputs.chain(outputs).collect(),
-            pci: Some(PciPlace { id: (0x1af4, 0x1110), bar: 2, space: Space::Memory }),
+            pci: Some(PciBarSpec { id: (0x1af4, 0x1110), bar: 2, space: AddressSpace::Memory }),
             setup: Vec::new(),
             counters: Vec::new(),
         }

@@ -1,12 +1,12 @@
 //! A card of registers, reached by memory, port I/O or a driver's calls.
 
-use crate::card::{Card, CardError, Sample, Trouble, TroubleKind};
+use crate::card::{Card, CardError, CardFault, CardFaultKind, Sample};
 use crate::clock::Clock;
 use crate::profile::{Counter, Flag, Profile, Register, RegisterPreset, RegisterWrite, Width};
 
 /// Access to registers.
 /// An implementation that cannot fail costs nothing.
-pub trait Bus {
+pub trait RegisterAccess {
     /// Reads a register at a byte offset.
     ///
     /// # Errors
@@ -92,7 +92,7 @@ impl CounterState {
     }
 
     /// Takes one reading of lines, count and flags.
-    fn take(&mut self, inputs: u64, raw: u32, overflow: bool, error: bool) -> Option<TroubleKind> {
+    fn take(&mut self, inputs: u64, raw: u32, overflow: bool, error: bool) -> Option<CardFaultKind> {
         let bits = self.counter.count.width.bits();
         let delta = i64::from((raw.wrapping_sub(self.raw) << (32 - bits)) as i32 >> (32 - bits));
         let lines = self.lines_of(inputs);
@@ -102,18 +102,18 @@ impl CounterState {
         self.lines = lines;
         if delta.abs() > MAX_JUMP_COUNTS {
             self.align(lines);
-            return Some(TroubleKind::CounterError);
+            return Some(CardFaultKind::CounterError);
         }
         // Lines and count are two readings. They must agree only if neither has changed since the previous
         // look.
         if still && CYCLE[(self.target + self.phase).rem_euclid(4) as usize] != lines {
             self.align(lines);
-            return Some(TroubleKind::CounterError);
+            return Some(CardFaultKind::CounterError);
         }
         if overflow {
-            return Some(TroubleKind::CounterOverflow);
+            return Some(CardFaultKind::CounterOverflow);
         }
-        error.then_some(TroubleKind::CounterError)
+        error.then_some(CardFaultKind::CounterError)
     }
 }
 
@@ -134,7 +134,7 @@ pub struct RegisterCard<B, K> {
     clock: K,
 }
 
-impl<B: Bus, K: Clock> RegisterCard<B, K> {
+impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
     /// Opens a card without changing it.
     /// Only registers that the profile sets up after a reset are written.
     ///
@@ -238,7 +238,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
                     self.order(clear)?;
                 }
                 if let Some(kind) = self.counters[n].take(self.levels, raw, overflow, error) {
-                    trouble = Some(Trouble { kind, lines: self.counters[n].mask() });
+                    trouble = Some(CardFault { kind, lines: self.counters[n].mask() });
                 }
             }
         }
@@ -254,7 +254,7 @@ impl<B: Bus, K: Clock> RegisterCard<B, K> {
     }
 }
 
-impl<B: Bus, K: Clock> Card for RegisterCard<B, K> {
+impl<B: RegisterAccess, K: Clock> Card for RegisterCard<B, K> {
     #[inline]
     fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
         if !self.counters.is_empty() {
@@ -306,7 +306,7 @@ mod tests {
         }
     }
 
-    impl Bus for Bench {
+    impl RegisterAccess for Bench {
         fn read(&self, offset: usize, _width: Width) -> Result<u32, CardError> {
             Ok(self.0.borrow().0[offset / 4])
         }
@@ -403,7 +403,7 @@ mod tests {
     #[test]
     fn a_jump_of_as_many_counts_as_motion_can_make_is_motion_and_one_more_is_not() {
         for sign in [1_i64, -1] {
-            for (more, trouble) in [(0, None), (1, Some(TroubleKind::CounterError))] {
+            for (more, trouble) in [(0, None), (1, Some(CardFaultKind::CounterError))] {
                 let (_bench, card) = counter_card();
                 let counter = card.counters[0].counter;
                 let mut counting = CounterState { counter, raw: 0, lines: 0, target: 0, shown: 0, phase: 0 };
@@ -429,7 +429,7 @@ mod tests {
     #[test]
     fn the_cards_flags_are_reported_and_cleared() {
         let (bench, mut card) = counter_card();
-        for (flags, kind) in [(1, TroubleKind::CounterOverflow), (2, TroubleKind::CounterError)] {
+        for (flags, kind) in [(1, CardFaultKind::CounterOverflow), (2, CardFaultKind::CounterError)] {
             bench.set(20, flags);
             bench.written();
             let trouble = card.sample(0).unwrap().trouble.unwrap();
@@ -447,10 +447,10 @@ mod tests {
         let (bench, mut card) = counter_card();
         bench.set(0, STATES[3]);
         assert_eq!(card.sample(0).unwrap().trouble, None, "the lines were read before the count");
-        assert_eq!(card.sample(0).unwrap().trouble.unwrap().kind, TroubleKind::CounterError);
+        assert_eq!(card.sample(0).unwrap().trouble.unwrap().kind, CardFaultKind::CounterError);
         assert_eq!(card.sample(0).unwrap().trouble, None, "agreed anew");
         bench.set(12, 0x1000_0000);
-        assert_eq!(card.sample(0).unwrap().trouble.unwrap().kind, TroubleKind::CounterError, "no motion");
+        assert_eq!(card.sample(0).unwrap().trouble.unwrap().kind, CardFaultKind::CounterError, "no motion");
     }
 
     #[test]

@@ -16,15 +16,15 @@ use rtec_driver::profile::Profile;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{Event, Request};
-use rtec_rt::setup::{RtSettings, System, apply};
+use rtec_rt::link_messages::{Event, Request};
+use rtec_rt::setup::{RtSettings, SystemRoot, apply};
 use std::time::Instant;
 
 const SEPARATIONS_NS: [u64; 3] = [500, 200, 100];
 
 /// Times between looks at a mapped card on this machine, ns, sorted.
 fn measure() -> Result<Vec<u32>, Box<dyn std::error::Error>> {
-    let system = System::live();
+    let system = SystemRoot::live();
     let (_held, report) = apply(&system, RtSettings { cpu: system.default_cpu(), priority: 80 });
     for missing in report.missing() {
         println!("measured without {}: {}", missing.name, missing.got);

@@ -2,7 +2,7 @@
 //! It requests two counts, which are inserted after one of the next edges.
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::{card::MachineLines, clock::Clock, quadrature::State};
-use rtec_rt::{axis::AxisConfig, engine::Engine, engine::MachineConfig, event::Request};
+use rtec_rt::{axis::AxisConfig, engine::Engine, engine::MachineConfig, link_messages::Request};
 use std::sync::atomic::Ordering::Release;
 
 struct Ticks(u64);

@@ -1,7 +1,7 @@
 //! One axis between two edges: insertion, ledger, belief, homing, probe capture.
 
-use crate::event::{AxisStatus, Capture, EventKind, Fault, Faults, GateState, Refusal};
-use crate::gate::{Gate, GateInput};
+use crate::gate::{GateInput, SpeedGate};
+use crate::link_messages::{AxisStatus, EventKind, Fault, Faults, InsertionStatus, ProbeCapture, Refusal};
 use rtec_driver::card::{AxisLines, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 
@@ -89,8 +89,8 @@ impl AxisConfig {
     ///
     /// Time needed: detection + the MTC's separation after the edge + the inversions, each with its write and the
     /// separation behind it + guard.
-    pub fn gate(&self) -> Option<Gate> {
-        Gate::new(GateInput {
+    pub fn gate(&self) -> Option<SpeedGate> {
+        SpeedGate::new(GateInput {
             max_accel_counts_s2: self.max_accel_counts_s2,
             hysteresis_counts: self.hysteresis_counts,
             need_ns: (self.detect_ns + self.min_separation_ns + self.busy_ns()).max(1),
@@ -102,26 +102,32 @@ impl AxisConfig {
     ///
     /// A total outside the window is not believed once. Two more readings may come back into range, then it is a fault
     /// (NISTIR 4832, General Considerations: "I Don't Believe You", "I Still Don't Believe You").
-    pub const fn judge(&self, total: i64, requested: i64, large: bool, not_believed: &mut u8) -> Answer {
+    pub const fn judge(
+        &self,
+        total: i64,
+        requested: i64,
+        large: bool,
+        not_believed: &mut u8,
+    ) -> TotalRequestResult {
         if total.unsigned_abs() > self.max_correction_counts.unsigned_abs() {
-            return Answer::Refused(Refusal::AboveMaximum);
+            return TotalRequestResult::Refused(Refusal::AboveMaximum);
         }
         if total.unsigned_abs() >= self.error_counts.unsigned_abs() {
-            return Answer::Fault(Fault::ErrorLimit);
+            return TotalRequestResult::Fault(Fault::ErrorLimit);
         }
         if !large && total.abs_diff(requested) > self.window_counts.unsigned_abs() {
             *not_believed += 1;
             return if *not_believed > 2 {
-                Answer::Fault(Fault::StillNotBelieved)
+                TotalRequestResult::Fault(Fault::StillNotBelieved)
             } else {
-                Answer::Refused(Refusal::NotBelieved)
+                TotalRequestResult::Refused(Refusal::NotBelieved)
             };
         }
         *not_believed = 0;
         if total.unsigned_abs() >= self.warn_counts.unsigned_abs() {
-            Answer::AcceptedWithWarning
+            TotalRequestResult::AcceptedWithWarning
         } else {
-            Answer::Accepted
+            TotalRequestResult::Accepted
         }
     }
 }
@@ -176,7 +182,7 @@ enum EdgeVersusInversion {
 
 /// Result of a request for a new total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Answer {
+pub enum TotalRequestResult {
     /// The request is the axis's total from now on.
     Accepted,
     /// Accepted, and at or beyond the axis's warning limit.
@@ -266,7 +272,7 @@ impl MtcState {
 #[derive(Debug)]
 pub(crate) struct AxisEngine {
     config: AxisConfig,
-    gate: Gate,
+    gate: SpeedGate,
     min_interval_ns: u64,
     busy_ns: u64,
     scale: Decoder,
@@ -289,7 +295,7 @@ pub(crate) struct AxisEngine {
     /// Earliest time of the next insertion by the rate cap, ns.
     next_allowed_ns: u64,
     /// Why the last edge opened no insertion.
-    waits_for: GateState,
+    waits_for: InsertionStatus,
     /// Requests in a row outside the belief window.
     not_believed: u8,
     homing: Option<i64>,
@@ -297,7 +303,7 @@ pub(crate) struct AxisEngine {
     /// The difference of the MTC's and the scale's counts is certain.
     mtc_known: bool,
     faults: Faults,
-    capture: Option<Capture>,
+    capture: Option<ProbeCapture>,
     /// Nothing to do before this time, ns, unless a line changes.
     wake_ns: u64,
     /// An edge only has to be counted.
@@ -399,7 +405,7 @@ impl AxisEngine {
             last_step: 0,
             period_ns: REST,
             next_allowed_ns: found.t_ns,
-            waits_for: GateState::WaitingForEdge,
+            waits_for: InsertionStatus::WaitingForEdge,
             not_believed: 0,
             homing: None,
             homed: false,
@@ -573,9 +579,9 @@ impl AxisEngine {
 
     /// Takes a new total, counts since homing.
     /// If the answer is a fault, the caller latches it.
-    pub(crate) fn request(&mut self, total: i64, large: bool) -> Answer {
+    pub(crate) fn request(&mut self, total: i64, large: bool) -> TotalRequestResult {
         let answer = self.config.judge(total, self.requested, large, &mut self.not_believed);
-        if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
+        if matches!(answer, TotalRequestResult::Accepted | TotalRequestResult::AcceptedWithWarning) {
             self.requested = total;
             // Due next is an edge or the end of the rest time; a new total makes nothing due sooner.
             self.set_wake_time();
@@ -590,7 +596,7 @@ impl AxisEngine {
             return false;
         }
         let before = (self.last_boundary(), self.last_edge.map(|(_, t)| t));
-        self.capture = Some(Capture { trip_ns, before, after: None });
+        self.capture = Some(ProbeCapture { trip_ns, before, after: None });
         self.wake();
         true
     }
@@ -780,7 +786,7 @@ impl AxisEngine {
                 if self.ready() && look.permit.insert {
                     if turned {
                         // Only edges of both channels show that the axis moves.
-                        self.waits_for = GateState::OneChannel;
+                        self.waits_for = InsertionStatus::OneChannel;
                         self.waited_for_gate += 1;
                     } else {
                         self.open(look.edge_ns);
@@ -903,18 +909,18 @@ impl AxisEngine {
     /// It is written in place, because reading it back in other pieces stalls the processor.
     fn open(&mut self, edge: (u64, u64)) {
         if edge.1 < self.next_allowed_ns {
-            self.waits_for = GateState::RateCap;
+            self.waits_for = InsertionStatus::RateCap;
             return;
         }
         // The first edge gives no period, so no speed.
         let period_ns = if self.period_ns == REST { 0 } else { self.period_ns };
         let quiet_ns = self.gate.quiet_ns(period_ns);
         if period_ns < self.gate.min_period_ns() || quiet_ns < self.gate.need_ns() {
-            self.waits_for = GateState::TooFast;
+            self.waits_for = InsertionStatus::TooFast;
             self.waited_for_gate += 1;
             return;
         }
-        self.waits_for = GateState::WaitingForEdge;
+        self.waits_for = InsertionStatus::WaitingForEdge;
         self.insertion = Insertion::Opened {
             add: self.pending() > 0,
             from_ns: edge.1 + self.config.min_separation_ns,
@@ -1070,24 +1076,24 @@ impl AxisEngine {
 
     /// Status of the axis.
     /// `blocked` is the machine's reason against insertions, if any.
-    pub(crate) fn status(&self, t_ns: u64, blocked: Option<GateState>) -> AxisStatus {
+    pub(crate) fn status(&self, t_ns: u64, blocked: Option<InsertionStatus>) -> AxisStatus {
         let real = self.real.unwrap_or(self.wire);
         let mtc_count =
             if self.real.is_some() { self.scale.count() + real.completed } else { self.wire.mtc_count };
         let since_ns = self.last_edge.map(|(_, t)| t_ns.saturating_sub(t));
         let at_rest = since_ns.is_none_or(|s| s > 50_000_000);
         let gate = if self.faults.any() {
-            GateState::Fault
+            InsertionStatus::Fault
         } else if !self.homed {
-            GateState::NotHomed
+            InsertionStatus::NotHomed
         } else if let Some(blocked) = blocked {
             blocked
         } else if self.insertion != Insertion::Idle {
-            GateState::Inserting
+            InsertionStatus::Inserting
         } else if !self.ready() {
-            GateState::Done
+            InsertionStatus::Done
         } else if at_rest && self.config.rest == RestPolicy::Wait {
-            GateState::AtRest
+            InsertionStatus::AtRest
         } else {
             self.waits_for
         };

@@ -1,14 +1,16 @@
 //! All axes of one machine: looks at the card, lets each axis act, writes once.
 
-use crate::axis::{Answer, AxisConfig, AxisEngine, AxisSample, InitialAxisState, Inversion, Permit};
-use crate::event::{
-    AxisStatus, DisableReason, Event, EventKind, Fault, Faults, GateState, HeldBy, MAX_AXES, Mode, Refusal,
-    Request, Status,
+use crate::axis::{
+    AxisConfig, AxisEngine, AxisSample, InitialAxisState, Inversion, Permit, TotalRequestResult,
 };
 use crate::histogram::{Reader, Recorder, histogram};
 use crate::journal::{Journal, MachineRecord, StateRecord};
+use crate::link_messages::{
+    AxisStatus, DisableReason, Event, EventKind, Fault, Faults, HeldBy, InsertionStatus, MAX_AXES, Mode,
+    Refusal, Request, Status,
+};
 use crate::state_file_watch::StateFileWatch;
-use rtec_driver::card::{Card, CardError, MachineLines, Sample, Trouble};
+use rtec_driver::card::{Card, CardError, CardFault, MachineLines, Sample};
 
 /// Configuration of the machine as a whole, fixed before the engine starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,7 +43,7 @@ pub enum StartError {
 
 /// Histograms of the loop's times; any thread may read them at any moment.
 #[derive(Debug, Clone)]
-pub struct Timing {
+pub struct LoopHistograms {
     /// Time between two looks, ns.
     /// On a card that sleeps it is the time from an edge to the look that shows it.
     pub poll_gap_ns: Reader,
@@ -93,7 +95,7 @@ pub struct Engine {
     late_look: (u64, u64),
     poll_gap_ns: Recorder,
     edge_to_done_ns: Recorder,
-    timing: Timing,
+    timing: LoopHistograms,
 }
 
 impl Engine {
@@ -171,7 +173,7 @@ impl Engine {
             late_look: (0, 0),
             poll_gap_ns,
             edge_to_done_ns,
-            timing: Timing { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
+            timing: LoopHistograms { poll_gap_ns: gap_reader, edge_to_done_ns: done_reader },
         };
         engine.look_after_mtc(sample.inputs, &mut |_| true);
         Ok(engine)
@@ -317,7 +319,7 @@ impl Engine {
     }
 
     /// Histograms of the loop's times, readable at any time from any thread.
-    pub fn timing(&self) -> Timing {
+    pub fn timing(&self) -> LoopHistograms {
         self.timing.clone()
     }
 
@@ -416,7 +418,7 @@ impl Engine {
 
     /// Latches the card's trouble for every axis concerned, or else for the machine.
     #[cold]
-    fn latch_trouble(&mut self, trouble: Trouble, report: &mut impl FnMut(Event) -> bool) {
+    fn latch_trouble(&mut self, trouble: CardFault, report: &mut impl FnMut(Event) -> bool) {
         let fault = Fault::from(trouble.kind);
         self.mode_due = true;
         let mut of_an_axis = false;
@@ -745,12 +747,12 @@ impl Engine {
             return Err(Refusal::Disabled);
         }
         match a.request(total_counts, large) {
-            Answer::Accepted => {}
-            Answer::AcceptedWithWarning => {
+            TotalRequestResult::Accepted => {}
+            TotalRequestResult::AcceptedWithWarning => {
                 self.emit(Some(axis), EventKind::Warning { total_counts }, report);
             }
-            Answer::Refused(why) => return Err(why),
-            Answer::Fault(fault) => {
+            TotalRequestResult::Refused(why) => return Err(why),
+            TotalRequestResult::Fault(fault) => {
                 self.mode_due = true;
                 if a.latch(fault) {
                     self.emit(Some(axis), EventKind::Fault(fault), report);
@@ -817,10 +819,10 @@ impl Engine {
     /// Status of the whole corrector at this moment.
     pub fn status(&self) -> Status {
         let blocked = match self.mode {
-            Mode::Run | Mode::Shadow | Mode::Disabled if self.stale => Some(GateState::ControlStale),
+            Mode::Run | Mode::Shadow | Mode::Disabled if self.stale => Some(InsertionStatus::ControlStale),
             Mode::Run | Mode::Shadow => None,
-            Mode::Fault => Some(GateState::Fault),
-            Mode::Disabled | Mode::Hold | Mode::Probe => Some(GateState::Off),
+            Mode::Fault => Some(InsertionStatus::Fault),
+            Mode::Disabled | Mode::Hold | Mode::Probe => Some(InsertionStatus::Off),
         };
         let mut axes = [AxisStatus::default(); MAX_AXES];
         for (status, axis) in axes.iter_mut().zip(&self.axes) {

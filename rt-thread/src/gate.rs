@@ -15,7 +15,7 @@
 
 /// Earliest time of the next real edge, for one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Gate {
+pub struct SpeedGate {
     accel_counts_ns2: f64,
     turn_back_ns: f64,
     /// The same in whole ns, computed once.
@@ -41,7 +41,7 @@ pub struct GateInput {
     pub need_ns: u64,
 }
 
-impl Gate {
+impl SpeedGate {
     /// A gate, or `None` where no period of this axis is long enough.
     /// Then the acceleration limit contradicts the time needed.
     pub fn new(input: GateInput) -> Option<Self> {
@@ -128,8 +128,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn gate(need_ns: u64, accel: f64) -> Option<Gate> {
-        Gate::new(GateInput { max_accel_counts_s2: accel, hysteresis_counts: 0.05, need_ns })
+    fn gate(need_ns: u64, accel: f64) -> Option<SpeedGate> {
+        SpeedGate::new(GateInput { max_accel_counts_s2: accel, hysteresis_counts: 0.05, need_ns })
     }
 
     #[test]
@@ -164,8 +164,8 @@ mod tests {
     fn a_run_up_through_the_hysteresis_is_within_the_limit() {
         for h in [0.05_f64, 0.3, 0.99, 2.5] {
             let a = 1e6;
-            let g =
-                Gate::new(GateInput { max_accel_counts_s2: a, hysteresis_counts: h, need_ns: 100 }).unwrap();
+            let g = SpeedGate::new(GateInput { max_accel_counts_s2: a, hysteresis_counts: h, need_ns: 100 })
+                .unwrap();
             let (v, next) = ((2.0 * a * (1.0 + h)).sqrt(), (2.0 * a * (2.0 + h)).sqrt());
             let (period_ns, after_ns) = (3e9 * v / a, 1e9 * (next - v) / a);
             assert!(!g.too_soon(period_ns as u64, after_ns as u64 + 1), "h {h}");

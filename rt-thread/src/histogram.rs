@@ -88,11 +88,11 @@ impl Reader {
     /// A copy of the histogram at this moment.
     /// While the writer runs, the copy may miss values recorded meanwhile. It never holds a value that was not
     /// recorded.
-    pub fn snapshot(&self) -> Snapshot {
+    pub fn snapshot(&self) -> HistogramSnapshot {
         let s = &*self.shared;
         let counts: Box<[u64]> = s.counts.iter().map(|count| count.load(Relaxed)).collect();
         let samples = counts.iter().sum();
-        Snapshot {
+        HistogramSnapshot {
             samples,
             sum: s.sum.load(Relaxed),
             min: s.min.load(Relaxed),
@@ -104,7 +104,7 @@ impl Reader {
 
 /// A histogram at rest: percentiles, buckets. All values in ns.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Snapshot {
+pub struct HistogramSnapshot {
     samples: u64,
     sum: u64,
     min: u64,
@@ -112,13 +112,13 @@ pub struct Snapshot {
     counts: Box<[u64]>,
 }
 
-impl Default for Snapshot {
+impl Default for HistogramSnapshot {
     fn default() -> Self {
         Self { samples: 0, sum: 0, min: u64::MAX, max: 0, counts: vec![0; BUCKETS].into() }
     }
 }
 
-impl Snapshot {
+impl HistogramSnapshot {
     /// Number of values.
     pub fn samples(&self) -> u64 {
         self.samples
@@ -210,7 +210,7 @@ impl Snapshot {
 
 /// Serialises as a map of figures and the histogram as `[low_ns, high_ns, count]`.
 /// The keys are `min`, `p50`, `p99`, `p999`, `p9999`, `max`, `mean`, `samples` and `histogram`.
-impl Serialize for Snapshot {
+impl Serialize for HistogramSnapshot {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]
         struct Figures<'a> {
@@ -224,7 +224,7 @@ impl Serialize for Snapshot {
             samples: u64,
             histogram: Buckets<'a>,
         }
-        struct Buckets<'a>(&'a Snapshot);
+        struct Buckets<'a>(&'a HistogramSnapshot);
         impl Serialize for Buckets<'_> {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
                 let mut seq = serializer.serialize_seq(None)?;
@@ -285,7 +285,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn filled(values: &[u64]) -> Snapshot {
+    fn filled(values: &[u64]) -> HistogramSnapshot {
         let (mut recorder, reader) = histogram();
         for &v in values {
             recorder.record(v);
@@ -336,7 +336,7 @@ mod tests {
             (s.samples(), s.min(), s.max(), s.p50(), s.p9999(), s.buckets().count()),
             (0, 0, 0, 0, 0, 0)
         );
-        assert_eq!(s, Snapshot::default());
+        assert_eq!(s, HistogramSnapshot::default());
     }
 
     #[test]

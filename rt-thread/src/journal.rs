@@ -21,7 +21,7 @@
 //! start therefore writes a file without the name. It gives it the name once every record is in it
 //! ([`Journal::place`]).
 
-use crate::event::{Fault, Faults, HeldBy, MAX_AXES};
+use crate::link_messages::{Fault, Faults, HeldBy, MAX_AXES};
 use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, Flock, FlockArg, OFlag, RenameFlags, posix_fallocate, renameat2};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
@@ -793,7 +793,8 @@ mod tests {
         let (_directory, path) = new();
         let mut faults = Faults::NONE;
         assert!(
-            faults.latch(crate::event::Fault::PollGap) && faults.latch(crate::event::Fault::OrderUnknown)
+            faults.latch(crate::link_messages::Fault::PollGap)
+                && faults.latch(crate::link_messages::Fault::OrderUnknown)
         );
         let latched = StateRecord { faults, ..record(3, 8) };
         note(&path, &[record(3, 8), latched]);

@@ -14,7 +14,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-use crate::event::{Event, Request, Status};
+use crate::link_messages::{Event, Request, Status};
 use crate::snapshot::{SnapshotReader, SnapshotWriter, snapshot};
 use crossbeam_utils::CachePadded;
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
@@ -71,7 +71,7 @@ impl std::fmt::Debug for RtEnd {
 /// The request ring is full; the request is handed back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the request ring is full ({REQUESTS} requests): the real-time thread is not taking them")]
-pub struct Full(pub Request);
+pub struct RequestRingFull(pub Request);
 
 /// A new link whose first status is `status`.
 pub fn link(status: Status) -> (ControlEnd, RtEnd) {
@@ -94,8 +94,8 @@ impl ControlEnd {
     ///
     /// # Errors
     /// Hands the request back when the ring is full.
-    pub fn send(&mut self, request: Request) -> Result<(), Full> {
-        self.requests.try_push(request).map_err(Full)
+    pub fn send(&mut self, request: Request) -> Result<(), RequestRingFull> {
+        self.requests.try_push(request).map_err(RequestRingFull)
     }
 
     /// Number of requests that the real-time thread has not taken yet.
@@ -185,7 +185,7 @@ mod tests {
         for _ in 0..REQUESTS {
             control.send(Request::Enable).unwrap();
         }
-        assert_eq!(control.send(Request::Disable), Err(Full(Request::Disable)));
+        assert_eq!(control.send(Request::Disable), Err(RequestRingFull(Request::Disable)));
         assert_eq!(rt.request(), Some(Request::Enable));
         control.send(Request::Disable).unwrap();
     }
@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn events_beyond_the_ring_are_refused_not_overwritten() {
-        use crate::event::EventKind;
+        use crate::link_messages::EventKind;
         let (mut control, mut rt) = link(Status::default());
         let event = |t_ns| Event { t_ns, axis: None, kind: EventKind::Bounce };
         let kept = (0..5000).filter(|t| rt.report(event(*t))).count();

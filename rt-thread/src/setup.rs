@@ -58,7 +58,7 @@ impl std::error::Error for OsError {}
 
 /// One setting: the wanted value, the value found, and the remedy.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct Finding {
+pub struct SetupFinding {
     /// The setting, see the module's table.
     pub name: &'static str,
     /// The wanted value.
@@ -75,7 +75,7 @@ pub struct Finding {
     pub remedy: String,
 }
 
-impl Finding {
+impl SetupFinding {
     /// A finding that is not needed to arm, without a remedy.
     pub fn new(name: &'static str, wanted: impl Into<String>, got: impl Into<String>, ok: bool) -> Self {
         Self { name, wanted: wanted.into(), got: got.into(), ok, ..Self::default() }
@@ -110,7 +110,7 @@ impl Finding {
 
 /// All findings about one CPU, and after [`apply`] about the thread that called it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Report {
+pub struct SetupReport {
     /// The kernel's release, as `uname -r` prints it.
     pub kernel: String,
     /// The CPU for the real-time thread.
@@ -124,36 +124,36 @@ pub struct Report {
     /// The part of it that the running kernel was not booted with.
     pub kernel_command_line_lacks: String,
     /// The findings, one per setting.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<SetupFinding>,
 }
 
-impl Report {
+impl SetupReport {
     /// Whether every setting that a real card needs is in effect.
     pub fn can_arm(&self) -> bool {
         self.missing().next().is_none()
     }
 
     /// The settings that keep a real card from being armed.
-    pub fn missing(&self) -> impl Iterator<Item = &Finding> {
+    pub fn missing(&self) -> impl Iterator<Item = &SetupFinding> {
         self.findings.iter().filter(|f| f.needed_to_arm && !f.ok)
     }
 
     /// The finding of that name.
-    pub fn finding(&self, name: &str) -> Option<&Finding> {
+    pub fn finding(&self, name: &str) -> Option<&SetupFinding> {
         self.findings.iter().find(|f| f.name == name)
     }
 }
 
 /// Root of `/proc`, `/sys` and `/dev`: the running system or a copy of it.
 #[derive(Debug, Clone)]
-pub struct System {
+pub struct SystemRoot {
     root: PathBuf,
     /// Whether it is the running system.
     /// CPU instructions and signals to the kernel apply to that one only.
     live: bool,
 }
 
-impl System {
+impl SystemRoot {
     /// The running system.
     pub fn live() -> Self {
         Self { root: PathBuf::from("/"), live: true }
@@ -178,8 +178,8 @@ impl System {
 
     /// Inspects the settings of this machine for a real-time thread on `cpu`.
     /// It changes nothing.
-    pub fn inspect(&self, cpu: usize, priority: u8) -> Report {
-        Report {
+    pub fn inspect(&self, cpu: usize, priority: u8) -> SetupReport {
+        SetupReport {
             kernel: self.read("proc/sys/kernel/osrelease").unwrap_or_else(|_| "unknown".into()),
             cpu,
             emulated: self.emulator(),
@@ -275,26 +275,32 @@ impl System {
         path: &str,
         absent: Option<(&str, bool)>,
         judge: impl FnOnce(&str) -> (String, bool),
-    ) -> Finding {
+    ) -> SetupFinding {
         let error = match self.read(path) {
             Ok(text) => {
                 let (got, ok) = judge(&text);
-                return Finding::new(name, wanted, got, ok);
+                return SetupFinding::new(name, wanted, got, ok);
             }
             Err(error) => error,
         };
         match absent.filter(|_| error.errno == libc::ENOENT) {
-            Some((got, ok)) => Finding::new(name, wanted, got, ok),
-            None => Finding::unknown(name, wanted, error),
+            Some((got, ok)) => SetupFinding::new(name, wanted, got, ok),
+            None => SetupFinding::unknown(name, wanted, error),
         }
     }
 
     /// As [`Self::shown_by`], where the file's whole text must be the wanted one.
-    fn equals(&self, name: &'static str, wanted: &str, path: &str, absent: Option<(&str, bool)>) -> Finding {
+    fn equals(
+        &self,
+        name: &'static str,
+        wanted: &str,
+        path: &str,
+        absent: Option<(&str, bool)>,
+    ) -> SetupFinding {
         self.shown_by((name, wanted), path, absent, |text| (text.to_owned(), text == wanted))
     }
 
-    fn rt_throttling(&self) -> Finding {
+    fn rt_throttling(&self) -> SetupFinding {
         self.equals("rt_throttling", "-1", "proc/sys/kernel/sched_rt_runtime_us", None).needed().remedy(
             "sysctl kernel.sched_rt_runtime_us=-1: a polling thread loses up to 50 ms of every second otherwise",
         )
@@ -304,12 +310,12 @@ impl System {
     /// A CPU that a real-time thread does not leave runs fair tasks for 50 ms of every second, whatever
     /// `sched_rt_runtime_us` says. The switch is in debugfs, which is often unreadable. Then it is reported but not
     /// required.
-    fn fair_server(&self, cpu: usize) -> Finding {
+    fn fair_server(&self, cpu: usize) -> SetupFinding {
         const NAME: &str = "fair_server";
         let release = self.read("proc/sys/kernel/osrelease").unwrap_or_default();
         let path = format!("sys/kernel/debug/sched/fair_server/cpu{cpu}/runtime");
         if version(&release) < (6, 12) {
-            return Finding::new(NAME, "0", "none in this kernel", true);
+            return SetupFinding::new(NAME, "0", "none in this kernel", true);
         }
         let remedy = format!(
             "echo 0 > /{path}: with any ordinary task on CPU {cpu} a polling thread loses 50 ms of every second otherwise"
@@ -318,7 +324,7 @@ impl System {
         if finding.errno.is_none() { finding.needed() } else { finding }.remedy(remedy)
     }
 
-    fn preempt_rt(&self) -> Finding {
+    fn preempt_rt(&self) -> SetupFinding {
         let realtime = self.read("sys/kernel/realtime").is_ok_and(|text| text == "1");
         let version = self.read("proc/version").unwrap_or_default();
         let model = ["PREEMPT_RT", "PREEMPT RT", "PREEMPT_DYNAMIC", "PREEMPT"]
@@ -327,11 +333,11 @@ impl System {
             .unwrap_or("not preemptible");
         let ok = realtime || model.ends_with("RT");
         let got = if ok { "PREEMPT_RT" } else { model };
-        Finding::new("preempt_rt", "PREEMPT_RT", got, ok)
+        SetupFinding::new("preempt_rt", "PREEMPT_RT", got, ok)
             .remedy("boot a PREEMPT_RT kernel (Debian: linux-image-rt-amd64)")
     }
 
-    fn cpu_in_list(&self, name: &'static str, parameter: &str, path: &str, cpu: usize) -> Finding {
+    fn cpu_in_list(&self, name: &'static str, parameter: &str, path: &str, cpu: usize) -> SetupFinding {
         let judge = |text: &str| {
             let got = if text.is_empty() { "none" } else { text };
             (got.to_owned(), cpu_list(text).contains(&cpu))
@@ -342,12 +348,12 @@ impl System {
 
     /// Finding of RCU callbacks, which the kernel does not list by CPU.
     /// A CPU in `nohz_full` is always free of them.
-    fn rcu_nocbs(&self, cpu: usize) -> Finding {
+    fn rcu_nocbs(&self, cpu: usize) -> SetupFinding {
         let wanted = format!("CPU {cpu}");
         let remedy = format!("boot with rcu_nocbs={cpu}");
         let command_line = match self.read("proc/cmdline") {
             Ok(text) => text,
-            Err(error) => return Finding::unknown("rcu_nocbs", wanted, error).remedy(remedy),
+            Err(error) => return SetupFinding::unknown("rcu_nocbs", wanted, error).remedy(remedy),
         };
         let of = |key: &str| {
             command_line
@@ -358,11 +364,11 @@ impl System {
         let (rcu, nohz) = (of("rcu_nocbs"), of("nohz_full"));
         let got = if rcu.is_empty() { nohz } else { rcu };
         let ok = rcu == "all" || cpu_list(rcu).contains(&cpu) || cpu_list(nohz).contains(&cpu);
-        Finding::new("rcu_nocbs", wanted, if got.is_empty() { "none" } else { got }, ok).remedy(remedy)
+        SetupFinding::new("rcu_nocbs", wanted, if got.is_empty() { "none" } else { got }, ok).remedy(remedy)
     }
 
     /// Finding of the interrupts in use that may land on the CPU.
-    fn irq_affinity(&self, cpu: usize) -> Finding {
+    fn irq_affinity(&self, cpu: usize) -> SetupFinding {
         let wanted = format!("no interrupt on CPU {cpu}");
         let others = self.housekeeping(cpu);
         let remedy =
@@ -372,7 +378,7 @@ impl System {
             Ok(entries) => entries,
             Err(e) => {
                 let error = OsError::of(format!("read {}", path.display()), &e);
-                return Finding::unknown("irq_affinity", wanted, error).remedy(remedy);
+                return SetupFinding::unknown("irq_affinity", wanted, error).remedy(remedy);
             }
         };
         let mut here: Vec<(u32, String)> = entries
@@ -397,7 +403,7 @@ impl System {
                 format!("{n}: {}{}", names.join(", "), if n > names.len() { ", …" } else { "" })
             }
         };
-        Finding::new("irq_affinity", wanted, got, here.is_empty()).remedy(remedy)
+        SetupFinding::new("irq_affinity", wanted, got, here.is_empty()).remedy(remedy)
     }
 
     /// The CPUs that an interrupt lands on.
@@ -406,13 +412,13 @@ impl System {
         list("effective_affinity_list").or_else(|| list("smp_affinity_list"))
     }
 
-    fn governor(&self, cpu: usize) -> Finding {
+    fn governor(&self, cpu: usize) -> SetupFinding {
         let path = format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor");
         self.equals("governor", "performance", &path, Some(("no frequency scaling", true)))
             .remedy(format!("echo performance > /{path}"))
     }
 
-    fn smt(&self, cpu: usize) -> Finding {
+    fn smt(&self, cpu: usize) -> SetupFinding {
         let path = format!("sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list");
         match self.read(&path) {
             Ok(text) => {
@@ -420,17 +426,17 @@ impl System {
                     cpu_list(&text).into_iter().filter(|c| *c != cpu).map(|c| c.to_string()).collect();
                 let got =
                     if siblings.is_empty() { "none".into() } else { format!("CPU {}", siblings.join(",")) };
-                Finding::new("smt", "no sibling thread", got, siblings.is_empty()).remedy(format!(
+                SetupFinding::new("smt", "no sibling thread", got, siblings.is_empty()).remedy(format!(
                     "switch hyper-threading off (boot with nosmt), or echo 0 > /sys/devices/system/cpu/cpu{}/online",
                     siblings.first().map_or("N", String::as_str)
                 ))
             }
-            Err(error) => Finding::unknown("smt", "no sibling thread", error)
+            Err(error) => SetupFinding::unknown("smt", "no sibling thread", error)
                 .remedy("switch hyper-threading off in the firmware"),
         }
     }
 
-    fn clocksource(&self) -> Finding {
+    fn clocksource(&self) -> SetupFinding {
         // These are read without a system call. Every other one costs one, a microsecond or more.
         const FAST: [&str; 3] = ["tsc", "arch_sys_counter", "riscv_clocksource"];
         let wanted = if cfg!(target_arch = "x86_64") { "tsc" } else { "one that needs no system call" };
@@ -440,7 +446,7 @@ impl System {
         .remedy("boot with tsc=reliable if the kernel dropped a sound TSC; the firmware or the host decides otherwise")
     }
 
-    fn transparent_hugepage(&self) -> Finding {
+    fn transparent_hugepage(&self) -> SetupFinding {
         let name = ("transparent_hugepage", "madvise or never");
         let path = "sys/kernel/mm/transparent_hugepage/enabled";
         let judge = |text: &str| {
@@ -451,7 +457,7 @@ impl System {
             .remedy("echo madvise > /sys/kernel/mm/transparent_hugepage/enabled")
     }
 
-    fn swap(&self) -> Finding {
+    fn swap(&self) -> SetupFinding {
         let judge = |text: &str| {
             let areas: Vec<&str> =
                 text.lines().skip(1).filter_map(|line| line.split_whitespace().next()).collect();
@@ -461,11 +467,11 @@ impl System {
             .remedy("swapoff -a, and take it out of /etc/fstab")
     }
 
-    fn memlock_limit(&self) -> Finding {
+    fn memlock_limit(&self) -> SetupFinding {
         self.limit("memlock_limit", "Max locked memory", "unlimited", u64::MAX, CAP_IPC_LOCK, "memlock")
     }
 
-    fn rtprio_limit(&self, priority: u8) -> Finding {
+    fn rtprio_limit(&self, priority: u8) -> SetupFinding {
         let (wanted, least) = (format!("at least {priority}"), u64::from(priority));
         self.limit("rtprio_limit", "Max realtime priority", &wanted, least, CAP_SYS_NICE, "rtprio")
     }
@@ -479,7 +485,7 @@ impl System {
         at_least: u64,
         capability: u32,
         item: &str,
-    ) -> Finding {
+    ) -> SetupFinding {
         let remedy =
             format!("give the group rtec the limit in /etc/security/limits.d, as: @rtec - {item} {wanted}")
                 .replace("at least ", "");
@@ -491,7 +497,7 @@ impl System {
         });
         let limits = match self.read("proc/self/limits") {
             Ok(text) => text,
-            Err(error) => return Finding::unknown(name, wanted, error).remedy(remedy),
+            Err(error) => return SetupFinding::unknown(name, wanted, error).remedy(remedy),
         };
         let soft = limits
             .lines()
@@ -501,7 +507,7 @@ impl System {
         let value = if soft == "unlimited" { u64::MAX } else { soft.parse().unwrap_or(0) };
         let got =
             if has_capability { format!("{soft}, overridden by a capability") } else { soft.to_owned() };
-        Finding::new(name, wanted, got, has_capability || value >= at_least).remedy(remedy)
+        SetupFinding::new(name, wanted, got, has_capability || value >= at_least).remedy(remedy)
     }
 
     /// Name of the emulator, if the CPU's instructions are emulated.
@@ -515,7 +521,7 @@ impl System {
         cpuinfo.contains("QEMU TCG").then(|| "QEMU TCG".into())
     }
 
-    fn hypervisor(&self) -> Finding {
+    fn hypervisor(&self) -> SetupFinding {
         let cpuinfo = self.read("proc/cpuinfo").unwrap_or_default();
         let flagged = cpuinfo
             .lines()
@@ -529,7 +535,7 @@ impl System {
             (None, None) => "none".into(),
         };
         let ok = got == "none";
-        Finding::new("hypervisor", "none", got, ok)
+        SetupFinding::new("hypervisor", "none", got, ok)
             .remedy("run on the machine itself: a host takes the CPU away for milliseconds without notice")
     }
 }
@@ -584,15 +590,15 @@ pub struct DmaLatencyHold {
 }
 
 /// Sets up the calling thread and its process, and reads everything back.
-/// The report includes [`System::inspect`]. Without privileges the thread runs on as it is, and the report says what
+/// The report includes [`SystemRoot::inspect`]. Without privileges the thread runs on as it is, and the report says what
 /// is missing. It takes some milliseconds and allocates. Call it before the loop, on the thread that runs the loop.
-pub fn apply(system: &System, wanted: RtSettings) -> (DmaLatencyHold, Report) {
+pub fn apply(system: &SystemRoot, wanted: RtSettings) -> (DmaLatencyHold, SetupReport) {
     // Memory comes first, so that the stack is locked when it is touched.
     let memory_lock = memory_lock(system);
     let (cpu_dma_latency, dma_finding) = cpu_dma_latency(system);
     let mut report = system.inspect(wanted.cpu, wanted.priority);
     let thread = [scheduler(wanted.priority), affinity(wanted.cpu), memory_lock, stack(), dma_finding]
-        .map(Finding::needed);
+        .map(SetupFinding::needed);
     report.findings.splice(0..0, thread);
     (DmaLatencyHold { _cpu_dma_latency: cpu_dma_latency }, report)
 }
@@ -623,7 +629,7 @@ impl Drop for CpuExclusion {
     }
 }
 
-fn scheduler(priority: u8) -> Finding {
+fn scheduler(priority: u8) -> SetupFinding {
     let wanted = libc::sched_param { sched_priority: i32::from(priority) };
     // Threads started from here are helpers, which must not inherit the priority.
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
@@ -642,7 +648,7 @@ fn scheduler(priority: u8) -> Finding {
         _ => "another policy",
     };
     let ok = name == "SCHED_FIFO" && read == 0 && there.sched_priority == i32::from(priority);
-    Finding::new(
+    SetupFinding::new(
         "scheduler",
         format!("SCHED_FIFO {priority}"),
         format!("{name} {}", there.sched_priority),
@@ -652,7 +658,7 @@ fn scheduler(priority: u8) -> Finding {
     .remedy(format!("a priority from 1 to 99, and CAP_SYS_NICE or an rtprio limit of at least {priority}"))
 }
 
-fn affinity(cpu: usize) -> Finding {
+fn affinity(cpu: usize) -> SetupFinding {
     let me = nix::unistd::Pid::from_raw(0);
     let mut only = nix::sched::CpuSet::new();
     let applied = only.set(cpu).and_then(|()| nix::sched::sched_setaffinity(me, &only));
@@ -668,14 +674,14 @@ fn affinity(cpu: usize) -> Finding {
                 .collect();
             let got = format!("CPU {}", cpus.join(","));
             let ok = got == wanted;
-            Finding::new("affinity", wanted, got, ok).failed(error)
+            SetupFinding::new("affinity", wanted, got, ok).failed(error)
         }
-        Err(e) => Finding::unknown("affinity", wanted, OsError::of("sched_getaffinity", &e.into())),
+        Err(e) => SetupFinding::unknown("affinity", wanted, OsError::of("sched_getaffinity", &e.into())),
     }
     .remedy(remedy)
 }
 
-fn memory_lock(system: &System) -> Finding {
+fn memory_lock(system: &SystemRoot) -> SetupFinding {
     use nix::sys::mman::{MlockAllFlags, mlockall};
     // Under a limit, locking future memory would make every allocation beyond the limit fail.
     let unlimited = system.memlock_limit().ok;
@@ -689,16 +695,16 @@ fn memory_lock(system: &System) -> Finding {
     match locked {
         Ok(kilobytes) => {
             let ok = unlimited && error.is_none() && kilobytes > 0;
-            Finding::new("memory_lock", "all pages locked", format!("{kilobytes} kB locked"), ok)
+            SetupFinding::new("memory_lock", "all pages locked", format!("{kilobytes} kB locked"), ok)
                 .failed(error)
         }
-        Err(unread) => Finding::unknown("memory_lock", "all pages locked", error.unwrap_or(unread)),
+        Err(unread) => SetupFinding::unknown("memory_lock", "all pages locked", error.unwrap_or(unread)),
     }
     .remedy("CAP_IPC_LOCK or an unlimited memlock limit")
 }
 
 /// Touches the stack to its working depth twice. The second pass must not fault.
-fn stack() -> Finding {
+fn stack() -> SetupFinding {
     let faults = || {
         nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_THREAD)
             .map(|usage| usage.minor_page_faults() + usage.major_page_faults())
@@ -711,8 +717,8 @@ fn stack() -> Finding {
         Ok(faults()? - before)
     });
     match second {
-        Ok(n) => Finding::new("stack", wanted, format!("{n} page faults"), n == 0),
-        Err(error) => Finding::unknown("stack", wanted, error),
+        Ok(n) => SetupFinding::new("stack", wanted, format!("{n} page faults"), n == 0),
+        Err(error) => SetupFinding::unknown("stack", wanted, error),
     }
     .remedy("lock the memory first: pages were taken away again")
 }
@@ -730,7 +736,7 @@ fn touch_stack(pages: usize) {
 
 /// Requests zero wake-up latency from the CPU's sleep states.
 /// Reads back the smallest latency that any process requested.
-fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
+fn cpu_dma_latency(system: &SystemRoot) -> (Option<File>, SetupFinding) {
     const NAME: &str = "cpu_dma_latency";
     let path = system.root.join("dev/cpu_dma_latency");
     let remedy = format!("let the group rtec-dev write {} (see udev/)", path.display());
@@ -741,9 +747,9 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
             let error = OsError::of(format!("open {}", path.display()), &e);
             // No device and no sleep states to leave: nothing to ask for.
             if error.errno == libc::ENOENT && !system.exists("sys/devices/system/cpu/cpu0/cpuidle/state0") {
-                return (None, Finding::new(NAME, "0 µs", "no sleep states", true));
+                return (None, SetupFinding::new(NAME, "0 µs", "no sleep states", true));
             }
-            return (None, Finding::unknown(NAME, "0 µs", error).remedy(remedy));
+            return (None, SetupFinding::unknown(NAME, "0 µs", error).remedy(remedy));
         }
     };
     let mut there = [0; 4];
@@ -755,9 +761,9 @@ fn cpu_dma_latency(system: &System) -> (Option<File>, Finding) {
     match asked {
         Ok(()) => {
             let us = i32::from_ne_bytes(there);
-            (Some(file), Finding::new(NAME, "0 µs", format!("{us} µs"), us == 0).remedy(remedy))
+            (Some(file), SetupFinding::new(NAME, "0 µs", format!("{us} µs"), us == 0).remedy(remedy))
         }
-        Err(error) => (None, Finding::unknown(NAME, "0 µs", error).remedy(remedy)),
+        Err(error) => (None, SetupFinding::unknown(NAME, "0 µs", error).remedy(remedy)),
     }
 }
 

@@ -26,7 +26,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How a state file was lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lost {
+pub enum StateFileLoss {
     /// No file has its name.
     Removed,
     /// Another file has its name.
@@ -76,17 +76,17 @@ impl StateFileWatch {
     }
 
     /// How the file was lost, if it is no longer the one that is written.
-    pub fn lost(&self) -> Option<Lost> {
-        let Ok(found) = std::fs::symlink_metadata(&self.path) else { return Some(Lost::Removed) };
+    pub fn lost(&self) -> Option<StateFileLoss> {
+        let Ok(found) = std::fs::symlink_metadata(&self.path) else { return Some(StateFileLoss::Removed) };
         if identity(&found) != self.mapped {
-            return Some(Lost::Replaced);
+            return Some(StateFileLoss::Replaced);
         }
         if found.len() != BYTES.get() as u64 || CUT_OFF.load(Ordering::Acquire) == self.mapping.base() {
-            return Some(Lost::Resized);
+            return Some(StateFileLoss::Resized);
         }
         let whole = |page| (0..4).all(|k| self.mapping.load(page + k) == self.head[k]);
         let kept = (whole(0) || whole(PAGE_WORDS)) && self.mapping.has_what_was_noted();
-        (!kept).then_some(Lost::Overwritten)
+        (!kept).then_some(StateFileLoss::Overwritten)
     }
 
     /// Makes a new file beside the lost one; the journal writes to it from here on.
@@ -129,7 +129,7 @@ impl StateFileWatch {
     }
 
     /// Notes that the real-time thread no longer looks at the card.
-    /// Another thread that notices this calls it. The next process finds [`crate::event::Fault::ThreadLost`], and
+    /// Another thread that notices this calls it. The next process finds [`crate::link_messages::Fault::ThreadLost`], and
     /// asserts feed hold.
     pub fn note_thread_lost(&self) {
         for page in [0, PAGE_WORDS] {
@@ -197,10 +197,10 @@ extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _co
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::{Faults, HeldBy};
     use crate::journal::{MachineRecord, StateRecord};
+    use crate::link_messages::{Faults, HeldBy};
 
-    type Deed<'a> = (Lost, Box<dyn Fn() + 'a>);
+    type Deed<'a> = (StateFileLoss, Box<dyn Fn() + 'a>);
 
     /// After any damage to the file in use, the next process finds all records in it.
     #[test]
@@ -220,19 +220,19 @@ mod tests {
         let older = std::fs::read(&path).unwrap();
         journal.record_machine(held, 2_000_000);
         let deeds: [Deed<'_>; 7] = [
-            (Lost::Removed, Box::new(|| std::fs::remove_file(&path).unwrap())),
-            (Lost::Removed, Box::new(|| std::fs::rename(&path, at("away")).unwrap())),
-            (Lost::Replaced, Box::new(|| std::fs::rename(at("other"), &path).unwrap())),
+            (StateFileLoss::Removed, Box::new(|| std::fs::remove_file(&path).unwrap())),
+            (StateFileLoss::Removed, Box::new(|| std::fs::rename(&path, at("away")).unwrap())),
+            (StateFileLoss::Replaced, Box::new(|| std::fs::rename(at("other"), &path).unwrap())),
             (
-                Lost::Resized,
+                StateFileLoss::Resized,
                 Box::new(|| File::options().write(true).open(&path).unwrap().set_len(0).unwrap()),
             ),
             (
-                Lost::Resized,
+                StateFileLoss::Resized,
                 Box::new(|| File::options().write(true).open(&path).unwrap().set_len(4096).unwrap()),
             ),
-            (Lost::Overwritten, Box::new(|| std::fs::write(&path, &older).unwrap())),
-            (Lost::Overwritten, Box::new(|| std::fs::write(&path, vec![0; BYTES.get()]).unwrap())),
+            (StateFileLoss::Overwritten, Box::new(|| std::fs::write(&path, &older).unwrap())),
+            (StateFileLoss::Overwritten, Box::new(|| std::fs::write(&path, vec![0; BYTES.get()]).unwrap())),
         ];
         for (n, (lost, deed)) in deeds.iter().enumerate() {
             std::fs::write(at("other"), &older).unwrap();

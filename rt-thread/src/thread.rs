@@ -1,10 +1,10 @@
 //! The pinned thread.
 //! It sets itself up, reports the result, then looks at the card until asked to stop.
 
-use crate::engine::{Engine, Timing};
-use crate::event::Status;
+use crate::engine::{Engine, LoopHistograms};
 use crate::link::{ControlEnd, RtEnd, link};
-use crate::setup::{Report, RtSettings, System, apply};
+use crate::link_messages::Status;
+use crate::setup::{RtSettings, SetupReport, SystemRoot, apply};
 use rtec_driver::card::{Card, CardError};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -27,19 +27,19 @@ pub struct ThreadOptions {
 
 /// A running engine, seen from the control side.
 #[derive(Debug)]
-pub struct Running<C> {
+pub struct RunningThread<C> {
     /// The control side's end of the link.
     pub control: ControlEnd,
     /// Histograms of the loop's times.
-    pub timing: Timing,
+    pub timing: LoopHistograms,
     /// The report of the set-up; `None` where none was wanted.
-    pub report: Option<Report>,
-    thread: JoinHandle<Ended<C>>,
+    pub report: Option<SetupReport>,
+    thread: JoinHandle<ThreadEnd<C>>,
 }
 
 /// What the thread returns at its end.
 #[derive(Debug)]
-pub struct Ended<C> {
+pub struct ThreadEnd<C> {
     /// The card, with its outputs unchanged.
     pub card: C,
     /// The last status.
@@ -68,32 +68,32 @@ pub fn spawn<C: Card + Send + 'static>(
     mut engine: Engine,
     card: C,
     options: ThreadOptions,
-) -> Result<Running<C>, SpawnError> {
-    if options.wanted.is_some() && System::live().cpus_online() == 1 {
+) -> Result<RunningThread<C>, SpawnError> {
+    if options.wanted.is_some() && SystemRoot::live().cpus_online() == 1 {
         return Err(SpawnError::OneCpu);
     }
     let (control, rt) = link(engine.status());
     let timing = engine.timing();
     let (send_report, report) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("rtec-rt".into()).spawn(move || {
-        let (_held, report) = options.wanted.map(|w| apply(&System::live(), w)).unzip();
-        engine.set_may_arm(!options.real || report.as_ref().is_some_and(Report::can_arm));
+        let (_held, report) = options.wanted.map(|w| apply(&SystemRoot::live(), w)).unzip();
+        engine.set_may_arm(!options.real || report.as_ref().is_some_and(SetupReport::can_arm));
         // The receiver waits for this message. If it has gone, the loop below is asked to stop.
         let _ = send_report.send(report);
         run(engine, card, rt, options.stale_after_ns)
     })?;
     let report = report.recv().map_err(|_| SpawnError::SetUp)?;
-    Ok(Running { control, timing, report, thread })
+    Ok(RunningThread { control, timing, report, thread })
 }
 
-impl<C> Running<C> {
+impl<C> RunningThread<C> {
     /// Stops the thread and waits for it.
     /// Requests sent before are taken first, and an insertion under way is finished. Then corrections freeze, and
     /// inverters stay as they are.
     ///
     /// # Panics
     /// When the real-time thread itself panicked.
-    pub fn stop(self) -> (Ended<C>, ControlEnd) {
+    pub fn stop(self) -> (ThreadEnd<C>, ControlEnd) {
         self.control.stop();
         match self.thread.join() {
             Ok(ended) => (ended, self.control),
@@ -105,7 +105,7 @@ impl<C> Running<C> {
 /// Runs the loop until it is asked to stop or the card fails.
 /// Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system. A panic in it latches a
 /// fault, and feed hold is written.
-pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> Ended<C> {
+pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> ThreadEnd<C> {
     let mut turns = SteppedLoop::new(engine, card, rt, stale_after_ns);
     // After a panic the engine is only asked to latch a fault and to write the hold line.
     let ended = catch_unwind(AssertUnwindSafe(|| {
@@ -180,14 +180,14 @@ impl<C: Card> SteppedLoop<C> {
     }
 
     /// Publishes the last status and hands back the card.
-    pub fn end(mut self, error: Option<CardError>) -> Ended<C> {
+    pub fn end(mut self, error: Option<CardError>) -> ThreadEnd<C> {
         let status = self.engine.status();
         self.rt.publish(status);
         self.rt.end();
-        Ended { card: self.card, status, error }
+        ThreadEnd { card: self.card, status, error }
     }
 
-    fn end_after_panic(mut self) -> Ended<C> {
+    fn end_after_panic(mut self) -> ThreadEnd<C> {
         let Self { engine, card, rt, .. } = &mut self;
         // The cause of the panic may break this too. The end is reported anyway.
         let _ = catch_unwind(AssertUnwindSafe(|| engine.panicked(card, &mut |e| rt.report(e))));

@@ -19,7 +19,7 @@
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::Request;
+use rtec_rt::link_messages::Request;
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
 

@@ -21,7 +21,7 @@
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{Event, EventKind, Fault, Request};
+use rtec_rt::link_messages::{Event, EventKind, Fault, Request};
 use std::collections::BTreeMap;
 use test_needs::asked;
 use test_needs::dice::Dice;

@@ -5,9 +5,9 @@
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{EventKind, Fault, Mode, Refusal, Request};
 use rtec_rt::journal::Journal;
 use rtec_rt::link::{ControlEnd, REQUESTS, RtEnd, link};
+use rtec_rt::link_messages::{EventKind, Fault, Mode, Refusal, Request};
 use rtec_rt::thread::{SteppedLoop, ThreadOptions, run, spawn};
 use std::ops::ControlFlow;
 

@@ -6,14 +6,14 @@
 
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_platform::latency_test::{Backend, SelftestOptions, run};
-use rtec_rt::histogram::{Snapshot, histogram};
-use rtec_rt::setup::{RtSettings, System, apply};
+use rtec_rt::histogram::{HistogramSnapshot, histogram};
+use rtec_rt::setup::{RtSettings, SystemRoot, apply};
 use std::process::Command;
 use std::time::Duration;
 
 fn main() -> anyhow::Result<()> {
     let seconds = std::env::args().skip(1).find_map(|a| a.parse::<u64>().ok()).unwrap_or(10);
-    let cpu = System::live().default_cpu();
+    let cpu = SystemRoot::live().default_cpu();
     let priority = 80;
     let options = SelftestOptions { cpu, priority, run: Duration::from_secs(3 * seconds), seed: 1 };
     let measured = run(options, Backend::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
@@ -30,7 +30,7 @@ fn main() -> anyhow::Result<()> {
         "  {:<34} {:>11} {:>8} {:>8} {:>8} {:>8} {:>10}",
         "", "samples", "min", "p50", "p99", "p99.9", "max"
     );
-    let row = |name: &str, s: &Snapshot, less: u64| {
+    let row = |name: &str, s: &HistogramSnapshot, less: u64| {
         let of = |ns: u64| ns.saturating_sub(less);
         let figures = [s.min(), s.p50(), s.p99(), s.p999()].map(of);
         let [min, p50, p99, p999] = figures;
@@ -58,7 +58,9 @@ fn main() -> anyhow::Result<()> {
         100.0 * per_s * window_ns / 1e9
     );
     // The same rule for both: what is late by a microsecond or more was interrupted by the system or the host.
-    let late = |s: &Snapshot, less: u64| (s.p999().saturating_sub(less), kept_p999(s, less + TAKEN_AWAY_NS));
+    let late = |s: &HistogramSnapshot, less: u64| {
+        (s.p999().saturating_sub(less), kept_p999(s, less + TAKEN_AWAY_NS))
+    };
     let (floor_all, (floor_kept, floor_share)) = late(&windows, 0);
     let (ours_all, (ours_kept, ours_share)) = late(&quiet.seen_to_done, separations_ns);
     let ours_kept = ours_kept.saturating_sub(separations_ns);
@@ -87,7 +89,7 @@ fn main() -> anyhow::Result<()> {
 const TAKEN_AWAY_NS: u64 = 1000;
 
 /// The 99.9th percentile of the values below `limit_ns`, and the share above it.
-fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
+fn kept_p999(all: &HistogramSnapshot, limit_ns: u64) -> (u64, f64) {
     let kept: u64 = all.buckets().filter(|b| b.low < limit_ns).map(|b| b.count).sum();
     let mut left = kept - kept / 1000;
     let at = all.buckets().find(|b| {
@@ -101,11 +103,15 @@ fn kept_p999(all: &Snapshot, limit_ns: u64) -> (u64, f64) {
 /// A loop that only reads the clock, set up as the engine's thread.
 /// Measures the gaps between two readings, and the delay after two waits of `separation_ns` one after the other. An
 /// insertion waits like that; each wait ends at the first reading after it.
-fn floor(wanted: RtSettings, time: Duration, separation_ns: u64) -> anyhow::Result<(Snapshot, Snapshot)> {
+fn floor(
+    wanted: RtSettings,
+    time: Duration,
+    separation_ns: u64,
+) -> anyhow::Result<(HistogramSnapshot, HistogramSnapshot)> {
     let (mut gaps, gaps_reader) = histogram();
     let (mut late, late_reader) = histogram();
     let polling = std::thread::Builder::new().spawn(move || {
-        let (_held, _) = apply(&System::live(), wanted);
+        let (_held, _) = apply(&SystemRoot::live(), wanted);
         let mut clock = Monotonic;
         let mut last_ns = clock.now_ns();
         let end_ns = last_ns + time.as_nanos() as u64;

@@ -9,7 +9,7 @@ use rtec_driver::profile::Width;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{Event, Request};
+use rtec_rt::link_messages::{Event, Request};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::process::{Command, Stdio};
@@ -356,7 +356,7 @@ impl Machine {
 
         let (complaints, events) = (&mut self.run.complaints, &mut self.run.events);
         let mut report = |event: Event| {
-            use rtec_rt::event::EventKind::{Fault, Refused};
+            use rtec_rt::link_messages::EventKind::{Fault, Refused};
             if matches!(event.kind, Fault(_) | Refused { .. }) {
                 complaints.push(format!("{event:?}"));
             }

@@ -4,7 +4,7 @@
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{Request, Status};
+use rtec_rt::link_messages::{Request, Status};
 
 /// Axes of the workload, as many as LinuxCNC's counter is measured with.
 pub const AXES: u8 = 3;

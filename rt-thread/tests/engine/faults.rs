@@ -54,14 +54,17 @@ fn a_silent_control_side_freezes_corrections_and_is_said() {
         true
     });
     rig.step(10);
-    assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, GateState::ControlStale));
+    assert_eq!(
+        (rig.status().axes[0].completed, rig.status().axes[0].gate),
+        (0, InsertionStatus::ControlStale)
+    );
     assert_eq!(events, [EventKind::ControlStale(true)]);
     assert_eq!(rig.status().events_lost, 0);
     // An event that the ring refuses is counted.
     rig.engine.set_control_stale(false, &mut |_| false);
     assert_eq!(rig.status().events_lost, 1);
     rig.step(10);
-    assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, GateState::Off));
+    assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, InsertionStatus::Off));
     rig.take(Request::Enable);
     rig.step(10);
     assert_eq!(rig.status().axes[0].completed, 2);
@@ -77,7 +80,7 @@ fn an_illegal_transition_holds_the_machine_and_needs_homing() {
     rig.take(Request::Clear);
     rig.correct(2);
     assert_eq!((rig.refusals(), rig.status().axes[0].homed), (vec![Refusal::NotHomed], false));
-    assert_eq!(rig.status().axes[0].gate, GateState::NotHomed);
+    assert_eq!(rig.status().axes[0].gate, InsertionStatus::NotHomed);
 }
 
 #[test]
@@ -177,13 +180,13 @@ fn inverters_left_on_are_taken_over_and_the_next_insertion_turns_them_off() {
 #[test]
 fn what_the_card_finds_is_latched_where_it_belongs() {
     let trouble =
-        |kind, lines| Some(Sample { trouble: Some(Trouble { kind, lines }), ..Sample::level(0, 0) });
+        |kind, lines| Some(Sample { trouble: Some(CardFault { kind, lines }), ..Sample::level(0, 0) });
     for (kind, fault) in [
-        (TroubleKind::SequenceGap, Fault::SequenceGap),
-        (TroubleKind::QueueOverflow, Fault::QueueOverflow),
-        (TroubleKind::EdgeMissed, Fault::EdgeMissed),
-        (TroubleKind::CounterOverflow, Fault::CounterOverflow),
-        (TroubleKind::CounterError, Fault::CounterError),
+        (CardFaultKind::SequenceGap, Fault::SequenceGap),
+        (CardFaultKind::QueueOverflow, Fault::QueueOverflow),
+        (CardFaultKind::EdgeMissed, Fault::EdgeMissed),
+        (CardFaultKind::CounterOverflow, Fault::CounterOverflow),
+        (CardFaultKind::CounterError, Fault::CounterError),
     ] {
         let mut rig = Rig::running(windowed());
         rig.card.says = trouble(kind, 0b11);
@@ -216,7 +219,11 @@ fn latches_a_channel_that_does_not_take_its_turn() {
                     "{before:?} {faults:?}"
                 );
                 if before.completed == 0 {
-                    assert_eq!((faults, before.gate), (vec![], GateState::OneChannel), "{channel} {counts}");
+                    assert_eq!(
+                        (faults, before.gate),
+                        (vec![], InsertionStatus::OneChannel),
+                        "{channel} {counts}"
+                    );
                 }
                 rig.alone(channel, 2, 250);
                 assert!(rig.faults().contains(&Fault::ChannelDead), "{channel} {counts} {:?}", rig.faults());
@@ -242,7 +249,7 @@ fn an_axis_that_trembles_over_one_boundary_waits() {
         rig.correct(40);
         rig.alone(channel, 1001, 3170);
         let axis = rig.status().axes[0];
-        assert_eq!((rig.faults(), axis.completed, axis.gate), (vec![], 0, GateState::OneChannel));
+        assert_eq!((rig.faults(), axis.completed, axis.gate), (vec![], 0, InsertionStatus::OneChannel));
         assert!(axis.waited_for_gate >= 1000);
         // The axis moves on, and everything is inserted.
         for _ in 0..60 {

@@ -7,12 +7,12 @@ mod faults;
 mod looks;
 mod requests;
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample, Trouble, TroubleKind};
+use rtec_driver::card::{AxisLines, Card, CardError, CardFault, CardFaultKind, MachineLines, Sample};
 use rtec_driver::quadrature::Decoder;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{
-    DisableReason, Event, EventKind, Fault, GateState, HeldBy, Mode, Refusal, Request, Status,
+use rtec_rt::link_messages::{
+    DisableReason, Event, EventKind, Fault, HeldBy, InsertionStatus, Mode, Refusal, Request, Status,
 };
 
 const PROBE: u64 = 1 << 28;

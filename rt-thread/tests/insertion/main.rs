@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
+use rtec_rt::link_messages::{Event, EventKind, Fault, Request, Status};
 use std::collections::VecDeque;
 use test_needs::motion::Motion;
 

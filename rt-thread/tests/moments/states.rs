@@ -10,31 +10,31 @@ fn a_status_says_why_an_axis_does_or_does_not_correct() {
         (axis.gate, axis.edge_rate_hz)
     };
     rig.look(2000);
-    assert_eq!(shown(&rig), (GateState::Done, 0.0));
+    assert_eq!(shown(&rig), (InsertionStatus::Done, 0.0));
     rig.stamped(true, 10_000);
     rig.look(12_000);
-    assert_eq!(shown(&rig), (GateState::Done, 0.0), "one edge alone tells no speed");
+    assert_eq!(shown(&rig), (InsertionStatus::Done, 0.0), "one edge alone tells no speed");
     rig.stamped(true, 20_000);
-    assert_eq!(shown(&rig), (GateState::Done, 1e5));
+    assert_eq!(shown(&rig), (InsertionStatus::Done, 1e5));
     rig.correct(2);
     rig.look(24_000);
-    assert_eq!(shown(&rig), (GateState::WaitingForEdge, 1e5));
+    assert_eq!(shown(&rig), (InsertionStatus::WaitingForEdge, 1e5));
     rig.look(36_000);
-    assert_eq!(shown(&rig), (GateState::WaitingForEdge, 62_500.0), "it has become slower");
+    assert_eq!(shown(&rig), (InsertionStatus::WaitingForEdge, 62_500.0), "it has become slower");
     rig.look(20_000 + 50_000_000);
-    assert_eq!(shown(&rig), (GateState::WaitingForEdge, 20.0));
+    assert_eq!(shown(&rig), (InsertionStatus::WaitingForEdge, 20.0));
     rig.look(20_001 + 50_000_000);
-    assert_eq!(shown(&rig), (GateState::AtRest, 0.0));
+    assert_eq!(shown(&rig), (InsertionStatus::AtRest, 0.0));
     rig.stamped(true, 80_000_000);
-    assert_eq!(shown(&rig).0, GateState::Inserting);
+    assert_eq!(shown(&rig).0, InsertionStatus::Inserting);
     rig.looks(80_002_000);
-    assert_eq!(shown(&rig).0, GateState::Done);
+    assert_eq!(shown(&rig).0, InsertionStatus::Done);
     // An axis that inserts at rest shows what it waits for while its rest time runs.
     let mut rig = Rig::new(&[one(resting(100_000_000))], stamping());
     rig.stamped(true, 10_000);
     rig.correct(2);
     rig.look(90_000_000);
-    assert_eq!(shown(&rig), (GateState::WaitingForEdge, 0.0));
+    assert_eq!(shown(&rig), (InsertionStatus::WaitingForEdge, 0.0));
 }
 
 #[test]

@@ -18,7 +18,7 @@ fn an_insertion_begins_within_the_promise_of_its_gate_and_at_no_other_time() {
         rig.stamped(true, 10_000);
         rig.correct(2);
         rig.stamped(true, 20_000);
-        assert_eq!(rig.engine.status().axes[0].gate, GateState::Inserting);
+        assert_eq!(rig.engine.status().axes[0].gate, InsertionStatus::Inserting);
         rig.look(20_000 + at_ns);
         let axis = rig.engine.status().axes[0];
         assert_eq!((rig.card.writes.len(), axis.late), (begun, late), "{at_ns} ns after the edge");
@@ -55,7 +55,7 @@ fn the_shortest_period_of_the_gate_is_long_enough_and_a_nanosecond_less_is_not()
         rig.stamped(true, 10_000 + period_ns);
         let axis = rig.engine.status().axes[0];
         assert_eq!(axis.waited_for_gate, 2 - begun, "the first edge tells no speed");
-        assert_eq!(axis.gate, if begun == 1 { GateState::Inserting } else { GateState::TooFast });
+        assert_eq!(axis.gate, if begun == 1 { InsertionStatus::Inserting } else { InsertionStatus::TooFast });
         rig.look(10_500 + period_ns);
         assert_eq!(rig.card.writes.len() as u64, begun, "{period_ns} ns");
     }
@@ -64,7 +64,7 @@ fn the_shortest_period_of_the_gate_is_long_enough_and_a_nanosecond_less_is_not()
 #[test]
 fn the_rate_cap_ends_at_its_very_moment() {
     // At 1000 counts/s, insertions of two counts are 2 ms apart.
-    for (early_ns, gate) in [(0, GateState::Inserting), (1, GateState::RateCap)] {
+    for (early_ns, gate) in [(0, InsertionStatus::Inserting), (1, InsertionStatus::RateCap)] {
         let config = AxisConfig { max_rate_counts_s: 1000.0, ..AxisConfig::default() };
         let mut rig = Rig::steady(config, stamping());
         rig.correct(4);

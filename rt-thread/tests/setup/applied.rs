@@ -38,7 +38,7 @@ fn root_gets_everything_that_is_ours_to_apply() {
         );
     }
     std::thread::spawn(|| {
-        let system = System::live();
+        let system = SystemRoot::live();
         let cpu = system.default_cpu();
         let before = shown();
         let (held, report) = apply(&system, RtSettings { cpu, priority: 42 });
@@ -57,7 +57,7 @@ fn root_gets_everything_that_is_ours_to_apply() {
         drop(held);
         assert!(!open("/dev/cpu_dma_latency"), "closed with the guard");
         for name in ["scheduler", "affinity", "memory_lock", "stack", "cpu_dma_latency"] {
-            let finding: &Finding = report.finding(name).unwrap();
+            let finding: &SetupFinding = report.finding(name).unwrap();
             assert!(finding.ok && finding.needed_to_arm, "{finding:?}");
         }
     })
@@ -72,7 +72,7 @@ fn without_privileges_it_runs_on_and_names_what_is_missing() {
         // SAFETY: three numbers go in, no memory is touched.
         let dropped = unsafe { libc::syscall(libc::SYS_setresuid, 65534, 65534, 65534) } == 0;
         assert!(dropped || !is_root());
-        let system = System::live();
+        let system = SystemRoot::live();
         let (_held, report) = apply(&system, RtSettings { cpu: system.default_cpu(), priority: 80 });
         assert!(!report.can_arm());
         let scheduler = report.finding("scheduler").unwrap();
@@ -95,7 +95,7 @@ fn without_privileges_it_runs_on_and_names_what_is_missing() {
 fn a_thread_leaves_the_cpu_and_may_come_back() {
     std::thread::spawn(|| {
         let before = shown().cpus;
-        let cpu = System::live().default_cpu();
+        let cpu = SystemRoot::live().default_cpu();
         match leave(cpu) {
             Some(left) => {
                 assert!(
@@ -119,7 +119,7 @@ fn a_thread_leaves_the_cpu_and_may_come_back() {
 #[test]
 fn impossible_wishes_are_reported_not_fatal() {
     std::thread::spawn(|| {
-        let (_held, report) = apply(&System::live(), RtSettings { cpu: 1000, priority: 100 });
+        let (_held, report) = apply(&SystemRoot::live(), RtSettings { cpu: 1000, priority: 100 });
         let errno = |name: &str| report.finding(name).unwrap().errno.as_ref().unwrap().errno;
         assert_eq!(errno("scheduler"), libc::EINVAL);
         assert_eq!(errno("affinity"), libc::EINVAL);
@@ -131,11 +131,11 @@ fn impossible_wishes_are_reported_not_fatal() {
 
 /// The report of a new thread set up by a tree of files.
 /// The system calls are real; the files decide what is read back.
-fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) -> Report {
-    let system = System::at(root);
+fn applied(root: &Path, priority: u8, before: impl FnOnce() + Send + 'static) -> SetupReport {
+    let system = SystemRoot::at(root);
     std::thread::spawn(move || {
         before();
-        apply(&system, RtSettings { cpu: System::live().default_cpu(), priority }).1
+        apply(&system, RtSettings { cpu: SystemRoot::live().default_cpu(), priority }).1
     })
     .join()
     .unwrap()

@@ -93,7 +93,7 @@ fn each_finding_tells_what_it_is_for_and_no_other_does() {
     for &(path, text, name, got, forbids, remedy) in CASES {
         let root = ideal();
         put(root.path(), path, text);
-        let report = System::at(root.path()).inspect(3, 80);
+        let report = SystemRoot::at(root.path()).inspect(3, 80);
         assert_eq!(not_ok(&report), [name], "{path}");
         let finding = report.finding(name).unwrap();
         assert_eq!(finding.got, got);

@@ -4,7 +4,7 @@
 mod applied;
 mod cases;
 
-use rtec_rt::setup::{Finding, OsError, Report, RtSettings, System, apply, leave};
+use rtec_rt::setup::{OsError, RtSettings, SetupFinding, SetupReport, SystemRoot, apply, leave};
 use std::fs;
 use std::path::Path;
 
@@ -54,14 +54,14 @@ fn ideal() -> tempfile::TempDir {
     root
 }
 
-fn not_ok(report: &Report) -> Vec<&str> {
+fn not_ok(report: &SetupReport) -> Vec<&str> {
     report.findings.iter().filter(|f| !f.ok).map(|f| f.name).collect()
 }
 
 #[test]
 fn an_ideal_machine_has_no_remedy() {
     let root = ideal();
-    let system = System::at(root.path());
+    let system = SystemRoot::at(root.path());
     assert_eq!(system.default_cpu(), 3);
     let report = system.inspect(3, 80);
     assert_eq!(not_ok(&report), Vec::<&str>::new());
@@ -89,7 +89,7 @@ fn the_command_line_is_compared_with_what_the_kernel_was_booted_with() {
     ] {
         let root = ideal();
         put(root.path(), "proc/cmdline", booted);
-        assert_eq!(System::at(root.path()).inspect(3, 80).kernel_command_line_lacks, lacks, "{booted}");
+        assert_eq!(SystemRoot::at(root.path()).inspect(3, 80).kernel_command_line_lacks, lacks, "{booted}");
     }
 }
 
@@ -98,7 +98,7 @@ fn a_kernel_that_is_not_preempt_rt_is_named() {
     let root = ideal();
     fs::remove_file(root.path().join("sys/kernel/realtime")).unwrap();
     put(root.path(), "proc/version", "Linux version 6.18.44 #1 SMP PREEMPT_DYNAMIC @0\n");
-    let report = System::at(root.path()).inspect(3, 80);
+    let report = SystemRoot::at(root.path()).inspect(3, 80);
     assert_eq!(not_ok(&report), ["preempt_rt"]);
     assert_eq!(report.finding("preempt_rt").unwrap().got, "PREEMPT_DYNAMIC");
 }
@@ -112,16 +112,16 @@ fn a_capability_overrides_a_limit() {
         "Max locked memory 8388608 8388608 bytes\nMax realtime priority 0 0\n",
     );
     put(root.path(), "proc/thread-self/status", "CapEff:\t0000000000804000\n");
-    assert_eq!(not_ok(&System::at(root.path()).inspect(3, 80)), Vec::<&str>::new());
+    assert_eq!(not_ok(&SystemRoot::at(root.path()).inspect(3, 80)), Vec::<&str>::new());
     put(root.path(), "proc/thread-self/status", "CapEff:\t0000000000004000\n");
-    assert_eq!(not_ok(&System::at(root.path()).inspect(3, 80)), ["rtprio_limit"]);
+    assert_eq!(not_ok(&SystemRoot::at(root.path()).inspect(3, 80)), ["rtprio_limit"]);
 }
 
 #[test]
 fn emulation_is_named_from_the_cpu_s_name() {
     let root = ideal();
     put(root.path(), "proc/cpuinfo", "model name\t: QEMU TCG CPU version 2.5+\nflags\t\t: fpu hypervisor\n");
-    let report = System::at(root.path()).inspect(3, 80);
+    let report = SystemRoot::at(root.path()).inspect(3, 80);
     assert_eq!(report.emulated.as_deref(), Some("QEMU TCG"));
     assert_eq!(report.finding("hypervisor").unwrap().got, "emulated by QEMU TCG");
 }
@@ -130,18 +130,18 @@ fn emulation_is_named_from_the_cpu_s_name() {
 fn an_older_kernel_has_no_fair_server_and_a_hidden_one_cannot_be_required() {
     let root = ideal();
     fs::remove_dir_all(root.path().join("sys/kernel/debug")).unwrap();
-    let hidden = System::at(root.path()).inspect(3, 80);
+    let hidden = SystemRoot::at(root.path()).inspect(3, 80);
     let finding = hidden.finding("fair_server").unwrap();
     assert!(!finding.ok && !finding.needed_to_arm && hidden.can_arm());
     assert_eq!(finding.errno.as_ref().unwrap().errno, libc::ENOENT);
     put(root.path(), "proc/sys/kernel/osrelease", "6.6.101-rt59\n");
-    assert!(System::at(root.path()).inspect(3, 80).finding("fair_server").unwrap().ok);
+    assert!(SystemRoot::at(root.path()).inspect(3, 80).finding("fair_server").unwrap().ok);
 }
 
 #[test]
 fn an_empty_tree_arms_nothing_and_says_which_file_is_missing() {
     let root = tempfile::tempdir().unwrap();
-    let system = System::at(root.path());
+    let system = SystemRoot::at(root.path());
     assert_eq!(system.default_cpu(), 0);
     let report = system.inspect(0, 80);
     assert!(!report.can_arm());
@@ -157,7 +157,7 @@ fn an_empty_tree_arms_nothing_and_says_which_file_is_missing() {
 fn the_report_is_one_json_object() {
     let root = ideal();
     put(root.path(), "proc/sys/kernel/sched_rt_runtime_us", "950000\n");
-    let json = serde_json::to_value(System::at(root.path()).inspect(3, 80)).unwrap();
+    let json = serde_json::to_value(SystemRoot::at(root.path()).inspect(3, 80)).unwrap();
     assert_eq!(json["cpu"], 3);
     let throttling = &json["findings"][0];
     assert_eq!(throttling["name"], "rt_throttling");
@@ -171,8 +171,8 @@ fn the_report_is_one_json_object() {
 fn online_cpus_are_those_of_the_machine_not_of_the_thread() {
     let root = tempfile::tempdir().unwrap();
     put(root.path(), "sys/devices/system/cpu/online", "0-2,5\n");
-    assert_eq!(System::at(root.path()).cpus_online(), 4);
-    assert_eq!(System::at(&root.path().join("nowhere")).cpus_online(), 0);
+    assert_eq!(SystemRoot::at(root.path()).cpus_online(), 4);
+    assert_eq!(SystemRoot::at(&root.path().join("nowhere")).cpus_online(), 0);
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn preempt_rt_is_told_by_the_kernel_or_by_its_version() {
             put(root.path(), "sys/kernel/realtime", text);
         }
         put(root.path(), "proc/version", version);
-        let report = System::at(root.path()).inspect(3, 80);
+        let report = SystemRoot::at(root.path()).inspect(3, 80);
         let finding = report.finding("preempt_rt").unwrap();
         assert_eq!((finding.got.as_str(), finding.ok), (got, got == "PREEMPT_RT"), "{realtime:?} {version}");
     }
@@ -219,7 +219,7 @@ fn callbacks_are_taken_off_a_cpu_by_any_of_three_words() {
     ] {
         let root = ideal();
         put(root.path(), "proc/cmdline", booted);
-        let finding = System::at(root.path()).inspect(3, 80).finding("rcu_nocbs").unwrap().clone();
+        let finding = SystemRoot::at(root.path()).inspect(3, 80).finding("rcu_nocbs").unwrap().clone();
         assert_eq!(finding.ok, ok, "{booted}: {finding:?}");
     }
 }
@@ -236,10 +236,10 @@ fn what_is_not_there_is_told_from_what_cannot_be_read() {
     ] {
         let root = ideal();
         fs::remove_file(root.path().join(path)).unwrap();
-        let missing = System::at(root.path()).inspect(3, 80).finding(name).unwrap().clone();
+        let missing = SystemRoot::at(root.path()).inspect(3, 80).finding(name).unwrap().clone();
         assert_eq!((missing.got.as_str(), missing.ok, missing.errno), (without, fine, None), "{name}");
         fs::create_dir(root.path().join(path)).unwrap();
-        let unread = System::at(root.path()).inspect(3, 80).finding(name).unwrap().clone();
+        let unread = SystemRoot::at(root.path()).inspect(3, 80).finding(name).unwrap().clone();
         let errno = unread.errno.as_ref().map(|e| e.errno);
         assert_eq!((unread.got.as_str(), unread.ok, errno), ("unknown", false, Some(libc::EISDIR)), "{name}");
         assert!(!unread.remedy.is_empty(), "{name}");
@@ -253,7 +253,7 @@ fn a_hypervisor_is_named_by_its_letters() {
     let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap();
     let flags = cpuinfo.lines().find(|line| line.starts_with("flags")).unwrap_or_default();
     let flagged = flags.split_whitespace().any(|flag| flag == "hypervisor");
-    let report = System::live().inspect(0, 80);
+    let report = SystemRoot::live().inspect(0, 80);
     let finding = report.finding("hypervisor").unwrap();
     let letters = finding.got.strip_prefix("virtual machine (").and_then(|rest| rest.strip_suffix(')'));
     assert_eq!(finding.ok, !flagged, "{finding:?}");

@@ -7,7 +7,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_blind::baseline;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, reconcile};
 use std::path::Path;
 use std::time::Instant;
@@ -87,7 +87,7 @@ fn day(rows: usize) -> anyhow::Result<Record> {
         .into_iter()
         .map(|(name, role, data)| Column { unit: role.unit().unwrap_or("1").to_owned(), name, role, data })
         .collect();
-    Ok(Record::new(Path::new("day.run.toml"), Kind::Positioning, columns)?)
+    Ok(Record::new(Path::new("day.run.toml"), RunKind::Positioning, columns)?)
 }
 
 fn main() -> anyhow::Result<()> {

@@ -4,7 +4,7 @@
 //! same dictionary and a grid of non-linear parameters, and refit the parameters of the model.
 
 use crate::linear::{Basis, dot, length};
-use rtec_model::effect::{Dictionary, Effect, Heat, ParameterSearch};
+use rtec_model::effect::{Dictionary, Effect, ParameterSearch, ThermalDependence};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 
@@ -133,7 +133,7 @@ fn problem(records: &[Record], machine: &Machine) -> Problem {
         candidates.extend(grid(records, &e).iter().map(|g| {
             let mut columns = stacked(records, g, false);
             // An analyst adds the quadratic term of a temperature law only later.
-            if g.description().heat == Heat::Growth {
+            if g.description().heat == ThermalDependence::Growth {
                 columns.truncate(1);
             }
             Candidate { name: name.clone(), columns, searched: searched(&e) }

@@ -309,7 +309,7 @@ fn report(lines: &[&Outcome], baselines: bool) -> bool {
         );
     }
     let mean = lines.iter().map(|l| l.seconds).sum::<f64>() / lines.len().max(1) as f64;
-    let mut by_time: Vec<&Outcome> = lines.iter().copied().collect();
+    let mut by_time: Vec<&Outcome> = lines.to_vec();
     by_time.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     if let Some(l) = by_time.last() {
         println!(

@@ -7,7 +7,7 @@
     reason = "they panic where they cannot do their work, and the test fails"
 )]
 
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 /// An axis of this name.
@@ -21,6 +21,6 @@ pub fn column(name: &str, role: &str, data: Vec<f64>) -> Column {
 }
 
 /// A record `NAME.run.toml` of these columns.
-pub fn record(name: &str, kind: Kind, columns: Vec<Column>) -> Record {
+pub fn record(name: &str, kind: RunKind, columns: Vec<Column>) -> Record {
     Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).expect("columns of one record")
 }

@@ -6,7 +6,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_files::{Sheet, csv};
-use rtec_part::batch::{Batch, Judgement, evaluate_text};
+use rtec_part::batch::{Batch, SignificanceLimits, evaluate_text};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -14,7 +14,7 @@ fuzz_target!(|data: &[u8]| {
     let Some(text) = rtec_fuzz::text(data) else { return };
     let file = Path::new(rtec_fuzz::NAME);
     let evaluated = |text: &str| {
-        evaluate_text(file, text, None, Judgement { alpha: 0.01, least_um: 1.0 })
+        evaluate_text(file, text, None, SignificanceLimits { alpha: 0.01, least_um: 1.0 })
             .inspect_err(|finding| rtec_fuzz::placed(finding, text))
     };
     let Ok(batch) = evaluated(&text) else { return };

@@ -2,14 +2,14 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_part::cor::{FeatureErrors, error_cor};
-use rtec_part::errors::Probed;
+use rtec_part::error_cor_file::{FeatureErrors, error_cor};
+use rtec_part::errors::ProbedPoints;
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
     let file = Path::new(rtec_fuzz::NAME);
     let Some(text) = rtec_fuzz::text(data) else { return };
-    rtec_fuzz::checked(Probed::parse(file, &text));
+    rtec_fuzz::checked(ProbedPoints::parse(file, &text));
     let Some(FeatureErrors::Arc(errors)) = rtec_fuzz::checked(FeatureErrors::parse(file, &text)) else {
         return;
     };

@@ -2,11 +2,13 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_part::drawing::{self, Options};
+use rtec_part::drawing::{self, DxfOptions};
 
 fuzz_target!(|data: &[u8]| {
     let file = rtec_fuzz::put("a.dxf", data);
-    let Some((contour, unit)) = rtec_fuzz::checked(drawing::read(&file, &Options::default())) else { return };
+    let Some((contour, unit)) = rtec_fuzz::checked(drawing::read(&file, &DxfOptions::default())) else {
+        return;
+    };
     assert!(unit.0 > 0.0 && unit.0.is_finite());
     assert!(
         contour.chords().iter().flat_map(|(_, chords)| chords).all(|p| p.z.is_finite() && p.x.is_finite())

@@ -2,13 +2,13 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_sensors::feed::Feed;
+use rtec_sensors::sensor_line_feed::SensorLineFeed;
 
 fuzz_target!(|data: &[u8]| {
     let path = rtec_fuzz::put("tty", data);
     let from = path.to_str().expect("a path of letters");
-    let mut all = Feed::new(from);
-    let mut one = Feed::of(from, ["T1".to_owned()]);
+    let mut all = SensorLineFeed::new(from);
+    let mut one = SensorLineFeed::of(from, ["T1".to_owned()]);
     for feed in [&mut all, &mut one] {
         feed.poll(0.0);
         match feed.value("T1") {

@@ -3,9 +3,9 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, Sampling, UserTableFormat};
+use rtec_measure::import::{self, ImportColumn, Sampling, TableSyntax, UserTableFormat};
 use rtec_measure::record;
-use rtec_model::record::{Axis, Kind};
+use rtec_model::record::{Axis, RunKind};
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
@@ -28,12 +28,20 @@ fuzz_target!(|data: &[u8]| {
         b"halsampler\n" => {
             let sampling = Sampling { period_s: 0.001, numbered: true };
             let wanted = wanted(&["1=position.x", "2=error.x:mm"]);
-            import::halsampler(file, &text, &wanted, &sampling, &Form::default(), Kind::Dynamics, to)
+            import::halsampler(
+                file,
+                &text,
+                &wanted,
+                &sampling,
+                &TableSyntax::default(),
+                RunKind::Dynamics,
+                to,
+            )
         }
-        b"shdr\n" => import::shdr(file, &text, &wanted(&["Xabs=position.x"]), Kind::Drift, true, to),
+        b"shdr\n" => import::shdr(file, &text, &wanted(&["Xabs=position.x"]), RunKind::Drift, true, to),
         b"csv\n" => {
             let wanted = wanted(&["t=time", "e=error.x:mm"]);
-            import::table(file, &text, &wanted, &Form::default(), Kind::Drift, to)
+            import::table(file, &text, &wanted, &TableSyntax::default(), RunKind::Drift, to)
         }
         b"own\n" => {
             let [form, table] = rtec_fuzz::parts(&text);

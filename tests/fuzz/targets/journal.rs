@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_rt::event::{Faults, HeldBy, MAX_AXES};
 use rtec_rt::journal::{Journal, MachineRecord, StateRecord};
+use rtec_rt::link_messages::{Faults, HeldBy, MAX_AXES};
 
 const OURS: &str = "machine \"fuzz\"";
 

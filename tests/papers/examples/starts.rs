@@ -1,6 +1,6 @@
 //! Drills from every thermal state with a model fitted on the wet runs alone: `--example starts -- FIRST LAST`, seeds.
 use rtec_papers::wo97::starts;
-use rtec_sim::described::SourceFiles;
+use rtec_sim::described_machines::MachineDescriptions;
 use std::collections::BTreeMap;
 
 #[cfg_attr(test, test)]
@@ -29,7 +29,7 @@ fn compare(first: u64, last: u64) -> Result<(), Box<dyn std::error::Error>> {
     let mut unwarned = Vec::new();
     let mut tallies: BTreeMap<&str, Tally> = BTreeMap::new();
     for seed in first..=last {
-        for s in starts(&SourceFiles::default(), seed)? {
+        for s in starts(&MachineDescriptions::default(), seed)? {
             let [off, off_with] = s.off_um;
             let [from, from_with] = s.from_hole_1_um;
             println!(

@@ -7,7 +7,7 @@ use crate::{PaperError, Progress};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{BenchResult, BenchSetup, Edge, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::described::SourceFiles;
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
 use rtec_sim::insertion_designs::safe_range;
 use serde::Deserialize;
@@ -26,7 +26,7 @@ struct Circuit {
 
 impl Circuit {
     /// The circuit within its own limits: four bits (section 2.2.7), the loop's range (section 2.2.2).
-    fn read(described: &SourceFiles) -> Result<Self, PaperError> {
+    fn read(described: &MachineDescriptions) -> Result<Self, PaperError> {
         let file = "cmti.toml";
         let circuit: Self = described.read(file)?;
         let refuse = |key: &str, found: String, expected: String| {
@@ -81,7 +81,11 @@ fn cannot(what: &str) -> PaperError {
     PaperError::Cannot(format!("CMTI: {what} cannot be run on the circuit as described"))
 }
 
-pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(
+    described: &MachineDescriptions,
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<Rows, PaperError> {
     let circuit = Circuit::read(described)?;
     let mut rows = Rows::default();
     progress("CMTI: control lines, subtraction and addition");
@@ -123,7 +127,7 @@ fn figures(circuit: &Circuit, seed: u64) -> Result<Board, PaperError> {
 ///
 /// # Errors
 /// A description that is not right.
-pub fn trace(described: &SourceFiles, seed: u64) -> Result<String, PaperError> {
+pub fn trace(described: &MachineDescriptions, seed: u64) -> Result<String, PaperError> {
     Ok(figures(&Circuit::read(described)?, seed)?.to_vcd())
 }
 

@@ -29,7 +29,7 @@ pub use spread::Spread;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_sim::compensation_experiments::ExperimentError;
-use rtec_sim::described::SourceFiles;
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::SimError;
 use rtec_sim::turning::TurningError;
@@ -49,7 +49,7 @@ pub struct Paper {
 pub type Progress<'p> = &'p mut dyn FnMut(&str);
 
 /// From a source's description, a seed, and whoever is told of progress.
-type Run = fn(&SourceFiles, u64, Progress<'_>) -> Result<Rows, PaperError>;
+type Run = fn(&MachineDescriptions, u64, Progress<'_>) -> Result<Rows, PaperError>;
 
 /// The four sources.
 pub const PAPERS: [Paper; 4] = [
@@ -150,7 +150,7 @@ impl Paper {
     /// A description that is not right, or a machine that stops.
     pub fn compare(
         &self,
-        described: &SourceFiles,
+        described: &MachineDescriptions,
         seed: u64,
         progress: Progress<'_>,
     ) -> Result<Compared, PaperError> {

@@ -7,7 +7,7 @@ use clap::Parser as _;
 use rtec_files::InputError;
 use rtec_papers::{Compared, PAPERS, Paper, PaperError, Row, Spread, Verdict};
 use rtec_sim::compensation_experiments::ExperimentError;
-use rtec_sim::described::{FILES, SourceFiles};
+use rtec_sim::described_machines::{FILES, MachineDescriptions};
 use rtec_sim::sim::SimError;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -53,7 +53,7 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
-    let described = SourceFiles::of(args.from.clone());
+    let described = MachineDescriptions::of(args.from.clone());
     if let Some(folder) = args.from.as_deref().filter(|f| !f.is_dir()) {
         return Err(InputError::whole(folder, "no such folder", "a folder with the machines' files").into());
     }
@@ -83,7 +83,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Names the files that `--from` was expected to have.
-fn tell_missing(described: &SourceFiles, args: &Args) {
+fn tell_missing(described: &MachineDescriptions, args: &Args) {
     let folder = args.from.as_deref().unwrap_or(Path::new(""));
     for file in described.take_missing() {
         eprintln!("rtec-papers: no {}: the one built in was taken", folder.join(file).display());

@@ -5,18 +5,18 @@ use crate::rows::Rows;
 use crate::{PaperError, Progress};
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose;
-use rtec_part::cor::PointError;
+use rtec_part::error_cor_file::PointError;
 use rtec_part::errors::{ErrorReport, MAGNIFICATION};
-use rtec_part::fit::Zx;
-use rtec_part::path::{PathRole, Plan, ProbeGeometry, ProbingMotion};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::path::{PathRole, ProbeGeometry, ProbingMotion, ProbingPlan};
 use rtec_part::program::{Controller, Parameters};
 use rtec_part::table::FinishTable;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::described::SourceFiles;
-use rtec_sim::lathe::{self, Bench};
+use rtec_sim::described_machines::MachineDescriptions;
+use rtec_sim::lathe::{self, LatheSpec};
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSpec, Sim};
-use rtec_sim::turning::{Setup, TurningOutcome};
+use rtec_sim::turning::{TurningExperiment, TurningOutcome};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -37,11 +37,11 @@ struct Lathe {
     part_number: String,
     size_error_um: f64,
     g01_um: f64,
-    bench: Bench,
+    bench: LatheSpec,
 }
 
 impl Lathe {
-    fn read(described: &SourceFiles) -> Result<Self, PaperError> {
+    fn read(described: &MachineDescriptions) -> Result<Self, PaperError> {
         let lathe: Self = described.read("4854.toml")?;
         lathe.bench.check().map_err(|(key, expected)| {
             described.refuse("4854.toml", key, format!("{key} out of range"), expected.to_owned())
@@ -49,8 +49,8 @@ impl Lathe {
         Ok(lathe)
     }
 
-    fn setup(&self, seed: u64) -> Setup {
-        Setup {
+    fn setup(&self, seed: u64) -> TurningExperiment {
+        TurningExperiment {
             design: self.design.clone(),
             radius_mm: self.radius_mm,
             allowance_mm: self.allowance_mm,
@@ -67,14 +67,18 @@ impl Lathe {
             lead_s: self.bench.control_ms * 1e-3 + 1.0 / self.bench.gain,
             bench: self.bench.clone(),
             seed,
-            ..Setup::default()
+            ..TurningExperiment::default()
         }
     }
 }
 
 const INCH: f64 = 25.4;
 
-pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(
+    described: &MachineDescriptions,
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<Rows, PaperError> {
     let lathe = Lathe::read(described)?;
     let machine = described.machine(&lathe.machine)?;
     let setup = lathe.setup(seed);
@@ -214,7 +218,7 @@ fn component(report: &ErrorReport) -> f64 {
 }
 
 /// G01 lines for the plain arc.
-fn rewritten(lathe: &Lathe, setup: &Setup) -> usize {
+fn rewritten(lathe: &Lathe, setup: &TurningExperiment) -> usize {
     let round = (0..lathe.points.max(2)).map(|k| PointError {
         angle_rad: std::f64::consts::FRAC_PI_2 * k as f64 / (lathe.points.max(2) - 1) as f64,
         error_um: 0.0,
@@ -254,7 +258,7 @@ fn bits(counts: f64) -> f64 {
 /// # Errors
 /// A description that is not right, or a lathe that stops.
 pub fn size_and_form(
-    described: &SourceFiles,
+    described: &MachineDescriptions,
     seed: u64,
 ) -> Result<[(&'static str, [f64; 2]); 4], PaperError> {
     let lathe = Lathe::read(described)?;
@@ -297,7 +301,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     let contour = nose(centre, radius);
     let off = 0.3 * INCH;
     let mut plan =
-        Plan::new(ProbeGeometry { tip_mm: 0.0, stand_off_mm: off, over_travel_mm: 0.0, stem: None });
+        ProbingPlan::new(ProbeGeometry { tip_mm: 0.0, stand_off_mm: off, over_travel_mm: 0.0, stem: None });
     plan.add_number(&contour, 0, lathe.points, 0.0);
     rows.figures.push(("figure-7.svg".to_owned(), plan.svg(&contour)));
     let n = plan.points.len();
@@ -349,7 +353,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
 fn geometric_thermal(
     rows: &mut Rows,
     lathe: &Lathe,
-    setup: &Setup,
+    setup: &TurningExperiment,
     machine: &Machine,
     progress: Progress<'_>,
 ) -> Result<(), PaperError> {
@@ -364,8 +368,12 @@ fn geometric_thermal(
     let what = "the tool moves in that time less than";
     let gets = lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3;
     rows.given().number((place, what, "mm"), 1.0, gets, AtMost, "at the feed of the finish cut");
-    let known =
-        Setup { machine: machine.clone(), model: Some(machine.clone()), begin_s: 3600.0, ..setup.clone() };
+    let known = TurningExperiment {
+        machine: machine.clone(),
+        model: Some(machine.clone()),
+        begin_s: 3600.0,
+        ..setup.clone()
+    };
     let o = known.run(&mut |step| progress(&format!("NISTIR 4854, G-T: {step}")))?;
     let what = "nose cut on that machine an hour after switching on: longest error bar";
     let why = "model and table together, probing corrected off line";

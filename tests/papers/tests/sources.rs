@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_papers::{Compared, Paper, Row, Verdict};
-use rtec_sim::described::SourceFiles;
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::ecc::Pll;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -16,7 +16,7 @@ fn rtec_papers(arguments: &[&str]) -> Output {
 
 /// Compares a source and checks that every row is complete.
 fn compared(paper: &str, from: Option<&Path>, seed: u64) -> Compared {
-    let described = SourceFiles::of(from.map(Path::to_owned));
+    let described = MachineDescriptions::of(from.map(Path::to_owned));
     let compared = Paper::find(paper).unwrap().compare(&described, seed, &mut |_| ()).unwrap();
     for row in &compared.rows {
         assert!(![&row.place, &row.what, &row.says, &row.gets].contains(&&String::new()), "{row:?}");
@@ -144,7 +144,7 @@ fn nistir_4854() {
 
 #[test]
 fn tool_offset_corrects_size_and_table_corrects_form() {
-    let left = rtec_papers::nistir4854::size_and_form(&SourceFiles::default(), 1).unwrap();
+    let left = rtec_papers::nistir4854::size_and_form(&MachineDescriptions::default(), 1).unwrap();
     let [offset, table, _, sized] = left.map(|(_, um)| um.map(f64::abs));
     assert!(offset[0] < 2.0 && offset[1] > 18.0, "{left:?}");
     assert!(table[0] > 8.0 && table[1] < 4.0, "{left:?}");
@@ -228,7 +228,7 @@ fn circuit_has_one_range() {
     ] {
         assert!(text.contains(&pll.to_string()), "no `{pll}`");
     }
-    assert_eq!(SourceFiles::default().read::<Circuit>("cmti.toml").unwrap().pll, pll);
+    assert_eq!(MachineDescriptions::default().read::<Circuit>("cmti.toml").unwrap().pll, pll);
 }
 
 /// The loop doubles from 0.7 to 160 kHz and not beyond (section 2.2.2).

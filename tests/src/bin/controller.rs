@@ -8,12 +8,12 @@
 
 use anyhow::{Context, ensure};
 use rtec_part::contour::{Contour, Segment};
-use rtec_part::fit::Zx;
-use rtec_part::path::{Plan, ProbeGeometry, ProbingMotion};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::path::{ProbeGeometry, ProbingMotion, ProbingPlan};
 use rtec_part::probe::assign;
 use rtec_part::program::{Controller, Parameters, ProbingProgram};
 use rtec_part::unit::Unit;
-use rtec_sim::job::captured;
+use rtec_sim::lathe_program::captured;
 use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
@@ -146,7 +146,7 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     let motion =
         ProbingMotion { feed_mm_min, accel_mm_s2: 500.0, decel_mm_s2: 500.0, ..ProbingMotion::REPORT };
     let (stand_off_mm, over_travel_mm) = (motion.stand_off_mm(), motion.over_travel_mm());
-    let mut plan = Plan::new(ProbeGeometry { tip_mm, stand_off_mm, over_travel_mm, stem: None });
+    let mut plan = ProbingPlan::new(ProbeGeometry { tip_mm, stand_off_mm, over_travel_mm, stem: None });
     plan.add_number(&part, 0, 20, 0.0);
     let mut parameters = Parameters::default();
     for (name, value) in [("probing_start_z", "50"), ("feed", &feed_mm_min.to_string())] {

@@ -5,7 +5,7 @@
 
 use rtec_part::contour::nose;
 use rtec_part::unit::Unit;
-use rtec_sim::turning::Setup;
+use rtec_sim::turning::TurningExperiment;
 use rtec_tests::daemon::{Daemon, program, until};
 use serde_json::Value;
 use std::path::Path;
@@ -71,7 +71,7 @@ fn daemon(folder: &Path, task: &str) -> Daemon {
 
 /// Points of a plan on the nose, as `part points` writes them.
 fn plan(folder: &Path, name: &str, radius_mm: f64) {
-    let setup = Setup { points: 7, ..Setup::default() };
+    let setup = TurningExperiment { points: 7, ..TurningExperiment::default() };
     std::fs::create_dir_all(folder.join(name)).unwrap();
     for (file, text) in setup.plan(radius_mm).files(&nose(setup.centre, radius_mm), Unit::MM) {
         std::fs::write(folder.join(name).join(file), text).unwrap();

@@ -4,8 +4,8 @@
 
 use rtec_control::protocol::word;
 use rtec_measure::plausible::MistakeKind;
-use rtec_model::record::{Axis, Kind, Role};
-use rtec_rt::event::Fault;
+use rtec_model::record::{Axis, Role, RunKind};
+use rtec_rt::link_messages::Fault;
 use rtec_tests::daemon::program;
 use rtec_tests::root;
 use serde_json::Value;
@@ -100,7 +100,7 @@ fn keys_of_the_files_stand_on_their_pages() {
 
 #[test]
 fn kinds_and_roles_stand_among_the_records() {
-    all_stand("records.md", &Kind::ALL.map(|k| k.0), 8);
+    all_stand("records.md", &RunKind::ALL.map(|k| k.0), 8);
     let text = page("records.md");
     let code = source("tools/model/src/role.rs");
     let body = code.split("pub enum Role {").nth(1).unwrap().split("\n}").next().unwrap();
@@ -272,12 +272,12 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
     said.extend(all(&[
         "tools/control/src/config/latency.rs",
         "tools/sensors/src/bank.rs",
-        "tools/sensors/src/feed.rs",
+        "tools/sensors/src/sensor_line_feed.rs",
         "tools/rtecd/src/loader.rs",
         "tools/rtecd/src/server.rs",
         "tools/correct/src/corrector.rs",
         "tools/correct/src/part_table.rs",
-        "tools/sensors/src/trust.rs",
+        "tools/sensors/src/sensor_monitor.rs",
         "tools/correct/src/source.rs",
         "tools/correct/src/total.rs",
         "tools/model/src/machine/check.rs",

@@ -29,7 +29,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 mod check;
 mod writer;
 
-pub use check::{Anchor, Broken, Line, Verified, read, verify};
+pub use check::{Anchor, ChainBreak, ChainCheckResult, ChainLine, read, verify};
 pub use writer::Writer;
 
 /// Size at which a file is renamed and a new one begun, bytes.

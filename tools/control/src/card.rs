@@ -7,8 +7,8 @@ use rtec_driver::gpio::{GpioCard, GpioError, GpioSetup};
 use rtec_driver::mapped::{MapError, MappedCard, Registers};
 use rtec_driver::pci::{self, PciError};
 use rtec_driver::port::{Parport, PortError, Ports};
-use rtec_driver::profile::{Profile, Space};
-use rtec_driver::register_card::{Bus, RegisterCard, SetUpError};
+use rtec_driver::profile::{AddressSpace, Profile};
+use rtec_driver::register_card::{RegisterAccess, RegisterCard, SetUpError};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 
@@ -38,7 +38,7 @@ pub enum OpenError {
 }
 
 /// An operation on a card of any backend.
-pub trait OnCard {
+pub trait CardOperation {
     /// Its result.
     type Output;
 
@@ -48,7 +48,7 @@ pub trait OnCard {
 
 /// Whether a card may be written to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Access {
+pub enum CardAccess {
     /// Nothing is enabled, set up or requested as an output.
     /// Reading may still latch the card's counters.
     Read,
@@ -60,32 +60,40 @@ pub enum Access {
 ///
 /// # Errors
 /// When it cannot be opened, or is a simulated one.
-pub fn with<W: OnCard>(card: &CardConfig, access: Access, what: W) -> Result<W::Output, OpenError> {
+pub fn with<W: CardOperation>(
+    card: &CardConfig,
+    access: CardAccess,
+    what: W,
+) -> Result<W::Output, OpenError> {
     match card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(card.backend())),
         CardConfig::Gpio(setup) => {
             let mut setup = setup.clone();
-            if access == Access::Read {
+            if access == CardAccess::Read {
                 setup.outputs.clear();
             }
             Ok(what.on(gpio(&setup, Vec::new())?))
         }
         CardConfig::Registers { place, profile } => match find(place, profile, access)? {
-            Found::Map(file, map) => on_registers(open_map(&file, map, profile)?, profile, access, what),
-            Found::Parport(file) => on_registers(Parport::open(&file)?, profile, access, what),
-            Found::Ports(base) => on_registers(Ports::open(base, profile.size())?, profile, access, what),
+            LocatedRegisters::Map(file, map) => {
+                on_registers(open_map(&file, map, profile)?, profile, access, what)
+            }
+            LocatedRegisters::Parport(file) => on_registers(Parport::open(&file)?, profile, access, what),
+            LocatedRegisters::Ports(base) => {
+                on_registers(Ports::open(base, profile.size())?, profile, access, what)
+            }
         },
     }
 }
 
-fn on_registers<B: Bus + Send + 'static, W: OnCard>(
+fn on_registers<B: RegisterAccess + Send + 'static, W: CardOperation>(
     bus: B,
     profile: &Profile,
-    access: Access,
+    access: CardAccess,
     what: W,
 ) -> Result<W::Output, OpenError> {
     let mut profile = profile.clone();
-    if access == Access::Read {
+    if access == CardAccess::Read {
         for setup in &profile.setup {
             let (register, value) = (setup.order.register, setup.order.value);
             let found = bus.read(register.offset, register.width)?;
@@ -108,7 +116,7 @@ pub fn gpio(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<GpioCard<Monotonic>
 
 /// Where registers were found.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Found {
+pub enum LocatedRegisters {
     /// The file to be mapped, and the number of its map.
     Map(PathBuf, u8),
     /// The parallel port's device.
@@ -118,23 +126,31 @@ pub enum Found {
 }
 
 /// Finds registers: those of a PCI card by its BAR.
-/// With [`Access::Drive`] it also enables the PCI card.
+/// With [`CardAccess::Drive`] it also enables the PCI card.
 ///
 /// # Errors
 /// When the PCI card is not as it should be.
-pub fn find(place: &RegisterPlace, profile: &Profile, access: Access) -> Result<Found, OpenError> {
+pub fn find(
+    place: &RegisterPlace,
+    profile: &Profile,
+    access: CardAccess,
+) -> Result<LocatedRegisters, OpenError> {
     Ok(match place {
-        RegisterPlace::File(file) => Found::Map(file.clone(), 0),
-        RegisterPlace::Uio(file, map) => Found::Map(file.clone(), *map),
-        RegisterPlace::Parport(file) => Found::Parport(file.clone()),
-        RegisterPlace::Io(base) => Found::Ports(*base),
+        RegisterPlace::File(file) => LocatedRegisters::Map(file.clone(), 0),
+        RegisterPlace::Uio(file, map) => LocatedRegisters::Map(file.clone(), *map),
+        RegisterPlace::Parport(file) => LocatedRegisters::Parport(file.clone()),
+        RegisterPlace::Io(base) => LocatedRegisters::Ports(*base),
         RegisterPlace::Pci(id, bar, space) => {
             let (card, size) = (pci::find(id)?, profile.size());
             let bar = match access {
-                Access::Read => card.check(*bar, *space, size)?,
-                Access::Drive => card.prepare(*bar, *space, size)?,
+                CardAccess::Read => card.check(*bar, *space, size)?,
+                CardAccess::Drive => card.prepare(*bar, *space, size)?,
             };
-            if *space == Space::Memory { Found::Map(bar.file, 0) } else { Found::Ports(bar.start as u16) }
+            if *space == AddressSpace::Memory {
+                LocatedRegisters::Map(bar.file, 0)
+            } else {
+                LocatedRegisters::Ports(bar.start as u16)
+            }
         }
     })
 }

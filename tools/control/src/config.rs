@@ -13,7 +13,7 @@ mod keys;
 mod latency;
 mod reference_checks;
 
-pub use control::{ControlConfig, LONGEST_SOCKET, RoleSocket, SocketAt, default_directory, derived};
+pub use control::{ConfiguredSocket, ControlConfig, LONGEST_SOCKET, RoleSocket, default_directory, derived};
 pub use keys::reference;
 pub use latency::{LatencyProvenance, floors_ns};
 
@@ -21,13 +21,13 @@ use card::Kind;
 use rtec_driver::card::MachineLines;
 use rtec_driver::gpio::GpioSetup;
 use rtec_driver::pci::PciId;
-use rtec_driver::profile::{Profile, Space};
-use rtec_files::keys::{At, Section, SourceFile};
+use rtec_driver::profile::{AddressSpace, Profile};
+use rtec_files::keys::{LocatedValue, Section, SourceFile};
 use rtec_files::toml::Document;
 use rtec_files::{InputError, nearest};
 use rtec_model::file_kind::FileKind;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
-use rtec_rt::event::MAX_AXES;
+use rtec_rt::link_messages::MAX_AXES;
 use rtec_sensors::SensorConfig;
 use std::fmt;
 use std::fmt::Write as _;
@@ -91,15 +91,15 @@ pub enum RegisterPlace {
     /// The address of the first I/O port.
     Io(u16),
     /// A BAR of a PCI card.
-    Pci(PciId, u8, Space),
+    Pci(PciId, u8, AddressSpace),
 }
 
 impl RegisterPlace {
     /// Whether the registers are in memory or are I/O ports.
-    pub const fn space(&self) -> Space {
+    pub const fn space(&self) -> AddressSpace {
         match self {
-            Self::File(_) | Self::Uio(..) => Space::Memory,
-            Self::Parport(_) | Self::Io(_) => Space::Io,
+            Self::File(_) | Self::Uio(..) => AddressSpace::Memory,
+            Self::Parport(_) | Self::Io(_) => AddressSpace::Io,
             Self::Pci(_, _, space) => *space,
         }
     }
@@ -117,10 +117,10 @@ impl fmt::Display for RegisterPlace {
 }
 
 /// The backend of registers in an address space.
-const fn backend_of(space: Space) -> &'static str {
+const fn backend_of(space: AddressSpace) -> &'static str {
     match space {
-        Space::Memory => "mapped",
-        Space::Io => "port",
+        AddressSpace::Memory => "mapped",
+        AddressSpace::Io => "port",
     }
 }
 
@@ -172,12 +172,12 @@ pub struct ConfiguredAxis {
     /// The engine's configuration of the axis.
     pub engine: AxisConfig,
     /// With the mock card: the simulated machine's real properties.
-    pub simulated: Simulated,
+    pub simulated: SimulatedAxis,
 }
 
 /// Properties of a simulated axis that may differ from its configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Simulated {
+pub struct SimulatedAxis {
     /// Real size of one count, µm; negative if it counts backwards.
     pub count_um: f64,
     /// Compensation by its own controller, ppm.
@@ -384,7 +384,7 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     if here {
         latency::check_cpu(source, cpu);
     }
-    let ns = |at: Option<At<i64>>| at.map_or(0, |at| at.value as u64);
+    let ns = |at: Option<LocatedValue<i64>>| at.map_or(0, |at| at.value as u64);
     let rt = RtConfig {
         cpu: cpu.map(|c| c.value as usize),
         priority: priority as u8,

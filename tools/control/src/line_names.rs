@@ -1,7 +1,7 @@
 //! Names of card lines in a configuration.
 
 use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
-use rtec_files::keys::{At, Section, SourceFile};
+use rtec_files::keys::{LocatedValue, Section, SourceFile};
 use rtec_files::toml::Entry;
 
 /// Name of a line in a configuration.
@@ -25,7 +25,7 @@ pub(crate) fn line<'a>(
     section: &mut Section<'a>,
     source: &mut SourceFile<'_>,
     key: &'static str,
-) -> Option<At<LineName<'a>>> {
+) -> Option<LocatedValue<LineName<'a>>> {
     section.value(source, key, "the name of a line of the card's profile, or its bit from 0 to 63", |v| {
         let bit = || u8::try_from(v.as_integer()?).ok().filter(|b| *b < 64);
         v.as_str().map(LineName::Name).or_else(|| bit().map(LineName::Bit))
@@ -39,7 +39,7 @@ pub(crate) fn gpio_line(
     source: &mut SourceFile<'_>,
     key: &'static str,
     card: &GpioLine,
-) -> Option<At<GpioLine>> {
+) -> Option<LocatedValue<GpioLine>> {
     let expected = "the name of a line or its number, or { line = …, chip = \"gpiochip0\", active_low = true, \
                     bias = \"pull-up\" | \"pull-down\" | \"disabled\", drive = \"push-pull\" | \"open-drain\" | \
                     \"open-source\" }";

@@ -1,12 +1,12 @@
 //! Readings of a card's wired lines, and whether its outputs switch.
 
-use crate::card::{self, Access, Found, OnCard, OpenError};
+use crate::card::{self, CardAccess, CardOperation, LocatedRegisters, OpenError};
 use crate::config::{CardConfig, Config};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::gpio::{self, GpioSetup};
 use rtec_driver::port::{Parport, Ports};
 use rtec_driver::profile::{Profile, Register};
-use rtec_driver::register_card::Bus;
+use rtec_driver::register_card::RegisterAccess;
 use serde::Serialize;
 use std::time::Duration;
 
@@ -50,7 +50,7 @@ pub fn wires(config: &Config) -> Vec<WiredLine> {
 
 /// Readings of a card's registers and wired lines.
 #[derive(Debug, Serialize)]
-pub struct Reading {
+pub struct CardReading {
     /// The profile's name; GPIO lines have none.
     pub card: Option<String>,
     /// The wired lines.
@@ -101,20 +101,28 @@ impl LineReading {
 ///
 /// # Errors
 /// When the card cannot be opened or does not answer, or has no lines outside the daemon.
-pub fn read(config: &Config) -> Result<Reading, OpenError> {
+pub fn read(config: &Config) -> Result<CardReading, OpenError> {
     match &config.card {
         CardConfig::Mock | CardConfig::Replay { .. } => Err(OpenError::NoLines(config.card.backend())),
         CardConfig::Gpio(setup) => read_gpio(config, setup),
-        CardConfig::Registers { place, profile } => match card::find(place, profile, Access::Read)? {
-            Found::Map(file, map) => read_registers(config, &card::open_map(&file, map, profile)?, profile),
-            Found::Parport(file) => read_registers(config, &Parport::open(&file)?, profile),
-            Found::Ports(base) => read_registers(config, &Ports::open(base, profile.size())?, profile),
+        CardConfig::Registers { place, profile } => match card::find(place, profile, CardAccess::Read)? {
+            LocatedRegisters::Map(file, map) => {
+                read_registers(config, &card::open_map(&file, map, profile)?, profile)
+            }
+            LocatedRegisters::Parport(file) => read_registers(config, &Parport::open(&file)?, profile),
+            LocatedRegisters::Ports(base) => {
+                read_registers(config, &Ports::open(base, profile.size())?, profile)
+            }
         },
     }
 }
 
 /// Reads every register, and the wired lines as logical levels.
-fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> Result<Reading, OpenError> {
+fn read_registers(
+    config: &Config,
+    bus: &impl RegisterAccess,
+    profile: &Profile,
+) -> Result<CardReading, OpenError> {
     let mut registers = Vec::new();
     let mut read = |r: Register, purpose, means: &dyn Fn(u32) -> String| -> Result<u32, CardError> {
         let value = bus.read(r.offset, r.width)?;
@@ -156,12 +164,12 @@ fn read_registers(config: &Config, bus: &impl Bus, profile: &Profile) -> Result<
         let level = level(&w);
         LineReading::of(w, Some(level), None)
     });
-    Ok(Reading { card: Some(profile.name.clone()), lines: lines.collect(), registers })
+    Ok(CardReading { card: Some(profile.name.clone()), lines: lines.collect(), registers })
 }
 
 /// The kernel's description of the lines.
 /// They are not requested, because a request can turn a line into an output.
-fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<Reading, OpenError> {
+fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<CardReading, OpenError> {
     let mut lines = Vec::new();
     for wire in wires(config) {
         let line = if wire.output {
@@ -172,7 +180,7 @@ fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<Reading, OpenError> {
         let kernel = line.map(gpio::look).transpose()?;
         lines.push(LineReading::of(wire, None, kernel));
     }
-    Ok(Reading { card: None, registers: Vec::new(), lines })
+    Ok(CardReading { card: None, registers: Vec::new(), lines })
 }
 
 /// An output that was switched over and back.
@@ -200,7 +208,7 @@ pub fn switch_outputs(config: &Config, told: impl FnMut(Switched)) -> Result<(),
         // Level mode reads the present levels; with edges it would have to wait for them.
         setup.events = false;
     }
-    Ok(card::with(&named, Access::Drive, Switching { config, told })??)
+    Ok(card::with(&named, CardAccess::Drive, Switching { config, told })??)
 }
 
 struct Switching<'a, T> {
@@ -208,7 +216,7 @@ struct Switching<'a, T> {
     told: T,
 }
 
-impl<T: FnMut(Switched)> OnCard for Switching<'_, T> {
+impl<T: FnMut(Switched)> CardOperation for Switching<'_, T> {
     type Output = Result<(), CardError>;
 
     fn on<C: Card + Send + 'static>(mut self, mut card: C) -> Self::Output {

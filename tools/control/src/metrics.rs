@@ -6,7 +6,7 @@
 //! in the last line.
 
 use crate::protocol::{AxisReport, DaemonSnapshot, DaemonStatus, LogState, RtStatus, word};
-use rtec_rt::event::Fault;
+use rtec_rt::link_messages::Fault;
 use std::fmt::Write as _;
 
 /// A text format for metrics.
@@ -176,7 +176,7 @@ fn sensors(out: &mut Out, s: &DaemonStatus) {
     if s.sensors.is_empty() {
         return;
     }
-    let named = |value: fn(&crate::protocol::Reading) -> Option<f64>| {
+    let named = |value: fn(&crate::protocol::SensorReading) -> Option<f64>| {
         let all = s.sensors.iter().filter_map(move |r| Some((r, value(r)?)));
         all.map(|(r, v)| (vec![("sensor", r.sensor.as_str())], v))
     };

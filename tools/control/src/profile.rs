@@ -30,7 +30,8 @@
 //! ```
 
 use rtec_driver::profile::{
-    Counter, Flag, PciPlace, Profile, Register, RegisterPreset, RegisterWrite, Space, Width, WordBit, pci_id,
+    AddressSpace, Counter, Flag, PciBarSpec, Profile, Register, RegisterPreset, RegisterWrite, Width,
+    WordBit, pci_id,
 };
 use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
@@ -190,7 +191,7 @@ fn counter(table: Table<'_>, input_bits: u32) -> Result<Counter, InputError> {
     })
 }
 
-fn pci(table: Table<'_>) -> Result<PciPlace, InputError> {
+fn pci(table: Table<'_>) -> Result<PciBarSpec, InputError> {
     table.only(&["id", "bar", "space"])?;
     let wanted = "vendor:device in hexadecimal, as \"1af4:1110\"";
     let entry = table.required("id", wanted)?;
@@ -202,11 +203,11 @@ fn pci(table: Table<'_>) -> Result<PciPlace, InputError> {
     }
     let entry = table.required("space", "\"memory\" or \"io\"")?;
     let space = match entry.as_str() {
-        Some("memory") => Space::Memory,
-        Some("io") => Space::Io,
+        Some("memory") => AddressSpace::Memory,
+        Some("io") => AddressSpace::Io,
         _ => return Err(entry.mismatch("\"memory\" or \"io\"")),
     };
-    Ok(PciPlace { id, bar, space })
+    Ok(PciBarSpec { id, bar, space })
 }
 
 /// Reads a line's place and whether it is active low.
@@ -244,9 +245,12 @@ mod tests {
             assert!(p.source.len() > 20 && p.lines.len() > 3, "{name}: {p:?}");
         }
         let pci = |name| shipped(name).unwrap().pci.unwrap();
-        assert_eq!((pci("8255-pci").id, pci("8255-pci").space), ((0x144a, 0x7224), Space::Io));
+        assert_eq!((pci("8255-pci").id, pci("8255-pci").space), ((0x144a, 0x7224), AddressSpace::Io));
         assert_eq!((pci("wch-ch382l").id, pci("wch-ch382l").bar), ((0x1c00, 0x3050), 2));
-        assert_eq!((pci("shared-memory").id, pci("shared-memory").space), ((0x1af4, 0x1110), Space::Memory));
+        assert_eq!(
+            (pci("shared-memory").id, pci("shared-memory").space),
+            ((0x1af4, 0x1110), AddressSpace::Memory)
+        );
         let counters = shipped("counter-card").unwrap().counters;
         assert_eq!((counters.len(), counters[1].lines), (2, (2, 3)));
     }

@@ -21,11 +21,15 @@ mod status;
 
 use crate::role::Role;
 pub use explanations::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
-pub use rtec_correct::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
-pub use rtec_correct::part_table::{PartTable, TableNow};
+pub use rtec_correct::explain::{
+    AxisExplanation, AxisTotalChange, Contribution, ModelPreview, RunningModel, SensorReading,
+};
+pub use rtec_correct::part_table::{PartTable, PartTableState};
 use rtec_files::message_text::printable;
 use serde::{Deserialize, Serialize};
-pub use status::{AxisReport, DaemonStatus, Distribution, HoldReport, LatchedFault, Rates, RtStatus};
+pub use status::{
+    AxisReport, DaemonStatus, HoldReport, LatchedFault, RtStatus, SpeedLimits, TimeDistribution,
+};
 
 /// Version of this protocol.
 /// New fields and requests do not raise it; a change of existing ones does.
@@ -249,7 +253,7 @@ pub enum Response {
     /// Components of the corrections.
     Explained {
         /// The requested axes.
-        axes: Vec<Explained>,
+        axes: Vec<AxisExplanation>,
     },
     /// Everything that can be seen.
     Observed(Box<DaemonSnapshot>),
@@ -280,7 +284,7 @@ pub struct DaemonSnapshot {
     /// As `status` answers.
     pub status: DaemonStatus,
     /// As `explain` answers, for all axes.
-    pub explained: Vec<Explained>,
+    pub explained: Vec<AxisExplanation>,
     /// Events after the last known one, oldest first.
     pub events: Vec<NumberedEvent>,
     /// Number of events after the last known one that are no longer kept.
@@ -473,7 +477,7 @@ pub struct ProbeTripReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_rt::event::Refusal;
+    use rtec_rt::link_messages::Refusal;
 
     /// The documented list and the applied rule agree.
     #[test]

@@ -10,10 +10,10 @@ use rtec_control::config::{CardConfig, Config, EMBEDDED, RegisterPlace, referenc
 use rtec_correct::Corrector;
 use rtec_driver::card::{Card, CardError, Sample};
 use rtec_driver::gpio::{Bias, Drive, LineId};
-use rtec_driver::profile::Space;
+use rtec_driver::profile::AddressSpace;
 use rtec_rt::axis::RestPolicy;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::Request;
+use rtec_rt::link_messages::Request;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -165,7 +165,7 @@ fn card_of(card: &str) -> Result<CardConfig, String> {
 #[test]
 fn registers_are_where_the_file_or_else_the_profile_says() {
     let place = |card: &str| match card_of(card) {
-        Ok(CardConfig::Registers { place: RegisterPlace::Pci(id, bar, Space::Memory), .. }) => {
+        Ok(CardConfig::Registers { place: RegisterPlace::Pci(id, bar, AddressSpace::Memory), .. }) => {
             format!("memory of {id}, BAR {bar}")
         }
         Ok(CardConfig::Registers { place: RegisterPlace::File(file), .. }) => {
@@ -174,7 +174,7 @@ fn registers_are_where_the_file_or_else_the_profile_says() {
         Ok(CardConfig::Registers { place: RegisterPlace::Uio(file, map), .. }) => {
             format!("map {map} of {}", file.display())
         }
-        Ok(CardConfig::Registers { place: RegisterPlace::Pci(id, bar, Space::Io), .. }) => {
+        Ok(CardConfig::Registers { place: RegisterPlace::Pci(id, bar, AddressSpace::Io), .. }) => {
             format!("ports of {id}, BAR {bar}")
         }
         Ok(CardConfig::Registers { place: RegisterPlace::Parport(file), .. }) => {

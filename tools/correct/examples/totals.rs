@@ -2,7 +2,7 @@
 //! The scale is 100 ppm too long, and the axis moves to 400 mm.
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_model::machine::Machine;
-use rtec_rt::event::{Mode, Status};
+use rtec_rt::link_messages::{Mode, Status};
 use std::path::Path;
 
 #[cfg_attr(test, test)]

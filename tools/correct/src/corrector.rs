@@ -2,20 +2,22 @@
 //! Called every 10 to 20 ms (NISTIR 4832, Alternate Configurations).
 
 use crate::AxisSetup;
-use crate::explain::{Change, Contribution, Explained, ModelPreview, Reading, RunningModel};
+use crate::explain::{
+    AxisExplanation, AxisTotalChange, Contribution, ModelPreview, RunningModel, SensorReading,
+};
 use crate::motion::Motion;
-use crate::part_table::{NEAR_MM, PartErrors, PartTable, TableNow};
+use crate::part_table::{LoadedPartTable, NEAR_MM, PartTable, PartTableState};
 use crate::source::{ModelSource, acts};
 use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_model::effect::Difference;
-use rtec_model::live::AxisNow;
+use rtec_model::live::AxisMotionState;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Axis;
-use rtec_part::cor::FeatureErrors;
-use rtec_part::fit::Zx;
-use rtec_rt::event::{AxisStatus, MAX_AXES, Mode, Status};
+use rtec_part::error_cor_file::FeatureErrors;
+use rtec_part::geometric_fit::Zx;
+use rtec_rt::link_messages::{AxisStatus, MAX_AXES, Mode, Status};
 use rtec_sensors::SensorMonitor;
 use std::time::{Duration, Instant};
 
@@ -50,7 +52,7 @@ pub struct Corrector {
     setups: Vec<AxisSetup>,
     axes: Vec<AxisState>,
     model: Option<ModelSource>,
-    table: Option<PartErrors>,
+    table: Option<LoadedPartTable>,
     ramp_um_s: f64,
     lead_s: f64,
     last_s: f64,
@@ -70,7 +72,7 @@ pub struct Preparer {
     /// Axes that a model can name, in the order of its layout.
     layout_axes: Vec<Axis>,
     /// Motion at the last tick, per axis of the layout.
-    now: Vec<AxisNow>,
+    now: Vec<AxisMotionState>,
     started_s: f64,
     /// The sensors as last read, and the time of that, s.
     watches: Vec<SensorMonitor>,
@@ -79,18 +81,18 @@ pub struct Preparer {
 
 /// A model that is ready to run.
 #[derive(Debug)]
-pub struct Prepared(ModelSource);
+pub struct PreparedModel(ModelSource);
 
 impl Preparer {
     /// Prepares a model and computes its lags from past temperatures.
     ///
     /// # Errors
     /// The model reads something that this machine does not have.
-    pub fn prepare(&self, machine: Machine, past: Past<'_>) -> Result<Prepared, InputError> {
+    pub fn prepare(&self, machine: Machine, past: Past<'_>) -> Result<PreparedModel, InputError> {
         let mut source = ModelSource::new(machine, &self.layout_axes, &self.watches)?;
         let rows = past(&source.live.layout().sensors);
         source.catch_up(rows, self.started_s, &self.now);
-        Ok(Prepared(source))
+        Ok(PreparedModel(source))
     }
 
     /// Time at which its sensors were read, s on the corrector's clock.
@@ -99,7 +101,7 @@ impl Preparer {
     }
 }
 
-impl Prepared {
+impl PreparedModel {
     /// The model.
     pub fn machine(&self) -> &Machine {
         &self.0.machine
@@ -146,7 +148,7 @@ impl Corrector {
         Self {
             motion: Motion::new(setups.len()),
             seen: Preparer {
-                now: vec![AxisNow::default(); layout_axes.len()],
+                now: vec![AxisMotionState::default(); layout_axes.len()],
                 layout_axes,
                 started_s: now_s,
                 watches: Vec::new(),
@@ -196,8 +198,8 @@ impl Corrector {
     }
 
     /// The sensors' state, described for people.
-    pub fn readings(&self) -> Vec<Reading> {
-        self.seen.watches.iter().map(|w| Reading::of(w, self.seen.sensed_s)).collect()
+    pub fn readings(&self) -> Vec<SensorReading> {
+        self.seen.watches.iter().map(|w| SensorReading::of(w, self.seen.sensed_s)).collect()
     }
 
     /// Loads a model; corrections approach it in a ramp.
@@ -210,7 +212,7 @@ impl Corrector {
     }
 
     /// Takes a prepared model; corrections approach it in a ramp.
-    pub fn take(&mut self, Prepared(mut source): Prepared) {
+    pub fn take(&mut self, PreparedModel(mut source): PreparedModel) {
         source.although_expired = !source.machine.expired(self.today).is_empty();
         self.model = Some(source);
         self.changed = true;
@@ -234,7 +236,7 @@ impl Corrector {
     /// What was found and what was expected.
     pub fn load_table(&mut self, wanted: PartTable, errors: FeatureErrors) -> Result<(), String> {
         let named = |n: usize| self.axes[n].place.is_some();
-        let table = PartErrors::new(wanted, errors, &self.setups, named)?;
+        let table = LoadedPartTable::new(wanted, errors, &self.setups, named)?;
         self.unload_table();
         self.table = Some(table);
         self.changed = true;
@@ -256,7 +258,7 @@ impl Corrector {
     }
 
     /// Present effect of the part table.
-    pub fn table_now(&self, status: &Status) -> Option<TableNow> {
+    pub fn table_now(&self, status: &Status) -> Option<PartTableState> {
         let table = self.table.as_ref()?;
         let um = table.axes.map(|n| self.axes[n].table_um);
         let [z_mm, x_mm] =
@@ -283,7 +285,7 @@ impl Corrector {
             None if um.iter().all(|um| *um == 0.0) && off_mm >= NEAR_MM[1] => "ready",
             None => "in_force",
         };
-        Some(TableNow {
+        Some(PartTableState {
             points: table.points(),
             state: state.to_owned(),
             off_mm,
@@ -294,13 +296,13 @@ impl Corrector {
     }
 
     /// Changes that a model would make now.
-    pub fn preview(&self, Prepared(mut then): Prepared, status: &Status) -> ModelPreview {
+    pub fn preview(&self, PreparedModel(mut then): PreparedModel, status: &Status) -> ModelPreview {
         let (watches, now_s) = (&self.seen.watches, self.seen.sensed_s);
         then.read(watches, now_s);
         then.evaluate(now_s - self.seen.started_s, &self.seen.now, false);
         let axes = self.axes.iter().zip(&self.setups).zip(status.axes()).map(|((axis, setup), s)| {
             let model_um = axis.place.map_or(0.0, |p| then.live.errors_um()[p]);
-            Change {
+            AxisTotalChange {
                 axis: setup.name.clone(),
                 now_counts: s.requested,
                 now_um: s.requested as f64 * setup.count_um,
@@ -463,7 +465,8 @@ impl Corrector {
 
     fn ask_table(&mut self) {
         let Some(table) = &self.table else { return };
-        let now = table.axes.map(|n| self.axes[n].place.map_or(AxisNow::default(), |p| self.seen.now[p]));
+        let now =
+            table.axes.map(|n| self.axes[n].place.map_or(AxisMotionState::default(), |p| self.seen.now[p]));
         let place = Zx::new(now[0].position_mm, now[1].position_mm);
         let out = table.components_um(place, Zx::new(now[0].velocity_mm_s, now[1].velocity_mm_s));
         (self.axes[table.axes[0]].table_um, self.axes[table.axes[1]].table_um) = (out.z, out.x);
@@ -488,7 +491,7 @@ impl Corrector {
     }
 
     /// Components of an axis's correction; they sum to the total.
-    pub fn explain(&self, n: usize, status: &AxisStatus) -> Explained {
+    pub fn explain(&self, n: usize, status: &AxisStatus) -> AxisExplanation {
         let (axis, setup) = (&self.axes[n], &self.setups[n]);
         let total_um = status.requested as f64 * setup.count_um;
         let mut parts = self.model_parts(n);
@@ -512,7 +515,7 @@ impl Corrector {
         if left_um.abs() > 1e-9 {
             parts.push(Contribution::plain(rest, left_um));
         }
-        Explained {
+        AxisExplanation {
             axis: setup.name.clone(),
             requested: status.requested,
             total_um,
@@ -532,7 +535,7 @@ impl Corrector {
             let read = p.effect.delta.iter().flat_map(Difference::sensors);
             let find = |name: &str| self.seen.watches.iter().find(|w| w.config().name == name);
             parts.push(Contribution {
-                sensors: read.filter_map(find).map(|w| Reading::of(w, self.seen.sensed_s)).collect(),
+                sensors: read.filter_map(find).map(|w| SensorReading::of(w, self.seen.sensed_s)).collect(),
                 outside_k: (p.outside_k > 0.0).then_some(p.outside_k),
                 weight: (p.weight < 1.0).then_some(p.weight),
                 ..Contribution::plain(&p.effect.name(), *um)
@@ -622,7 +625,7 @@ fn fits(machine: &Machine) -> Vec<String> {
 /// Velocity of a decelerating axis after this time, at least zero.
 /// Errors that depend on speed are then removed before the axis stops. Removing them later would move the
 /// table back and reverse the axis.
-fn slowed_mm_s(a: &AxisNow, after_s: f64) -> f64 {
+fn slowed_mm_s(a: &AxisMotionState, after_s: f64) -> f64 {
     if a.velocity_mm_s * a.acceleration_mm_s2 >= 0.0 {
         return a.velocity_mm_s;
     }
@@ -640,7 +643,10 @@ mod tests {
     #[allow(clippy::float_cmp)] // what does not slow down is as it was
     fn an_axis_that_slows_down_is_asked_for_slower() {
         let after = |velocity_mm_s, acceleration_mm_s2| {
-            slowed_mm_s(&AxisNow { velocity_mm_s, acceleration_mm_s2, ..AxisNow::default() }, 0.03)
+            slowed_mm_s(
+                &AxisMotionState { velocity_mm_s, acceleration_mm_s2, ..AxisMotionState::default() },
+                0.03,
+            )
         };
         assert!((after(10.0, -200.0) - 4.0).abs() < 1e-12 && (after(-10.0, 200.0) + 4.0).abs() < 1e-12);
         assert_eq!((after(5.0, -200.0), after(-5.0, 200.0)), (0.0, 0.0));

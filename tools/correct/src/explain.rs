@@ -1,6 +1,6 @@
 //! Components of a correction, for people and for the control socket.
 
-use rtec_sensors::{SensorMonitor, Use};
+use rtec_sensors::{SensorMonitor, SensorUse};
 use serde::{Deserialize, Serialize};
 
 /// Changes that a model would make now.
@@ -20,12 +20,12 @@ pub struct ModelPreview {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub expired: Vec<String>,
     /// One entry per axis that changes or might.
-    pub axes: Vec<Change>,
+    pub axes: Vec<AxisTotalChange>,
 }
 
 /// Change on one axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Change {
+pub struct AxisTotalChange {
     /// Name of the axis.
     pub axis: String,
     /// Its present total, counts.
@@ -43,7 +43,7 @@ pub struct Change {
 /// Components of an axis's correction.
 /// They are errors that are removed, µm: the axis moves by the opposite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Explained {
+pub struct AxisExplanation {
     /// Name of the axis.
     pub axis: String,
     /// The total that is requested of the engine, counts since homing.
@@ -67,7 +67,7 @@ pub struct Contribution {
     pub um: f64,
     /// The sensors it reads.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<Reading>,
+    pub sensors: Vec<SensorReading>,
     /// Distance of the temperature difference from the range of its fit, K.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outside_k: Option<f64>,
@@ -84,7 +84,7 @@ impl Contribution {
 
 /// Present state of a temperature sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Reading {
+pub struct SensorReading {
     /// The sensor's name, as effects use it.
     pub sensor: String,
     /// Its place on the machine, for people.
@@ -101,7 +101,7 @@ pub struct Reading {
     pub fault: Option<String>,
 }
 
-impl Reading {
+impl SensorReading {
     /// State of a sensor at a time, s.
     pub fn of(watch: &SensorMonitor, now_s: f64) -> Self {
         Self {
@@ -110,9 +110,9 @@ impl Reading {
             degc: watch.value_degc(),
             age_s: watch.age_s(now_s),
             state: match watch.usable(now_s) {
-                Use::Good => "good",
-                Use::Frozen => "frozen",
-                Use::Hold => "hold",
+                SensorUse::Good => "good",
+                SensorUse::Frozen => "frozen",
+                SensorUse::Hold => "hold",
             }
             .to_owned(),
             fault: watch.fault().map(ToString::to_string),

@@ -8,9 +8,9 @@
 //!
 //! At work: `cargo run -p rtec-correct --example totals`, which the tests run too.
 
-pub mod commission; // judges a guided jog: sign, unit, compensation by the controller itself
 pub mod corrector; // all axes: the sources' sum becomes totals
 pub mod explain; // components of a correction, for people
+pub mod jog_check; // judges a guided jog: sign, unit, compensation by the controller itself
 mod motion; // position, velocity and direction of the axes from the engine's status
 pub mod part_table; // a part's errors as a source
 pub mod rehearse; // runs a recorded shift through the law with another model

@@ -2,8 +2,8 @@
 //! It gives position, velocity, acceleration and the direction of the last motion.
 
 use crate::AxisSetup;
-use rtec_model::live::AxisNow;
-use rtec_rt::event::{AxisStatus, Status};
+use rtec_model::live::AxisMotionState;
+use rtec_rt::link_messages::{AxisStatus, Status};
 use std::collections::VecDeque;
 
 /// Counts beyond an increment by which an axis must come back to have reversed.
@@ -20,14 +20,14 @@ const SPEED_OVER: usize = 3;
 pub(crate) struct Motion {
     /// The engine's states that velocity is taken from, newest last.
     seen: VecDeque<Status>,
-    turning: Vec<Turning>,
-    now: Vec<AxisNow>,
+    turning: Vec<ReversalTracker>,
+    now: Vec<AxisMotionState>,
 }
 
 /// The direction of an axis's last motion and its furthest places in it.
 /// There is one place for the scale and one for the MTC's count.
 #[derive(Debug, Clone, Copy, Default)]
-struct Turning {
+struct ReversalTracker {
     direction: i64,
     /// None until the axis has been seen, at the start and after homing.
     furthest_counts: Option<[i64; 2]>,
@@ -38,7 +38,7 @@ struct Turning {
     part_counts: i64,
 }
 
-impl Turning {
+impl ReversalTracker {
     /// Follows the direction of motion, ignoring the effect of our own insertions.
     /// An insertion moves the MTC's count first, and the scale once the drive has followed. An axis has
     /// therefore reversed only if both counts show it, by more than was inserted a moment ago. A position
@@ -85,13 +85,13 @@ impl Motion {
     pub(crate) fn new(axes: usize) -> Self {
         Self {
             seen: VecDeque::with_capacity(KEPT),
-            turning: vec![Turning::default(); axes],
-            now: vec![AxisNow::default(); axes],
+            turning: vec![ReversalTracker::default(); axes],
+            now: vec![AxisMotionState::default(); axes],
         }
     }
 
     /// Present motion of every axis, without its load.
-    pub(crate) fn now(&self) -> &[AxisNow] {
+    pub(crate) fn now(&self) -> &[AxisMotionState] {
         &self.now
     }
 
@@ -151,7 +151,7 @@ impl Motion {
                 (Some(a), Some(b)) => (b.t_ns - a.t_ns) as f64 * 0.5e-9,
                 _ => 0.0,
             };
-            self.now[n] = AxisNow {
+            self.now[n] = AxisMotionState {
                 position_mm: s.position_counts as f64 * axis.count_um / 1000.0,
                 velocity_mm_s,
                 acceleration_mm_s2: if between_s > 0.0 { (velocity_mm_s - before) / between_s } else { 0.0 },

@@ -2,10 +2,10 @@
 //! (NISTIR 4854, section 5)
 
 use crate::AxisSetup;
-use rtec_part::cor::FeatureErrors;
-use rtec_part::fit::Zx;
-use rtec_part::line_table::LineTable;
-use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
+use rtec_part::error_cor_file::FeatureErrors;
+use rtec_part::geometric_fit::Zx;
+use rtec_part::straight_table::StraightTable;
+use rtec_part::table::{AxisCounts, FinishArc, FinishTable};
 use serde::{Deserialize, Serialize};
 
 /// Distances from a feature, mm, for a part table's full effect and for its end.
@@ -45,7 +45,7 @@ pub struct PartTable {
 
 /// Present effect of a loaded part table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TableNow {
+pub struct PartTableState {
     /// Probed points in it.
     pub points: usize,
     /// `in_force`, `ready` if the tool is elsewhere, or `off`.
@@ -65,19 +65,19 @@ pub struct TableNow {
 #[derive(Debug)]
 enum Table {
     Arc(FinishTable),
-    Line(LineTable),
+    Line(StraightTable),
 }
 
 /// The loaded part table.
 #[derive(Debug)]
-pub(crate) struct PartErrors {
+pub(crate) struct LoadedPartTable {
     pub(crate) shown: PartTable,
     table: Table,
     /// The table's two axes (Z and X of the part) as indices of the corrector's axes.
     pub(crate) axes: [usize; 2],
 }
 
-impl PartErrors {
+impl LoadedPartTable {
     /// A table on the corrector's axes `of`; `named` tells which a model can name.
     ///
     /// # Errors
@@ -120,7 +120,7 @@ impl PartErrors {
                                 errors bring their places"
                         .to_owned());
                 }
-                Table::Line(LineTable { errors, axes: counts, nose_mm, origin })
+                Table::Line(StraightTable { errors, axes: counts, nose_mm, origin })
             }
             FeatureErrors::Arc(errors) => {
                 let arc = shown.centre_mm.zip(shown.radius_mm);
@@ -136,7 +136,7 @@ impl PartErrors {
                     ));
                 }
                 let nose_mm = if shown.hollow { -nose_mm } else { nose_mm };
-                let cut = FinishCut { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
+                let cut = FinishArc { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
                 Table::Arc(FinishTable::new(cut, counts, errors))
             }
         };

@@ -9,7 +9,7 @@ use rtec_files::InputError;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_rt::event::{MAX_AXES, Mode, Status};
+use rtec_rt::link_messages::{MAX_AXES, Mode, Status};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use serde::Serialize;
 use std::collections::BTreeMap;

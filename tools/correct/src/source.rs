@@ -2,11 +2,11 @@
 //! From the sensors it gives each axis's error, or why the error is unknown.
 
 use rtec_files::InputError;
-use rtec_model::effect::{Difference, Effect, Heat, Naming, Need, STANDARD_DEGC};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::effect::{Difference, Effect, Naming, RequiredInput, STANDARD_DEGC, ThermalDependence};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role, span};
-use rtec_sensors::{SensorMonitor, Use};
+use rtec_sensors::{SensorMonitor, SensorUse};
 
 /// Time constants after which a lag is known to 2 %.
 const LAGS_KNOWN: f64 = 4.0;
@@ -19,7 +19,7 @@ const GAP_S: f64 = 15.0;
 #[derive(Debug)]
 pub(crate) struct ModelSource {
     pub(crate) machine: Machine,
-    pub(crate) live: Live,
+    pub(crate) live: LiveModel,
     /// Index of the configured sensor, per sensor and per channel of the layout.
     sensors: Vec<usize>,
     channels: Vec<usize>,
@@ -37,7 +37,7 @@ pub(crate) struct ModelSource {
     values: Vec<Option<f64>>,
     inputs: NonAxisInputs,
     /// State of each configured sensor at the last reading.
-    states: Vec<Use>,
+    states: Vec<SensorUse>,
     /// Sensors lost for so long that corrections hold until they are enabled again.
     lost: Vec<bool>,
     /// It was loaded although its validity had ended.
@@ -55,8 +55,8 @@ struct NonAxisInputs {
 }
 
 impl NonAxisInputs {
-    fn frame<'a>(&'a self, t_s: f64, axes: &'a [AxisNow], probing: bool) -> Frame<'a> {
-        Frame {
+    fn frame<'a>(&'a self, t_s: f64, axes: &'a [AxisMotionState], probing: bool) -> MachineState<'a> {
+        MachineState {
             t_s,
             axes,
             temperatures_degc: &self.temperatures_degc,
@@ -144,12 +144,12 @@ pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
 
 /// Whether an effect changes with the direction of the last motion.
 fn turns(effect: &Effect) -> bool {
-    effect.description().needs.contains(&Need::Direction)
+    effect.description().needs.contains(&RequiredInput::Direction)
 }
 
 /// Whether an effect changes with sensors or time while no axis moves.
 fn is_slow(effect: &Effect) -> bool {
-    use Need::{Channel, Coolant, Delta, Load, SpindleSpeed, Time};
+    use RequiredInput::{Channel, Coolant, Delta, Load, SpindleSpeed, Time};
     let needs = &effect.description().needs;
     needs.iter().any(|n| matches!(n, Time | Delta | Load | SpindleSpeed | Coolant | Channel))
 }
@@ -240,7 +240,9 @@ fn missing(machine: &Machine, axes: &[Axis], watches: &[SensorMonitor]) -> Vec<S
         for need in &effect.description().needs {
             let role = need.role(effect.axes());
             let given = match need {
-                Need::SpindleSpeed | Need::Coolant | Need::Load => of_role(watches, &role).is_some(),
+                RequiredInput::SpindleSpeed | RequiredInput::Coolant | RequiredInput::Load => {
+                    of_role(watches, &role).is_some()
+                }
                 _ => true,
             };
             if !given {
@@ -249,7 +251,7 @@ fn missing(machine: &Machine, axes: &[Axis], watches: &[SensorMonitor]) -> Vec<S
                     effect.name()
                 ));
             }
-            if *need == Need::Angle {
+            if *need == RequiredInput::Angle {
                 missing.push(format!(
                     "{}: is over the angle of a circle, which a machine at work does not have: without effect here",
                     effect.name()
@@ -315,10 +317,10 @@ impl ModelSource {
         let mut channels: Vec<String> =
             machine.effects().filter_map(Effect::channel).map(str::to_owned).collect();
         channels.dedup();
-        let layout = Layout { axes: axes.to_vec(), sensors: machine.sensors(), channels };
+        let layout = StateLayout { axes: axes.to_vec(), sensors: machine.sensors(), channels };
         let sensors = places(&machine, &layout.sensors, ("temperature", &Role::Temperature), watches)?;
         let channels = places(&machine, &layout.channels, ("channel", &Role::Channel), watches)?;
-        let live = Live::at_work(&machine, layout).map_err(|missing| {
+        let live = LiveModel::at_work(&machine, layout).map_err(|missing| {
             InputError::whole(&machine.path, missing.to_string(), "what the configuration has")
         })?;
         Ok(Self {
@@ -328,7 +330,7 @@ impl ModelSource {
                 held: vec![false; axes.len()],
                 ..NonAxisInputs::default()
             },
-            states: vec![Use::Hold; watches.len()],
+            states: vec![SensorUse::Hold; watches.len()],
             lost: vec![false; watches.len()],
             although_expired: false,
             rpm: of_role(watches, &Role::SpindleSpeed),
@@ -353,7 +355,7 @@ impl ModelSource {
 
     /// Computes the lags' states from past temperatures, oldest first.
     /// Times are on the clock of [`Self::evaluate`], s. Temperatures are in the order of the layout's sensors, °C.
-    pub(crate) fn catch_up(&mut self, past: Vec<(f64, Vec<f64>)>, started_s: f64, axes: &[AxisNow]) {
+    pub(crate) fn catch_up(&mut self, past: Vec<(f64, Vec<f64>)>, started_s: f64, axes: &[AxisMotionState]) {
         for (t_s, degc) in past {
             self.inputs.temperatures_degc = degc;
             let cold = self.inputs.cold();
@@ -380,10 +382,10 @@ impl ModelSource {
             let now = watch.usable(now_s);
             let before = std::mem::replace(state, now);
             changed |= before != now;
-            *lost |= before != Use::Hold && now == Use::Hold;
+            *lost |= before != SensorUse::Hold && now == SensorUse::Hold;
         }
         for (held, reads) in self.inputs.held.iter_mut().zip(&self.reads) {
-            *held = reads.iter().any(|n| self.lost[*n] || self.states[*n] == Use::Hold);
+            *held = reads.iter().any(|n| self.lost[*n] || self.states[*n] == SensorUse::Hold);
         }
         let cold = self.inputs.cold();
         for lag in &mut self.lags {
@@ -399,33 +401,33 @@ impl ModelSource {
     pub(crate) fn enabled(&mut self) -> bool {
         let mut back = false;
         for (lost, state) in self.lost.iter_mut().zip(&self.states) {
-            back |= *lost && *state != Use::Hold;
-            *lost &= *state == Use::Hold;
+            back |= *lost && *state != SensorUse::Hold;
+            *lost &= *state == SensorUse::Hold;
         }
         back
     }
 
     /// Adds the axes' loads from their sensors, N.
-    pub(crate) fn add_loads(&self, axes: &mut [AxisNow], watches: &[SensorMonitor]) {
+    pub(crate) fn add_loads(&self, axes: &mut [AxisMotionState], watches: &[SensorMonitor]) {
         for (now, load) in axes.iter_mut().zip(&self.loads) {
             now.load_n = load.and_then(|w| watches[w].value_degc()).unwrap_or(0.0);
         }
     }
 
     /// Evaluates the model: time since the model's clock began, s.
-    pub(crate) fn evaluate(&mut self, t_s: f64, axes: &[AxisNow], probing: bool) {
+    pub(crate) fn evaluate(&mut self, t_s: f64, axes: &[AxisMotionState], probing: bool) {
         self.live.evaluate(&self.inputs.frame(t_s, axes, probing));
     }
 
     /// Returns evaluations on a copy; the running state does not change.
-    pub(crate) fn trial(&self) -> impl FnMut(f64, &[AxisNow]) {
+    pub(crate) fn trial(&self) -> impl FnMut(f64, &[AxisMotionState]) {
         let mut live = self.live.clone();
         move |t_s, axes| live.evaluate(&self.inputs.frame(t_s, axes, false))
     }
 
     /// The error of an axis with all axes at these positions, µm.
     /// The running state does not change.
-    pub(crate) fn error_um_at(&self, place: usize, t_s: f64, axes: &[AxisNow], probing: bool) -> f64 {
+    pub(crate) fn error_um_at(&self, place: usize, t_s: f64, axes: &[AxisMotionState], probing: bool) -> f64 {
         let mut live = self.live.clone();
         live.evaluate(&self.inputs.frame(t_s, axes, probing));
         live.errors_um()[place]
@@ -476,7 +478,7 @@ impl ModelSource {
     /// Reason why the thermal correction of an axis is held, if so.
     pub(crate) fn standing(&self, place: usize, watches: &[SensorMonitor], now_s: f64) -> Option<String> {
         let reads = || self.reads[place].iter().copied();
-        let Some(lost) = reads().map(|n| &watches[n]).find(|w| w.usable(now_s) == Use::Hold) else {
+        let Some(lost) = reads().map(|n| &watches[n]).find(|w| w.usable(now_s) == SensorUse::Hold) else {
             let back = &watches[reads().find(|n| self.lost[*n])?].config().name;
             return Some(format!("sensor {back} is good again: `rtecctl enable` takes its correction up"));
         };
@@ -524,7 +526,7 @@ impl ModelSource {
                     100.0 * p.weight
                 ));
             }
-            if p.effect.description().heat == Heat::FromStart {
+            if p.effect.description().heat == ThermalDependence::FromStart {
                 notes.push(format!("{}: its time counts from the daemon's start", p.effect.name()));
             }
         }

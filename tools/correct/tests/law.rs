@@ -12,9 +12,9 @@ mod sensors;
 use bench::{Bench, GROWTH, LAG, SCALE, TICK_S, machine, part, part_errors, sensor};
 use rtec_correct::part_table::PartTable;
 use rtec_model::record::{Axis, Role};
-use rtec_part::cor::{FeatureErrors, LineError};
-use rtec_part::fit::Zx;
-use rtec_rt::event::{AxisStatus, Fault, MAX_AXES, Mode, Status};
+use rtec_part::error_cor_file::{FeatureErrors, LineError};
+use rtec_part::geometric_fit::Zx;
+use rtec_rt::link_messages::{AxisStatus, Fault, MAX_AXES, Mode, Status};
 
 #[test]
 fn a_total_follows_the_axis_within_its_window_and_does_not_chatter() {

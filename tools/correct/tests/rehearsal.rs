@@ -5,8 +5,8 @@
 use rtec_correct::rehearse::{AxisChange, Options, RehearsalResult, rehearse};
 use rtec_correct::{AxisSetup, RAMP_UM_S};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
-use rtec_rt::event::MAX_AXES;
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
+use rtec_rt::link_messages::MAX_AXES;
 use std::path::Path;
 
 fn machine(effects: &str) -> Machine {
@@ -29,7 +29,7 @@ fn position(axis: &str, mm: Vec<f64>) -> Column {
 
 fn shift(t_s: Vec<f64>, mut columns: Vec<Column>) -> Record {
     columns.insert(0, Column::new("t", Role::Time, t_s));
-    Record::of_checked(Path::new("shift.run.toml"), Kind::Drift, columns)
+    Record::of_checked(Path::new("shift.run.toml"), RunKind::Drift, columns)
 }
 
 /// Counts of half a micrometre, and windows of 50 counts.

@@ -12,7 +12,7 @@ use rtec_correct::{AxisSetup, Corrector};
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
-use rtec_rt::event::Mode;
+use rtec_rt::link_messages::Mode;
 use std::path::Path;
 use std::time::Duration;
 

@@ -10,8 +10,8 @@ use rtec_correct::rehearse::{Options, rehearse};
 use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
-use rtec_rt::event::{Mode, Status};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
+use rtec_rt::link_messages::{Mode, Status};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::path::Path;
 
@@ -98,7 +98,7 @@ fn a_rehearsal_of_it_shows_the_same_totals() {
         Column::new("T8", Role::Temperature, shift[4].clone()),
         Column::new("T18", Role::Temperature, shift[5].clone()),
     ];
-    let record = Record::of_checked(Path::new("shift.run.toml"), Kind::Drift, columns);
+    let record = Record::of_checked(Path::new("shift.run.toml"), RunKind::Drift, columns);
     let options = Options { axes: axes(), lead_s: LEAD_S, ..Options::default() };
     let found = rehearse(&Machine::ideal("no model"), &machine(), &record, &options).unwrap();
     assert_eq!(found.axes.iter().map(|a| a.axis.as_str()).collect::<Vec<_>>(), ["x", "y", "z"]);

@@ -10,13 +10,13 @@ use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::MockCard;
-use rtec_files::stamp::signed;
+use rtec_files::format_stamp::signed;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, Mode, Request, Status};
-use rtec_rt::thread::{Running, ThreadOptions, spawn};
-use rtec_sim::strokes::{MovingAxes, StrokeMotion, Truth, moving_axes};
+use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Fault, Mode, Request, Status};
+use rtec_rt::thread::{RunningThread, ThreadOptions, spawn};
+use rtec_sim::strokes::{MovingAxes, StrokeMotion, TrueAxisState, moving_axes};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -226,7 +226,7 @@ fn build_corrector(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> 
 }
 
 /// Homes the axis, reads the home position back, then enables corrections.
-fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
+fn start(running: &mut RunningThread<Card>) -> anyhow::Result<()> {
     let control = &mut running.control;
     control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
     loop {
@@ -253,7 +253,7 @@ fn start(running: &mut Running<Card>) -> anyhow::Result<()> {
 }
 
 /// The tool's error without and with correction, µm.
-fn tool_error_um(truth: &Truth) -> (f64, f64) {
+fn tool_error_um(truth: &TrueAxisState) -> (f64, f64) {
     let (commanded_mm, off_um) =
         (truth.commanded_counts() * COUNT_UM / 1000.0, truth.off_counts() * COUNT_UM);
     (error_um(commanded_mm), off_um + error_um(commanded_mm + off_um / 1000.0))

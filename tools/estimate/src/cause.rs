@@ -5,7 +5,7 @@ use crate::priors::{CONTRIBUTION, OF_MOST, REFERENCE_K};
 use crate::rows::Rows;
 use crate::setup::{first_after_turn, unknown_centre_columns};
 use rtec_least_squares::dot;
-use rtec_model::effect::{Against, Effect, Need, ParameterSearch, STANDARD_DEGC};
+use rtec_model::effect::{DifferenceReference, Effect, ParameterSearch, RequiredInput, STANDARD_DEGC};
 use rtec_model::record::Role;
 use std::sync::Arc;
 
@@ -32,9 +32,9 @@ impl Shape {
     #[must_use]
     pub fn like(rows: &Rows<'_>, effect: &Effect, manner: &str) -> Option<Self> {
         let acts = rows.records.iter().find_map(|r| effect.acts_on(r).into_iter().next())?;
-        let role = |n: &Need| match n {
-            Need::Delta => effect.delta.as_ref().map(|d| format!("temperature.{}", d.sensor)),
-            Need::Channel => effect.channel().map(|c| format!("channel.{c}")),
+        let role = |n: &RequiredInput| match n {
+            RequiredInput::Delta => effect.delta.as_ref().map(|d| format!("temperature.{}", d.sensor)),
+            RequiredInput::Channel => effect.channel().map(|c| format!("channel.{c}")),
             other => Some(other.role(effect.axes()).to_string()),
         };
         let mut against: Vec<String> = effect.description().needs.iter().filter_map(role).collect();
@@ -262,6 +262,6 @@ fn refer(effect: &mut Effect, c1: f64, c0: f64) {
         && d.abs() < 10.0
         && let Some(delta) = &mut effect.delta
     {
-        delta.against = Against::Reference(STANDARD_DEGC + d);
+        delta.against = DifferenceReference::Reference(STANDARD_DEGC + d);
     }
 }

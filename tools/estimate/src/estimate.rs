@@ -1,19 +1,19 @@
 //! Alternates noise and search until both settle; then gives values and intervals.
 
 mod candidates;
-mod last;
+mod final_fit;
 
 use crate::cause::Shape;
-use crate::effort::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
-use crate::family::Families;
+use crate::hypothesis_family::HypothesisFamilies;
 use crate::priors::MOST_PHI;
-use crate::problem::{Problem, Units, in_step};
+use crate::problem::{EstimationProblem, Units, in_step};
 use crate::rows::{Noise, Rows};
-use crate::search::{Member, Search, Set, fit, known_again};
+use crate::search::{HypothesisSet, Member, Search, fit, known_again};
+use crate::search_limits::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
 use crate::setup;
 use crate::wander::{self, Wander, wanders};
 use candidates::place;
-use last::Last;
+use final_fit::FinalFit;
 use rtec_least_squares::dot;
 use rtec_model::effect::{Dictionary, Difference, Effect};
 use rtec_model::record::{Record, Role};
@@ -86,7 +86,7 @@ pub struct RefinedEffect {
 
 /// An estimated set-up term of a record.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SetUp {
+pub struct SetUpEstimate {
     /// Index of the record.
     pub record: usize,
     /// The response.
@@ -101,7 +101,7 @@ pub struct SetUp {
 
 /// A name that was tried.
 #[derive(Debug, Clone)]
-pub struct Tried {
+pub struct TriedExplanation {
     /// Name, with its sensors.
     pub label: String,
     /// Log odds against the member accepted instead.
@@ -121,7 +121,7 @@ pub struct Estimate {
     /// The model's own effects as estimated from the rows.
     pub known: Vec<RefinedEffect>,
     /// The set-up terms.
-    pub set_up: Vec<SetUp>,
+    pub set_up: Vec<SetUpEstimate>,
     /// The noise.
     pub noise: Noise,
     /// The whitened residual.
@@ -129,7 +129,7 @@ pub struct Estimate {
     /// log p(y, S), up to a constant of the rows.
     pub score: f64,
     /// Names that were tried.
-    pub tried: Vec<Tried>,
+    pub tried: Vec<TriedExplanation>,
     /// The members of the likeliest set, as a start for the analysis of other records.
     pub members: Vec<Member>,
 }
@@ -146,8 +146,8 @@ pub fn estimate(
     let rows = Rows::new(records);
     let given = model;
     let model = &in_step(&rows, model)[..];
-    let mut problem = Problem::new(&rows, model, intervals);
-    let mut families = Families::new(&rows, dictionary, model);
+    let mut problem = EstimationProblem::new(&rows, model, intervals);
+    let mut families = HypothesisFamilies::new(&rows, dictionary, model);
     let noise = problem.first_noise();
     let (mut found, mut left) = settle(&problem, &mut families, noise.clone(), None, model);
     // A slow signal is autocorrelated noise or an effect. Both are tried, and the likelier one is kept.
@@ -190,12 +190,12 @@ pub fn score(
 ) -> f64 {
     let rows = Rows::new(records);
     let model = &in_step(&rows, model)[..];
-    let problem = Problem::new(&rows, model, intervals).in_units(units);
-    let mut families = Families::new(&rows, dictionary, model);
+    let problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
+    let mut families = HypothesisFamilies::new(&rows, dictionary, model);
     let start = known_again(&families, start);
     let noise = under(&problem, &start, problem.first_noise()).1;
     let mut best = f64::NEG_INFINITY;
-    let goes_on = |search: &Search<'_>, set: &Set| {
+    let goes_on = |search: &Search<'_>, set: &HypothesisSet| {
         best = best.max(with_own_noise(search, set).0);
         best > enough - 2.0 * STRONG
     };
@@ -206,8 +206,8 @@ pub fn score(
 /// Alternates search and noise until neither changes.
 /// Returns the estimate and its members.
 fn settle(
-    problem: &Problem<'_>,
-    families: &mut Families,
+    problem: &EstimationProblem<'_>,
+    families: &mut HypothesisFamilies,
     first: Noise,
     start: Option<Vec<Member>>,
     model: &[Effect],
@@ -225,12 +225,12 @@ fn settle(
 /// As `settle`, with callbacks.
 /// After each round `goes_on` decides whether to continue; `then` is called once both have settled.
 fn settled<T>(
-    problem: &Problem<'_>,
-    families: &mut Families,
+    problem: &EstimationProblem<'_>,
+    families: &mut HypothesisFamilies,
     first: Noise,
     start: Option<Vec<Member>>,
-    mut goes_on: impl FnMut(&Search<'_>, &Set) -> bool,
-    then: impl Fn(&Search<'_>, &Set) -> T,
+    mut goes_on: impl FnMut(&Search<'_>, &HypothesisSet) -> bool,
+    then: impl Fn(&Search<'_>, &HypothesisSet) -> T,
 ) -> T {
     let rows = problem.rows;
     let mut noise = first;
@@ -278,13 +278,13 @@ fn settled<T>(
 }
 
 /// Log evidence of a set under the noise that it leaves, with that noise.
-fn with_own_noise(search: &Search<'_>, set: &Set) -> (f64, Noise) {
+fn with_own_noise(search: &Search<'_>, set: &HypothesisSet) -> (f64, Noise) {
     under(search.problem, &set.members, search.problem.renewed(&search.base.noise, &set.factor))
 }
 
 /// Log evidence of members under the noise that they leave, with that noise.
 /// It starts from a first guess of the noise.
-fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, Noise) {
+fn under(problem: &EstimationProblem<'_>, members: &[Member], mut noise: Noise) -> (f64, Noise) {
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
         let base = problem.base(noise.clone());
@@ -312,13 +312,13 @@ fn under(problem: &Problem<'_>, members: &[Member], mut noise: Noise) -> (f64, N
 /// A likelier set with one member more or less.
 /// Each set is compared under the noise that it leaves, and returned with that noise. Noise may have absorbed
 /// a member, and a member may have absorbed noise.
-fn under_own_noise(search: &Search<'_>, set: &Set) -> Option<(Set, Noise)> {
+fn under_own_noise(search: &Search<'_>, set: &HypothesisSet) -> Option<(HypothesisSet, Noise)> {
     let seeds = search.screened(set, false);
     let (now, _) = with_own_noise(search, set);
     let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
     let more = more.filter_map(|seed| search.with(set, &search.refined(&set.factor, seed)));
     let less = (0..set.members.len()).map(|i| search.without(set, i)).filter(|s| search.possible(s));
-    let mut best: Option<(f64, Set, Noise)> = None;
+    let mut best: Option<(f64, HypothesisSet, Noise)> = None;
     for other in more.chain(less) {
         let (total, noise) = with_own_noise(search, &other);
         if total > best.as_ref().map_or(now, |b| b.0) {
@@ -335,7 +335,7 @@ fn label(effect: &Effect) -> String {
     }
 }
 
-fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
+fn answer(search: &Search<'_>, set: &HypothesisSet, model: &[Effect]) -> Estimate {
     let mut set = set.clone();
     let (mut found, mut tried) = (Vec::new(), Vec::new());
     let mut i = 0;
@@ -351,9 +351,9 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
         tried.extend(place.tried);
         i += 1;
     }
-    let last = Last::new(search, &set, model);
+    let last = FinalFit::new(search, &set, model);
     last.fill(&mut found);
-    Last::tie_periods(&mut found);
+    FinalFit::tie_periods(&mut found);
     let known = last.known(&found);
     let mut set_up = last.set_up();
     set_up.extend(last.jumps(search, &found));
@@ -361,7 +361,7 @@ fn answer(search: &Search<'_>, set: &Set, model: &[Effect]) -> Estimate {
     let mut order: Vec<usize> = (0..found.len()).filter(|i| !set_up_member(i)).collect();
     order.sort_by(|a, b| found[*b].evidence.total_cmp(&found[*a].evidence));
     let found = order.into_iter().map(|i| found[i].clone()).collect();
-    tried.sort_by(|a: &Tried, b: &Tried| b.odds.total_cmp(&a.odds));
+    tried.sort_by(|a: &TriedExplanation, b: &TriedExplanation| b.odds.total_cmp(&a.odds));
     let mut seen = Vec::new();
     tried.retain(|t| {
         !seen.contains(&t.label) && {
@@ -441,7 +441,7 @@ pub fn alone(
 ) -> (f64, Vec<(Role, f64)>) {
     let records = std::slice::from_ref(record);
     let rows = Rows::new(records);
-    let mut problem = Problem::new(&rows, model, intervals).in_units(units);
+    let mut problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
     // Relative to other records the plate may be rotated.
     problem.terms.extend(setup::turns(&rows));
     let mut noise = problem.first_noise();

@@ -6,29 +6,29 @@
 //! | module | what |
 //! |---|---|
 //! | [`priors`] | every number that an answer depends on |
-//! | [`effort`] | limits of the search's work |
+//! | [`search_limits`] | limits of the search's work |
 //! | [`rows`] | records as rows under one noise |
 //! | [`setup`] | set-up terms, in one list |
 //! | [`shapes`] | shapes without a name, in one list |
-//! | `cause`, `family` | contribution of a hypothesis to the rows; all hypotheses |
+//! | `cause`, `hypothesis_family` | contribution of a hypothesis to the rows; all hypotheses |
 //! | `smooth`, `wave` | smooth functions as columns; frequencies that rows show |
 //! | `wander` | walks that last longer than the noise's correlation |
-//! | `bank` | a quick look at many columns |
+//! | `hypothesis_columns` | a quick look at many columns |
 //! | `problem` | the measurement model without hypotheses; the noise |
 //! | `search` | the likeliest set |
 //! | `estimate` | noise and search in turn; names, values, intervals |
 //! | `refit` | sizes fitted again, with rows left out or a curve added |
 
-pub mod bank;
 pub mod cause;
-pub mod effort;
 pub mod estimate;
-pub mod family;
+pub mod hypothesis_columns;
+pub mod hypothesis_family;
 pub mod priors;
 pub mod problem;
 pub mod refit;
 pub mod rows;
 pub mod search;
+pub mod search_limits;
 pub mod setup;
 pub mod shapes;
 pub mod smooth;
@@ -37,5 +37,6 @@ pub mod wave;
 
 pub use cause::Shape;
 pub use estimate::{
-    Estimate, EstimatedMember, RefinedEffect, Rival, SetUp, Tried, alone, estimate, score, unexplained,
+    Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, alone, estimate, score,
+    unexplained,
 };

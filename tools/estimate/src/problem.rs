@@ -1,10 +1,10 @@
 //! The measurement model y = M(θ) + Z(η) + H(β, ψ) + e, linear in all but ψ.
 //! This module holds everything but the hypotheses.
 
-use crate::effort::{OUT_OF_STEP, ROUNDING_STEPS};
 use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAILS};
 use crate::rows::{Noise, Rows, Segment};
-use crate::setup::{self, Term};
+use crate::search_limits::{OUT_OF_STEP, ROUNDING_STEPS};
+use crate::setup::{self, SetUpTerm};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Effect, ParameterSearch, Refine};
 use rtec_model::record::rounding_error;
@@ -103,7 +103,7 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
         }
         let others: Vec<Effect> =
             model.iter().enumerate().filter(|(i, _)| *i != e).map(|(_, m)| m.clone()).collect();
-        let problem = Problem::new(rows, &others, &[]);
+        let problem = EstimationProblem::new(rows, &others, &[]);
         let base = problem.base(problem.first_noise());
         let steps = (3.0 * off / (0.5 * OUT_OF_STEP)).ceil().min(300.0) as i32;
         let mut best: Option<(f64, Effect)> = None;
@@ -190,13 +190,13 @@ pub struct Baseline {
 }
 
 /// The rows, the model's known effects and the set-up terms.
-pub struct Problem<'r> {
+pub struct EstimationProblem<'r> {
     /// The rows.
     pub rows: &'r Rows<'r>,
     /// Measured minus simulated by the model as given.
     pub missing: Vec<f64>,
     /// The set-up terms.
-    pub terms: Vec<Term>,
+    pub terms: Vec<SetUpTerm>,
     /// The known effects.
     pub known: Vec<Known>,
     /// Smallest size of the noise, per response.
@@ -208,7 +208,7 @@ pub struct Problem<'r> {
     pub rounding_um: Vec<f64>,
 }
 
-impl<'r> Problem<'r> {
+impl<'r> EstimationProblem<'r> {
     /// The problem of rows that a gauge read, with a model.
     /// `intervals` are the half widths that the model states, value by value.
     #[must_use]
@@ -234,7 +234,7 @@ impl<'r> Problem<'r> {
         rows: &'r Rows<'r>,
         model: &[Effect],
         intervals: &[Vec<Option<f64>>],
-        terms: Vec<Term>,
+        terms: Vec<SetUpTerm>,
     ) -> Self {
         let mut missing = rows.measured.clone();
         for effect in model {

@@ -3,7 +3,7 @@
 
 use crate::cause::Cause;
 use crate::priors::WIDE;
-use crate::problem::Problem;
+use crate::problem::EstimationProblem;
 use crate::rows::{Noise, Rows};
 use rtec_least_squares::{Factor, add};
 use rtec_model::effect::Effect;
@@ -12,7 +12,7 @@ use rtec_model::record::Record;
 
 /// The linear parameters of effects, in addition to model and set-up.
 pub struct Refit<'p, 'r> {
-    problem: &'p Problem<'r>,
+    problem: &'p EstimationProblem<'r>,
     /// Columns of each effect, at one standard deviation.
     columns: Vec<Vec<Vec<f64>>>,
     effects: Vec<Effect>,
@@ -25,7 +25,7 @@ fn cause(effect: &Effect) -> Cause {
 impl<'p, 'r> Refit<'p, 'r> {
     /// A refit of these effects; their non-linear parameters stay as they are.
     #[must_use]
-    pub fn new(problem: &'p Problem<'r>, effects: &[Effect]) -> Self {
+    pub fn new(problem: &'p EstimationProblem<'r>, effects: &[Effect]) -> Self {
         let columns = effects
             .iter()
             .map(|e| {
@@ -120,7 +120,7 @@ impl<'p, 'r> Refit<'p, 'r> {
 pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
     let records = std::slice::from_ref(record);
     let rows = Rows::new(records);
-    let problem = Problem::new(&rows, model, &[]);
+    let problem = EstimationProblem::new(&rows, model, &[]);
     let mut noise = problem.first_noise();
     noise.phi.fill(0.0);
     let problem = problem.by_hand();

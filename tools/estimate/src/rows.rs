@@ -1,7 +1,7 @@
 //! All rows of all responses of all records, one under the other, and their noise.
 
-use crate::effort::{MUCH_MEMORY, ONE_PLACE, TIME_CONSTANTS};
 use crate::priors::{ALIKE_ROWS, MOST_PHI, NOISE};
+use crate::search_limits::{MUCH_MEMORY, ONE_PLACE, TIME_CONSTANTS};
 use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
 use rtec_model::record::{Axis, Record, Role, span};
 use std::ops::Range;
@@ -150,9 +150,9 @@ impl<'r> Rows<'r> {
 /// A circle of unknown centre cannot show such an effect.
 #[must_use]
 pub fn needs_place(effect: &Effect) -> bool {
-    use rtec_model::effect::Need;
+    use rtec_model::effect::RequiredInput;
     let law = effect.description();
-    let places = law.needs.iter().filter(|n| matches!(n, Need::Position(_))).count();
+    let places = law.needs.iter().filter(|n| matches!(n, RequiredInput::Position(_))).count();
     let line = law.needs.len() == 1
         && law.searched.wave.is_none()
         && law.place(rtec_model::effect::ParameterSearch::Amplitude).is_none()

@@ -5,12 +5,12 @@
 mod grow;
 mod screening;
 
-use crate::bank::ScreeningProducts;
 use crate::cause::Cause;
-use crate::effort::{MOST_MEMBERS, MOST_SHAPES};
-use crate::family::{Families, Family, Scan};
+use crate::hypothesis_columns::ScreeningProducts;
+use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
-use crate::problem::{Baseline, Problem};
+use crate::problem::{Baseline, EstimationProblem};
+use crate::search_limits::{MOST_MEMBERS, MOST_SHAPES};
 use rtec_least_squares::{Factor, add, dot};
 use rtec_model::effect::{Difference, Effect};
 use screening::turns_back;
@@ -60,7 +60,8 @@ impl Member {
     }
 }
 
-/// A number that stands for columns and a level; others have another one, but for one chance in 2⁶⁴.
+/// A number that stands for columns and a level.
+/// Others have the same one by a chance of one in 2⁶⁴.
 fn mark(columns: &Columns, level: f64) -> u64 {
     let numbers = columns.iter().flatten().chain([&level]);
     numbers.fold(0, |mark, x| (mark.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95))
@@ -68,7 +69,7 @@ fn mark(columns: &Columns, level: f64) -> u64 {
 
 /// A set with its fit.
 #[derive(Debug, Clone)]
-pub struct Set {
+pub struct HypothesisSet {
     /// The members.
     pub members: Vec<Member>,
     /// The base's columns, then the members'.
@@ -93,15 +94,15 @@ pub struct ScreenedHypothesis {
 /// A search under one noise.
 pub struct Search<'p> {
     /// The rows and the model, to be explained.
-    pub problem: &'p Problem<'p>,
+    pub problem: &'p EstimationProblem<'p>,
     /// The hypotheses that may explain them.
-    pub families: &'p Families,
+    pub families: &'p HypothesisFamilies,
     /// Set-up terms and known effects.
     pub base: Baseline,
     /// The quick look after the base only.
     pub look: ScreeningProducts,
     /// Rounding errors that rows share; they widen intervals.
-    pub rounding: Vec<crate::setup::Term>,
+    pub rounding: Vec<crate::setup::SetUpTerm>,
     cache: Cache,
 }
 
@@ -205,21 +206,21 @@ impl<'p> Search<'p> {
     /// A search of a problem under a noise.
     /// The families' columns must be whitened already.
     #[must_use]
-    pub fn new(problem: &'p Problem<'p>, families: &'p Families, base: Baseline) -> Self {
+    pub fn new(problem: &'p EstimationProblem<'p>, families: &'p HypothesisFamilies, base: Baseline) -> Self {
         let look = families.bank.look(&base.factor);
         let rounding = crate::setup::rounding(problem.rows);
         Self { problem, families, base, look, rounding, cache: Cache::default() }
     }
 
-    fn family(&self, family: usize) -> &Family {
+    fn family(&self, family: usize) -> &HypothesisFamily {
         &self.families.list[family]
     }
 
     /// The set without members.
     #[must_use]
-    pub fn nothing(&self) -> Set {
+    pub fn nothing(&self) -> HypothesisSet {
         let score = fit(self.base.factor.left(), self.base.freedom);
-        Set { members: Vec::new(), factor: self.base.factor.clone(), score }
+        HypothesisSet { members: Vec::new(), factor: self.base.factor.clone(), score }
     }
 
     /// Whitened columns of a cause.
@@ -238,12 +239,12 @@ impl<'p> Search<'p> {
     /// Gain of columns added to a factor.
     #[must_use]
     pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
-        let (along, among) = self.products(factor, columns);
+        let (along, among) = Self::products(factor, columns);
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// As [`Self::products_of`], for columns whose products with the factor's columns are not known yet.
-    fn products(&self, factor: &Factor, columns: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
+    /// As [`Self::products_of`], for columns that are new to the factor.
+    fn products(factor: &Factor, columns: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
         Self::products_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
     }
 
@@ -253,7 +254,8 @@ impl<'p> Search<'p> {
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
-    /// Products of columns with a factor's residual, and among each other after projection on it.
+    /// Products of columns with a factor's residual, and among each other.
+    /// The latter are those after projection on the factor.
     fn products_of(factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
@@ -272,7 +274,7 @@ impl<'p> Search<'p> {
     /// The bank's products with a member's columns, after the base, are computed once. Those with the
     /// factor's orthonormal columns follow from R.
     #[must_use]
-    pub fn look_at(&self, set: &Set) -> ScreeningProducts {
+    pub fn look_at(&self, set: &HypothesisSet) -> ScreeningProducts {
         let bank = &self.families.bank;
         let from = self.base.factor.len();
         let mut new: Columns = Vec::new();
@@ -299,13 +301,13 @@ impl<'p> Search<'p> {
 
     /// A set with one more member; `None` if its values are impossible.
     #[must_use]
-    pub fn with(&self, set: &Set, seed: &ScreenedHypothesis) -> Option<Set> {
+    pub fn with(&self, set: &HypothesisSet, seed: &ScreenedHypothesis) -> Option<HypothesisSet> {
         self.built(set, self.weighed(set, seed)?.1)
     }
 
     /// One more member of a set, and the set's score with it.
     /// The score is without the correction for whole counts.
-    fn weighed(&self, set: &Set, seed: &ScreenedHypothesis) -> Option<(f64, Member)> {
+    fn weighed(&self, set: &HypothesisSet, seed: &ScreenedHypothesis) -> Option<(f64, Member)> {
         rtec_files::computation::step();
         if set.members.len() >= MOST_MEMBERS {
             return None;
@@ -330,7 +332,7 @@ impl<'p> Search<'p> {
     }
 
     /// The set with that member.
-    fn built(&self, set: &Set, member: Member) -> Option<Set> {
+    fn built(&self, set: &HypothesisSet, member: Member) -> Option<HypothesisSet> {
         let mut factor = set.factor.clone();
         push(&mut factor, &member);
         let mut members = set.members.clone();
@@ -339,11 +341,11 @@ impl<'p> Search<'p> {
         self.possible(&set).then_some(set)
     }
 
-    fn scored(&self, members: Vec<Member>, factor: Factor) -> Set {
+    fn scored(&self, members: Vec<Member>, factor: Factor) -> HypothesisSet {
         let prior: f64 = members.iter().map(|m| m.prior).sum();
         let det = factor.half_log_det() - self.base.factor.half_log_det();
         let score = fit(factor.left(), self.base.freedom) - det + prior + self.whole(&members, &factor);
-        Set { members, factor, score }
+        HypothesisSet { members, factor, score }
     }
 
     /// Correction to the likelihood for lost counts, which are whole numbers.
@@ -375,7 +377,7 @@ impl<'p> Search<'p> {
 
     /// The fit of the members of another search, unchanged.
     #[must_use]
-    pub fn of(&self, mut members: Vec<Member>) -> Set {
+    pub fn of(&self, mut members: Vec<Member>) -> HypothesisSet {
         for m in &mut members {
             m.set_columns(self.columns(&m.cause));
         }
@@ -383,7 +385,7 @@ impl<'p> Search<'p> {
     }
 
     /// The fit of members, of which the first `done` are in the factor already.
-    fn grown_from(&self, mut factor: Factor, members: Vec<Member>, done: usize) -> Set {
+    fn grown_from(&self, mut factor: Factor, members: Vec<Member>, done: usize) -> HypothesisSet {
         for m in &members[done..] {
             push(&mut factor, m);
         }
@@ -391,20 +393,20 @@ impl<'p> Search<'p> {
     }
 
     /// The factor of a set's first `count` members.
-    fn first(&self, set: &Set, count: usize) -> Factor {
+    fn first(&self, set: &HypothesisSet, count: usize) -> Factor {
         let width: usize = set.members[..count].iter().map(Member::width).sum();
         set.factor.first(self.base.factor.len() + width)
     }
 
     /// Log prior of one more member of a family.
-    fn prior(&self, set: &Set, family: usize) -> f64 {
+    fn prior(&self, set: &HypothesisSet, family: usize) -> f64 {
         let again = set.members.iter().filter(|m| m.family == family).count();
         self.family(family).prior - AGAIN * again as f64
     }
 
     /// Coefficients of each member, in its columns' standard deviations.
     #[must_use]
-    pub fn coefficients(&self, set: &Set) -> Vec<Vec<f64>> {
+    pub fn coefficients(&self, set: &HypothesisSet) -> Vec<Vec<f64>> {
         let beta = set.factor.solve();
         let mut at = self.base.factor.len();
         set.members
@@ -419,7 +421,7 @@ impl<'p> Search<'p> {
 
     /// Whether a member that only accompanies waves has its wave.
     /// The wave is in the set or in the model.
-    fn is_accompanied(&self, set: &Set, member: &Member) -> bool {
+    fn is_accompanied(&self, set: &HypothesisSet, member: &Member) -> bool {
         let (Scan::Beside { law, known }, Some(own)) =
             (&self.family(member.family).scan, member.cause.effect())
         else {
@@ -436,12 +438,12 @@ impl<'p> Search<'p> {
 
     /// Whether all effects are within their physical bounds, and no companion is alone.
     #[must_use]
-    pub fn possible(&self, set: &Set) -> bool {
+    pub fn possible(&self, set: &HypothesisSet) -> bool {
         self.impossible(set).is_none()
     }
 
     /// The first member beyond its physical bounds, or a companion that is alone.
-    fn impossible(&self, set: &Set) -> Option<usize> {
+    fn impossible(&self, set: &HypothesisSet) -> Option<usize> {
         let beta = self.coefficients(set);
         set.members.iter().zip(&beta).position(|(m, b)| {
             !self.is_accompanied(set, m)
@@ -454,7 +456,7 @@ impl<'p> Search<'p> {
 
     /// A set without the members that are impossible in it.
     #[must_use]
-    pub fn possible_part(&self, mut set: Set) -> Set {
+    pub fn possible_part(&self, mut set: HypothesisSet) -> HypothesisSet {
         while let Some(member) = self.impossible(&set) {
             set = self.without(&set, member);
         }
@@ -462,7 +464,7 @@ impl<'p> Search<'p> {
     }
 
     /// Whether a family may join a set.
-    fn may_join(&self, set: &Set, family: usize) -> bool {
+    fn may_join(&self, set: &HypothesisSet, family: usize) -> bool {
         let f = self.family(family);
         if let Some(shape) = f.shape.as_ref().filter(|_| !f.set_up) {
             let same = |m: &&Member| matches!(&m.cause, Cause::Shape(s) if s.0.response == shape.response);
@@ -479,7 +481,7 @@ impl<'p> Search<'p> {
 
     /// Whether a set has the same law with exchanged axes.
     /// It counts where a third law makes the two one.
-    fn is_one_of_two(&self, set: &Set, effect: &Effect) -> bool {
+    fn is_one_of_two(&self, set: &HypothesisSet, effect: &Effect) -> bool {
         let Some(beside) = effect.description().searched.one_beside else { return false };
         let is = |e: &Effect, law: &str| e.description().name == law;
         let other = |e: &Effect| is(e, &effect.description().name) && e.axes().iter().rev().eq(effect.axes());
@@ -490,7 +492,7 @@ impl<'p> Search<'p> {
 
     /// A set without one of its members.
     #[must_use]
-    pub fn without(&self, set: &Set, member: usize) -> Set {
+    pub fn without(&self, set: &HypothesisSet, member: usize) -> HypothesisSet {
         let mut members = set.members.clone();
         let width = members.remove(member).width();
         let from = self.base.factor.len() + set.members[..member].iter().map(Member::width).sum::<usize>();
@@ -499,7 +501,7 @@ impl<'p> Search<'p> {
 
     /// The same set with one of its members moved to the end.
     /// Its non-linear parameters are refined and its level is chosen again, given all others, if that is likelier.
-    fn refined_last(&self, set: &Set, member: usize) -> Set {
+    fn refined_last(&self, set: &HypothesisSet, member: usize) -> HypothesisSet {
         let without = self.without(set, member);
         let mut seed = set.members[member].seed();
         let before = self.weight_at(seed.family, seed.cause.effect());
@@ -511,8 +513,8 @@ impl<'p> Search<'p> {
 
     /// The same set with one of its members moved to the end.
     #[must_use]
-    pub fn of_last(&self, set: &Set, member: usize) -> Set {
-        let Set { mut members, factor, .. } = self.without(set, member);
+    pub fn of_last(&self, set: &HypothesisSet, member: usize) -> HypothesisSet {
+        let HypothesisSet { mut members, factor, .. } = self.without(set, member);
         let done = members.len();
         members.push(set.members[member].clone());
         self.grown_from(factor, members, done)
@@ -522,10 +524,10 @@ impl<'p> Search<'p> {
 /// Converts members of another search into members of these families.
 /// Members that depend on the rows themselves are dropped.
 #[must_use]
-pub fn known_again(families: &Families, members: &[Member]) -> Vec<Member> {
+pub fn known_again(families: &HypothesisFamilies, members: &[Member]) -> Vec<Member> {
     let of = |m: &Member| {
         let effect = m.cause.effect()?;
-        let same = |f: &Family| {
+        let same = |f: &HypothesisFamily| {
             f.replaces == m.replaces && f.effect.as_ref().is_some_and(|e| e.name() == effect.name())
         };
         let mut m = m.clone();

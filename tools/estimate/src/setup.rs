@@ -2,16 +2,16 @@
 //! They are free in every record, never named, never written into a model and never corrected live. Each term
 //! has one function; a new one needs its function and a line in [`TERMS`].
 
-use crate::effort::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::priors::{
     AIR_UM_S, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     TURN_URAD, ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
+use crate::search_limits::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Effect, ParameterSearch};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 
 /// Kind of a set-up term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,7 +43,7 @@ pub enum SetUpKind {
 /// A set-up term.
 /// It has a column and the standard deviation of its coefficient.
 #[derive(Debug, Clone)]
-pub struct Term {
+pub struct SetUpTerm {
     /// Its kind.
     pub what: SetUpKind,
     /// Index of its record; the first if several share it.
@@ -55,14 +55,14 @@ pub struct Term {
 }
 
 /// Makes the terms of one kind.
-type Make = fn(&Rows<'_>, &[Effect], &mut Vec<Term>);
+type Make = fn(&Rows<'_>, &[Effect], &mut Vec<SetUpTerm>);
 
 /// All kinds of terms.
 pub const TERMS: [Make; 9] = [zeros, centres, lines, air, unplaced, turned, after_turns, begins, dithered];
 
 /// The set-up terms of these records.
 #[must_use]
-pub fn terms(rows: &Rows<'_>, model: &[Effect]) -> Vec<Term> {
+pub fn terms(rows: &Rows<'_>, model: &[Effect]) -> Vec<SetUpTerm> {
     let mut out = Vec::new();
     for make in TERMS {
         make(rows, model, &mut out);
@@ -83,7 +83,7 @@ fn errors<'a>(rows: &'a Rows<'_>) -> impl Iterator<Item = &'a Segment> {
     rows.segments.iter().filter(|s| !rows.is_force(s.response))
 }
 
-fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
     let mut shared: Vec<(&str, usize, usize)> = Vec::new();
     for s in errors(rows) {
         let own = column(rows, s, |_| 1.0);
@@ -94,21 +94,21 @@ fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
             }
             shared.push((name, s.response, out.len()));
         }
-        out.push(Term { what: SetUpKind::Zero, record: s.record, column: own, sd: ZERO_UM });
+        out.push(SetUpTerm { what: SetUpKind::Zero, record: s.record, column: own, sd: ZERO_UM });
     }
 }
 
 /// A circle's centre: one lobe per turn.
-fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
     for s in errors(rows) {
         let record = rows.record(s);
         let radial = rows.responses[s.response].axis().is_some_and(|a| a.as_str() == "r");
-        let only = record.responses().count() == 1 && matches!(record.kind, Kind::Probing | Kind::Part);
+        let only = record.responses().count() == 1 && matches!(record.kind, RunKind::Probing | RunKind::Part);
         let Some(angle) = record.data(&Role::Angle).filter(|_| radial || only) else { continue };
         for (what, f) in
             [(SetUpKind::CentreFirst, f64::cos as fn(f64) -> f64), (SetUpKind::CentreSecond, f64::sin)]
         {
-            out.push(Term {
+            out.push(SetUpTerm {
                 what,
                 record: s.record,
                 column: column(rows, s, |i| f(angle[i])),
@@ -122,7 +122,7 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
 /// If no time was written, rows are evenly spaced, and the run may last as long as a creep keeps its
 /// direction.
 fn creeping_s(record: &Record) -> Option<Vec<f64>> {
-    if !matches!(record.kind, Kind::Positioning | Kind::Drift) {
+    if !matches!(record.kind, RunKind::Positioning | RunKind::Drift) {
         return None;
     }
     let t = record.time_s();
@@ -139,19 +139,19 @@ pub(crate) fn longest_creep(hours: &[f64]) -> f64 {
 }
 
 /// Linear drift of air and stand over hours.
-fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
     for s in errors(rows) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
         // Counted from the start, where the gauge was set to zero.
         let hours = column(rows, s, |i| t[i] / 3600.0);
         // A creep does not keep its direction for longer.
         let sd = longest_creep(&hours).min(LINE_UM_PER_H);
-        out.push(Term { what: SetUpKind::Line, record: s.record, column: hours, sd });
+        out.push(SetUpTerm { what: SetUpKind::Line, record: s.record, column: hours, sd });
     }
 }
 
 /// Wander of air and stand in addition to the drift: a mean-reverting walk.
-fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
     for s in errors(rows) {
         let Some(t) = creeping_s(rows.record(s)) else { continue };
         let places = knots(&t, KNOTS);
@@ -159,7 +159,7 @@ fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
         let length = AIR_UM_S.1.max(0.1 * (last - first));
         for d in directions(&places, Kernel::Rough(length), &[vec![1.0; places.len()]], AIR_DIRECTIONS) {
             let at = |i: usize| shares(&places, t[i]).iter().map(|(k, w)| w * d[*k]).sum();
-            out.push(Term {
+            out.push(SetUpTerm {
                 what: SetUpKind::Air,
                 record: s.record,
                 column: column(rows, s, at),
@@ -184,17 +184,17 @@ pub fn pauses(record: &Record) -> Vec<usize> {
 /// Somebody may have touched the stand there. Steps are searched like hypotheses, because they are rare, and
 /// then of any size.
 #[must_use]
-pub fn jumps(rows: &Rows<'_>) -> Vec<Term> {
+pub fn jumps(rows: &Rows<'_>) -> Vec<SetUpTerm> {
     let mut out = Vec::new();
     for s in errors(rows) {
         let record = rows.record(s);
         let pauses = pauses(record);
-        if record.kind == Kind::Ballbar || pauses.len() > MOST_PAUSES {
+        if record.kind == RunKind::Ballbar || pauses.len() > MOST_PAUSES {
             continue;
         }
         for p in pauses {
             let step = column(rows, s, |i| f64::from(u8::from(i > p)));
-            out.push(Term { what: SetUpKind::Jump, record: s.record, column: step, sd: 1.0 });
+            out.push(SetUpTerm { what: SetUpKind::Jump, record: s.record, column: step, sd: 1.0 });
         }
     }
     out
@@ -263,7 +263,7 @@ fn coarse(rows: &Rows<'_>, s: &Segment) -> Option<(f64, Vec<Vec<usize>>)> {
 /// The rounding error shared by rows of one reading.
 /// Repeats do not average it away. It widens intervals; the noise is at least as large ([`floors`]).
 #[must_use]
-pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
+pub fn rounding(rows: &Rows<'_>) -> Vec<SetUpTerm> {
     let mut out = Vec::new();
     for s in errors(rows) {
         let Some((q, groups)) = coarse(rows, s) else { continue };
@@ -272,7 +272,12 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
             for i in group {
                 own[s.rows.start + i] = 1.0;
             }
-            out.push(Term { what: SetUpKind::Rounding, record: s.record, column: own, sd: q / 12f64.sqrt() });
+            out.push(SetUpTerm {
+                what: SetUpKind::Rounding,
+                record: s.record,
+                column: own,
+                sd: q / 12f64.sqrt(),
+            });
         }
     }
     out
@@ -281,7 +286,7 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<Term> {
 /// Rounding error that is left if noise dithers it in part.
 /// Repeats at one position and direction share an error of q/π · exp(−2π²σ²/q²), the first harmonic of the
 /// rounding sawtooth (Widrow 1956).
-fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
     for s in errors(rows) {
         let y = &rows.measured[s.rows.clone()];
         // Noise that dithers shows more numbers than a few.
@@ -311,7 +316,7 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
             for i in g {
                 own[s.rows.start + i] = 1.0;
             }
-            out.push(Term { what: SetUpKind::Rounding, record: s.record, column: own, sd });
+            out.push(SetUpTerm { what: SetUpKind::Rounding, record: s.record, column: own, sd });
         }
     }
 }
@@ -468,7 +473,7 @@ fn elsewhere(record: &Record) -> Vec<Record> {
 }
 
 /// Effects of the model in circles of unknown centre.
-fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
     for effect in model {
         let sizes: Vec<f64> = match effect.description().place(ParameterSearch::Amplitude) {
             Some(i) => vec![effect.scalar(i).abs(); effect.coefficient_count()],
@@ -476,7 +481,7 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
         };
         for (record, column) in unknown_centre_columns(rows, effect, &sizes) {
             // Equal lobes of several effects are merged into one term, whose variance is their sum.
-            let same = |t: &&mut Term| {
+            let same = |t: &&mut SetUpTerm| {
                 t.what == SetUpKind::Unplaced && t.record == record && proportional(&t.column, &column)
             };
             if let Some(t) = out.iter_mut().find(same) {
@@ -484,7 +489,7 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
                 t.sd = t.sd.hypot(by);
                 continue;
             }
-            out.push(Term { what: SetUpKind::Unplaced, record, column, sd: 1.0 });
+            out.push(SetUpTerm { what: SetUpKind::Unplaced, record, column, sd: 1.0 });
         }
     }
 }
@@ -501,7 +506,7 @@ fn proportional(a: &[f64], b: &[f64]) -> bool {
 
 /// Rotation of each plate relative to the mean of all plates.
 /// The mean rotation is part of the contract and stays.
-fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
+fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
     let turns = turns(rows);
     if turns.len() < 2 {
         return;
@@ -518,7 +523,7 @@ fn turned(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<Term>) {
 
 /// Rotation of each plate on the table, µrad.
 #[must_use]
-pub fn turns(rows: &Rows<'_>) -> Vec<Term> {
+pub fn turns(rows: &Rows<'_>) -> Vec<SetUpTerm> {
     let of = |(r, record): (usize, &Record)| {
         let axes: Vec<_> = record.axes(Role::Position).cloned().collect();
         let [a, b] = &axes[..] else { return None };
@@ -531,9 +536,9 @@ pub fn turns(rows: &Rows<'_>) -> Vec<Term> {
                 *x = by * p / 1000.0;
             }
         }
-        Some(Term { what: SetUpKind::Turn, record: r, column: own, sd: TURN_URAD })
+        Some(SetUpTerm { what: SetUpKind::Turn, record: r, column: own, sd: TURN_URAD })
     };
-    rows.records.iter().enumerate().filter(|(_, r)| r.kind == Kind::Plate).filter_map(of).collect()
+    rows.records.iter().enumerate().filter(|(_, r)| r.kind == RunKind::Plate).filter_map(of).collect()
 }
 
 /// First readings after turns whose place the run does not state.
@@ -547,7 +552,7 @@ pub fn first_after_turn(record: &Record, direction: &[f64]) -> Vec<usize> {
 
 /// A spike of the model before the first turn of a record.
 /// The axis's direction before the record is unknown, so a spike may act up to the first turn.
-fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
     for effect in model.iter().filter(|e| e.description().after_turn) {
         let Some(axis) = effect.axes().first() else { continue };
         let values =
@@ -567,7 +572,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
                 let here = if i < until { d[i] * share[s.rows.start + i] } else { 0.0 };
                 here * effect.scalar(um) * (-travel / effect.scalar(length)).exp()
             };
-            out.push(Term {
+            out.push(SetUpTerm {
                 what: SetUpKind::AfterTurn,
                 record: s.record,
                 column: column(rows, s, spike),
@@ -578,7 +583,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
 }
 
 /// First readings after an unstated turn: they contain no spike, or a whole one.
-fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
+fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
     for s in errors(rows) {
         let record = rows.record(s);
         let Some(axis) = rows.responses[s.response].axis() else { continue };
@@ -596,6 +601,6 @@ fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<Term>) {
         let own_um =
             spikes.filter_map(|e| Some(e.scalar(e.description().place(ParameterSearch::Linear)?).abs()));
         let sd = own_um.fold(0.3 * CONTRIBUTION, f64::max);
-        out.push(Term { what: SetUpKind::AfterTurn, record: s.record, column: own, sd });
+        out.push(SetUpTerm { what: SetUpKind::AfterTurn, record: s.record, column: own, sd });
     }
 }

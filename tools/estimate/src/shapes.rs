@@ -2,15 +2,15 @@
 //! Each kind has one function; a new one needs its function and a line in [`SHAPES`].
 
 use crate::cause::Shape;
-use crate::effort::{
+use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
+use crate::rows::{Rows, Segment};
+use crate::search_limits::{
     CHANGING, CREEPS, FEWEST_CYCLES, MOST_PLACES, MOST_SENSORS, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS,
     SHAPE_RANK,
 };
-use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
-use crate::rows::{Rows, Segment};
 use crate::setup::place_of;
 use crate::smooth::{Kernel, directions, knots, shares};
-use crate::wave::Along;
+use crate::wave::WaveVariable;
 use rtec_least_squares::{add, dot};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Role};
@@ -485,7 +485,7 @@ fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
 /// Sizes of a wave that changes along its travel, at all of `n` rows.
 /// Each is a smooth function of the position. However often it bends, it bends as much.
 #[must_use]
-pub fn envelopes(along: &Along, n: usize) -> Vec<Vec<f64>> {
+pub fn envelopes(along: &WaveVariable, n: usize) -> Vec<Vec<f64>> {
     let knots = knots(&along.positions(), KNOTS);
     if knots.len() < 8 {
         return Vec::new();

@@ -2,11 +2,11 @@
 //! It lasts longer than the noise's correlation and does not repeat. The residual's spectrum decides, which
 //! is flat for noise alone (Whittle 1953).
 
-use crate::effort::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
-use crate::problem::Problem;
+use crate::problem::EstimationProblem;
 use crate::rows::{Noise, Rows};
-use crate::setup::{SetUpKind, Term};
+use crate::search_limits::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
+use crate::setup::{SetUpKind, SetUpTerm};
 use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::transformed;
 use realfft::RealFftPlanner;
@@ -27,7 +27,7 @@ pub struct Wander {
 /// The likeliest walk of each response, if it is likelier than none.
 /// It is searched in a whitened residual.
 #[must_use]
-pub fn wanders(problem: &Problem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
+pub fn wanders(problem: &EstimationProblem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
     let rows = problem.rows;
     let mut planner = RealFftPlanner::new();
     let mut out = Vec::new();
@@ -94,7 +94,7 @@ fn frequency(k: usize, half: usize) -> f64 {
 
 /// Columns of a walk; with them nothing else needs to explain it.
 #[must_use]
-pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
+pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<SetUpTerm> {
     let mut out = Vec::new();
     let all: usize = rows.count(wander.response);
     for s in rows.segments.iter().filter(|s| s.response == wander.response) {
@@ -107,7 +107,7 @@ pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<Term> {
             for (i, x) in order.iter().enumerate() {
                 column[s.rows.start + i] = shares(&places, *x).iter().map(|(k, w)| w * d[*k]).sum();
             }
-            out.push(Term { what: SetUpKind::Wander, record: s.record, column, sd: wander.size });
+            out.push(SetUpTerm { what: SetUpKind::Wander, record: s.record, column, sd: wander.size });
         }
     }
     out

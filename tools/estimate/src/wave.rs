@@ -1,14 +1,14 @@
 //! Waves along a variable: the frequencies at which the rows show one.
 
-use crate::effort::{ALONE, FREQUENCY_STEP, LONGEST, PER_PERIOD};
 use crate::priors::ALIKE;
+use crate::search_limits::{ALONE, FREQUENCY_STEP, LONGEST, PER_PERIOD};
 use realfft::{RealFftPlanner, RealToComplex, num_complex::Complex};
 use std::fmt;
 use std::sync::Arc;
 
 /// A variable that a wave may run along, at the rows that show it.
 #[derive(Clone)]
-pub struct Along {
+pub struct WaveVariable {
     /// Row, position, and the share of the wave that the row shows.
     rows: Vec<(usize, f64, f64)>,
     /// Range of frequencies, in turns per unit of position.
@@ -20,20 +20,21 @@ pub struct Along {
     pitch: f64,
     length: usize,
     transform: Arc<dyn RealToComplex<f64>>,
-    /// Factor of each frequency's sums: linear spreading over the grid damps short periods.
+    /// Factor of each frequency's sums.
+    /// Linear spreading over the grid damps short periods.
     undamped: Vec<f64>,
     /// Products of cosine and sine at each frequency, without their means.
     /// They are of cosine with itself, of sine with itself, and of both.
     products: Vec<[f64; 3]>,
 }
 
-impl fmt::Debug for Along {
+impl fmt::Debug for WaveVariable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "a wave over {} rows, {:?} turns", self.rows.len(), self.range)
     }
 }
 
-impl Along {
+impl WaveVariable {
     /// A variable with these positions; `None` if nothing moves or no period fits.
     #[must_use]
     pub fn new(rows: Vec<(usize, f64, f64)>, [lowest, highest]: [f64; 2]) -> Option<Self> {

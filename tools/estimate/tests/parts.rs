@@ -2,32 +2,32 @@
 //!
 //! For tests beside the code Cargo compiles all of it a second time, which takes far longer than they run.
 
-use rtec_estimate::family::Families;
-use rtec_estimate::problem::Problem;
+use rtec_estimate::hypothesis_family::HypothesisFamilies;
+use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Rows, needs_place};
 use rtec_estimate::search::{Member, Search};
 use rtec_estimate::setup::step_of;
 use rtec_estimate::smooth::{Kernel, directions, knots};
-use rtec_estimate::wave::Along;
+use rtec_estimate::wave::WaveVariable;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::Dictionary;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 
 #[test]
 fn finds_a_period_between_uneven_places() {
     let places: Vec<f64> = (0..200).map(|i| f64::from(i) * 2.0 + f64::from(i * i % 17) * 0.1).collect();
     let residual: Vec<f64> = places.iter().map(|p| (std::f64::consts::TAU * p / 7.3 + 0.4).sin()).collect();
     let rows = places.iter().enumerate().map(|(i, p)| (i, *p, 1.0)).collect();
-    let along = Along::new(rows, [1.0 / 60.0, 2.0]).unwrap();
+    let along = WaveVariable::new(rows, [1.0 / 60.0, 2.0]).unwrap();
     let best = along.peaks(&residual, 3)[0];
     assert!((1.0 / best - 7.3).abs() < 0.1, "{}", 1.0 / best);
     assert!(along.alike(best).is_empty());
     let grid = (0..60).map(|i| (i, 4.0 * (i % 20) as f64, 1.0)).collect();
-    let alike = Along::new(grid, [1.0 / 60.0, 1.0]).unwrap().alike(0.1);
+    let alike = WaveVariable::new(grid, [1.0 / 60.0, 1.0]).unwrap().alike(0.1);
     for f in [0.15, 0.35, 0.4, 0.6] {
         assert!(alike.iter().any(|a| (a - f).abs() < 0.002), "{f}: {alike:?}");
     }
-    assert!(Along::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
+    assert!(WaveVariable::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
 }
 
 /// The products that follow from R equal those computed directly.
@@ -48,10 +48,10 @@ fn the_look_beside_a_set_is_that_beside_its_factor() {
         column("T2", Role::Temperature, &|i| 20.0 + 0.9 * warm(i) + 0.001 * (i / 9.0).cos()),
         column("e", Role::Error(Axis::new("z").unwrap()), &|i| 30.0 * warm(i) + 0.05 * (i * 1.7).sin()),
     ];
-    let records = [Record::new(std::path::Path::new("r.run.toml"), Kind::Drift, columns).unwrap()];
+    let records = [Record::new(std::path::Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()];
     let rows = Rows::new(&records);
-    let problem = Problem::new(&rows, &[], &[]);
-    let mut families = Families::new(&rows, &Dictionary::default(), &[]);
+    let problem = EstimationProblem::new(&rows, &[], &[]);
+    let mut families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
     let mut noise = problem.first_noise();
     (noise.sigma, noise.phi) = (vec![0.05], vec![0.0]);
     families.bank.whiten(&rows, &noise);
@@ -86,12 +86,12 @@ fn only_what_is_impossible_leaves_a_set() {
             column("e_x", error("x"), &|i| um_per_k[0] * warm(i) + 0.05 * (i * 1.7).sin()),
             column("e_z", error("z"), &|i| um_per_k[1] * warm(i) + 0.05 * (i * 2.3).sin()),
         ];
-        [Record::new(std::path::Path::new("r.run.toml"), Kind::Drift, columns).unwrap()]
+        [Record::new(std::path::Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()]
     };
     let searched = |records: &[Record], then: &dyn Fn(&Search<'_>) -> Vec<Member>| {
         let rows = Rows::new(records);
-        let problem = Problem::new(&rows, &[], &[]);
-        let mut families = Families::new(&rows, &Dictionary::default(), &[]);
+        let problem = EstimationProblem::new(&rows, &[], &[]);
+        let mut families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
         let mut noise = problem.first_noise();
         (noise.sigma, noise.phi) = (vec![0.05; 2], vec![0.0; 2]);
         families.bank.whiten(&rows, &noise);
@@ -160,12 +160,12 @@ fn a_circle_of_unknown_centre_shows_all_that_needs_no_place() {
         Column::new(name, Role::parse(role).unwrap(), (0..700).map(|i| wave(f64::from(i))).collect())
     };
     let record =
-        Record::new(std::path::Path::new("b.run.toml"), Kind::Ballbar, columns.map(of).to_vec()).unwrap();
+        Record::new(std::path::Path::new("b.run.toml"), RunKind::Ballbar, columns.map(of).to_vec()).unwrap();
     let names = |centre_mm| {
         let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
         let records = [record.clone().with_circle(Circle { radius_mm: 100.0, plane, centre_mm }).unwrap()];
         let rows = Rows::new(&records);
-        let families = Families::new(&rows, &Dictionary::default(), &[]);
+        let families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
         let effects = families.list.into_iter().filter_map(|f| f.effect);
         effects.filter(|e| !needs_place(e)).map(|e| e.name()).collect::<Vec<_>>()
     };
@@ -189,7 +189,7 @@ fn constants_are_few_and_each_says_what_it_is() {
 }
 
 /// No other file names a number.
-/// Numbers that decide are here, limits of the work are in `effort.rs`.
+/// Numbers that decide are here, limits of the work are in `search_limits.rs`.
 #[test]
 fn no_other_file_has_a_constant() {
     let mut left = vec![std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];
@@ -206,7 +206,7 @@ fn no_other_file_has_a_constant() {
                 let of = of.trim_start_matches(['[', '(']);
                 of.starts_with("f64") || of.starts_with("usize")
             });
-            let own = ["priors.rs", "effort.rs"].contains(&&*name);
+            let own = ["priors.rs", "search_limits.rs"].contains(&&*name);
             assert!(own || number.is_none(), "{name}: {line}");
         }
     }

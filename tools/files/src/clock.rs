@@ -140,7 +140,7 @@ fn clock_of_24_hours(text: &str) -> Option<String> {
 /// A column of dates or of times of the day: nanoseconds since its first row.
 /// Times of the day continue past midnight.
 #[derive(Debug, Default)]
-pub struct Moments {
+pub struct ClockColumn {
     /// The first row's time as written, and in both readings of [`absolute_ns`].
     /// A reading is dropped when a row rules it out.
     start: Option<([Option<i128>; 2], String)>,
@@ -149,7 +149,7 @@ pub struct Moments {
     order: Option<SlashOrder>,
 }
 
-impl Moments {
+impl ClockColumn {
     /// A column whose dates have this order of day and month.
     pub fn of_order(order: Option<SlashOrder>) -> Self {
         Self { order, ..Self::default() }
@@ -206,7 +206,7 @@ impl Moments {
 
     /// Nanoseconds since 1970-01-01 UTC of a date.
     /// For a time of the day: since midnight before the first row.
-    /// `None` as in [`Moments::since_start`], and if the first row's day has two readings.
+    /// `None` as in [`ClockColumn::since_start`], and if the first row's day has two readings.
     pub fn absolute(&mut self, text: &str) -> Option<i128> {
         let since = self.since_start(text)?;
         let (start, _) = self.start.as_ref()?;
@@ -337,7 +337,7 @@ const SPREADSHEET_ZERO_D: f64 = 25_569.0;
 
 /// A time counted from a zero long before the run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Counted {
+pub struct EpochTime {
     /// The unit that it is counted in.
     pub unit: &'static str,
     /// The kind of clock that counts like this.
@@ -349,30 +349,30 @@ pub struct Counted {
 /// Recognises a time counted from a zero long before the run.
 /// It is a Unix time between 2000 and 2100 in any unit, or Windows' FILETIME of those years. It may also be
 /// seconds since 1904 if the same number as a Unix time is still in the future. `None` for any other number.
-pub fn counted(time: f64) -> Option<Counted> {
+pub fn counted(time: f64) -> Option<EpochTime> {
     let Some((unit, day)) = unix(time) else { return filetime(time) };
     let since_1904 = time - SINCE_1904_S;
     let is_to_come = date::parse(&day)? > date::today() + 1;
     if unit == "s" && is_to_come && since_1904 >= UNIX_S[0] {
         let day = date::format((since_1904 / 86_400.0).floor() as i64);
-        return Some(Counted { unit, what: "seconds since 1904", day });
+        return Some(EpochTime { unit, what: "seconds since 1904", day });
     }
-    Some(Counted { unit, what: "Unix time", day })
+    Some(EpochTime { unit, what: "Unix time", day })
 }
 
 /// Windows' FILETIME between 2000 and 2100: steps of 100 ns since 1601.
-pub fn filetime(time: f64) -> Option<Counted> {
+pub fn filetime(time: f64) -> Option<EpochTime> {
     let unix_s = time / FILETIME_PER_S - FILETIME_ZERO_S;
     let day = || date::format((unix_s / 86_400.0).floor() as i64);
     let is_date = (UNIX_S[0]..UNIX_S[1]).contains(&unix_s);
-    is_date.then(|| Counted { unit: "100ns", what: "Windows FILETIME", day: day() })
+    is_date.then(|| EpochTime { unit: "100ns", what: "Windows FILETIME", day: day() })
 }
 
 /// A spreadsheet's date between 2000 and 2100: days since 1899-12-30.
-pub fn spreadsheet(time_d: f64) -> Option<Counted> {
+pub fn spreadsheet(time_d: f64) -> Option<EpochTime> {
     let is_date = (SPREADSHEET_D[0]..SPREADSHEET_D[1]).contains(&time_d);
     let day = || date::format((time_d - SPREADSHEET_ZERO_D).floor() as i64);
-    is_date.then(|| Counted { unit: "d", what: "a spreadsheet's date", day: day() })
+    is_date.then(|| EpochTime { unit: "d", what: "a spreadsheet's date", day: day() })
 }
 
 /// The day of times in seconds that are really dates of a spreadsheet.
@@ -486,7 +486,7 @@ mod tests {
     #[test]
     fn slashes_are_read_where_one_reading_is_left() {
         let seconds = |texts: &[&str]| {
-            let mut moments = Moments::default();
+            let mut moments = ClockColumn::default();
             let read = texts.iter().map(|t| moments.since_start(t).map(|ns| ns / 1_000_000_000)).collect();
             (read, moments.first_day())
         };
@@ -504,7 +504,7 @@ mod tests {
         }
         // The whole column decides the reading that its first days leave open.
         let column = ["08/11/2022 10:00:00", "08/12/2022 10:00:00", "08/13/2022 10:00:00"];
-        let mut moments = Moments::of_order(slash_order(column));
+        let mut moments = ClockColumn::of_order(slash_order(column));
         let days: Vec<_> = column.iter().map(|t| moments.since_start(t).map(|ns| ns / DAY_NS)).collect();
         assert_eq!(days, [Some(0), Some(1), Some(2)]);
         assert_eq!(slash_order(["08/11/2022 10:00:00", "08/12/2022 10:00:00"]), None);

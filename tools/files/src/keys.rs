@@ -15,7 +15,7 @@ pub struct Key {
     /// The key's name, with its unit.
     pub name: &'static str,
     /// The values that it takes.
-    pub takes: Takes,
+    pub takes: AcceptedValue,
     /// The unit of its value; empty if it has none.
     pub unit: &'static str,
     /// The default; [`REQUIRED`] if the key is required.
@@ -46,14 +46,14 @@ pub const REQUIRED: &str = "required";
 
 /// The values that a key takes.
 #[derive(Debug, Clone, Copy)]
-pub enum Takes {
+pub enum AcceptedValue {
     /// Text that is not empty.
     Text,
     /// One line of text that can be shown, at most 256 bytes.
     Line,
     /// A name that can be shown and typed, at most 64 characters.
     Name,
-    /// A [`Takes::Name`] without blanks.
+    /// A [`AcceptedValue::Name`] without blanks.
     Word,
     /// `true` or `false`.
     Flag,
@@ -69,7 +69,7 @@ pub enum Takes {
     Own(&'static str),
 }
 
-impl Display for Takes {
+impl Display for AcceptedValue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Text | Self::Line => f.write_str("text"),
@@ -136,7 +136,7 @@ impl SourceFile<'_> {
 
 /// A value and its place in the text.
 #[derive(Debug, Clone, Copy)]
-pub struct At<T> {
+pub struct LocatedValue<T> {
     /// The value, checked.
     pub value: T,
     /// Where the value begins in the text, bytes from the start.
@@ -216,10 +216,10 @@ impl<'a> Section<'a> {
         key: &'static str,
         expected: impl Display,
         parse: impl FnOnce(Entry<'a>) -> Option<T>,
-    ) -> Option<At<T>> {
+    ) -> Option<LocatedValue<T>> {
         let entry = self.take(key)?;
         let parsed = parse(entry).ok_or_else(|| entry.mismatch(format!("{key} = {expected}")));
-        source.keep(parsed).map(|value| At { value, offset: entry.offset() })
+        source.keep(parsed).map(|value| LocatedValue { value, offset: entry.offset() })
     }
 
     /// One of several words. Messages show only the first `offered` of them.
@@ -229,7 +229,7 @@ impl<'a> Section<'a> {
         key: &'static str,
         offered: usize,
         choices: &[(&str, T)],
-    ) -> Option<At<T>> {
+    ) -> Option<LocatedValue<T>> {
         let names: Vec<&str> = choices.iter().map(|(name, _)| *name).take(offered).collect();
         let mut expected = quoted(&names);
         if let Some(word) = self.table.and_then(|t| t.get(key)?.as_str())
@@ -272,7 +272,7 @@ impl<'a> Section<'a> {
     pub fn missing(&self, source: &mut SourceFile<'_>, name: &str) {
         let key = self.declared(name);
         let mut meaning = key.in_words();
-        if let Takes::Choice(words) = key.takes {
+        if let AcceptedValue::Choice(words) = key.takes {
             meaning = format!("{meaning}: {}", quoted(words));
         } else if !key.unit.is_empty() {
             meaning = format!("{meaning}, {}", key.unit);
@@ -293,15 +293,15 @@ impl<'a> Section<'a> {
     }
 
     /// The text of a declared key.
-    pub fn text(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<&'a str>> {
+    pub fn text(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<LocatedValue<&'a str>> {
         let key = self.declared(name);
         let expected = format!("text in quotes: {}", key.in_words());
         let at = self.value(source, name, expected, |v| v.as_str().filter(|s| !s.trim().is_empty()));
         let at = self.checked(source, &key, at)?;
         let bad = match key.takes {
-            Takes::Name => bad_name(name, at.value, false),
-            Takes::Word => bad_name(name, at.value, true),
-            Takes::Line => bad_line(name, at.value),
+            AcceptedValue::Name => bad_name(name, at.value, false),
+            AcceptedValue::Word => bad_name(name, at.value, true),
+            AcceptedValue::Line => bad_line(name, at.value),
             _ => None,
         };
         let Some((found, expected)) = bad else { return Some(at) };
@@ -315,9 +315,9 @@ impl<'a> Section<'a> {
     }
 
     /// The whole number of a declared key.
-    pub fn whole(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<i64>> {
+    pub fn whole(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<LocatedValue<i64>> {
         let key = self.declared(name);
-        let Takes::Whole(low, high) = key.takes else { unreachable!("{name} takes no whole number") };
+        let AcceptedValue::Whole(low, high) = key.takes else { unreachable!("{name} takes no whole number") };
         let mut expected = format!("a whole number from {low} to {high}");
         let hex = |word: &str| i64::from_str_radix(word.strip_prefix("0x")?, 16).ok();
         if let Some(word) = self.table.and_then(|t| t.get(name)?.as_str())
@@ -331,9 +331,9 @@ impl<'a> Section<'a> {
     }
 
     /// The number of a declared key.
-    pub fn number(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<f64>> {
+    pub fn number(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<LocatedValue<f64>> {
         let key = self.declared(name);
-        let Takes::Number(low, high) = key.takes else { unreachable!("{name} takes no number") };
+        let AcceptedValue::Number(low, high) = key.takes else { unreachable!("{name} takes no number") };
         let value = self.value(source, name, format!("a number from {low} to {high}"), |v| {
             v.as_number().filter(|n| (low..=high).contains(n))
         });
@@ -341,9 +341,13 @@ impl<'a> Section<'a> {
     }
 
     /// The two numbers of a declared key.
-    pub fn range(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<At<[f64; 2]>> {
+    pub fn range(
+        &mut self,
+        source: &mut SourceFile<'_>,
+        name: &'static str,
+    ) -> Option<LocatedValue<[f64; 2]>> {
         let key = self.declared(name);
-        let Takes::Range(limit) = key.takes else { unreachable!("{name} takes no range") };
+        let AcceptedValue::Range(limit) = key.takes else { unreachable!("{name} takes no range") };
         self.value(source, name, format!("[lowest, highest] within ±{limit:e}"), |v| {
             v.pair("").ok().filter(|ends| ends.iter().all(|end| end.abs() <= limit))
         })
@@ -355,9 +359,9 @@ impl<'a> Section<'a> {
         source: &mut SourceFile<'_>,
         name: &'static str,
         values: &[T],
-    ) -> Option<At<T>> {
+    ) -> Option<LocatedValue<T>> {
         let key = self.declared(name);
-        let Takes::Choice(words) = key.takes else { unreachable!("{name} takes no word of a list") };
+        let AcceptedValue::Choice(words) = key.takes else { unreachable!("{name} takes no word of a list") };
         let choices: Vec<_> = words.iter().copied().zip(values.iter().copied()).collect();
         let value = self.choice(source, name, choices.len(), &choices);
         self.checked(source, &key, value)
@@ -416,7 +420,7 @@ fn bad_line(key: &str, text: &str) -> Option<(String, &'static str)> {
 
 #[cfg(test)]
 mod tests {
-    use super::Takes::*;
+    use super::AcceptedValue::*;
     use super::*;
 
     #[test]

@@ -13,6 +13,7 @@ pub mod csv; // CSV: rows of cells with their places, columns by name
 pub mod date; // calendar days
 mod decimal; // numbers, parsed
 pub mod file_kind; // the kind of a file that was given in place of another
+pub mod format_stamp; // the format and the writer in each written file
 pub mod input_error; // the error type for a file that a person wrote; messages about input that is accepted
 pub mod keys; // one table of keys per section of a TOML file, to read, check and document it
 mod lines; // a file line by line through one buffer
@@ -20,7 +21,6 @@ pub mod message_text; // text of messages: the word that was probably meant, pri
 mod numbers; // the format of a column's numbers: decimal point or comma, thousands
 pub mod position_record; // the quadrature trace that a scale gives along measured positions
 mod sheet; // a CSV whose columns are known, read whole
-pub mod stamp; // the format and the writer in each written file
 pub mod text; // a text file read whole: UTF-8 or UTF-16, without its byte-order mark
 pub mod toml; // strict reading of TOML: the first finding, or all of them
 pub mod trace; // recorded quadrature, as CSV and VCD, and requested totals
@@ -29,7 +29,7 @@ pub mod untrusted_folder; // a folder that other users may write to: no link in 
 mod vcd; // the VCD half of `trace`
 pub mod write; // files that appear whole or not at all
 
-pub use input_error::{InputError, Result, Said};
+pub use input_error::{InputError, InputMessage, Result};
 pub use message_text::nearest;
-pub use numbers::{Numbers, TableMarks};
+pub use numbers::{DecimalMarks, TableMarks};
 pub use sheet::{Columns, Sheet};

@@ -18,7 +18,7 @@ const BLANKS: [char; 6] = [' ', '\u{a0}', '\u{2009}', '\u{202f}', '\'', '\u{2019
 
 /// The decimal marks that a table's cells show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Numbers {
+pub struct DecimalMarks {
     /// The mark that this column's cells show.
     column: Option<char>,
     /// The mark that any cell of the table shows.
@@ -31,9 +31,9 @@ pub struct Numbers {
     is_grouped: bool,
 }
 
-impl Numbers {
+impl DecimalMarks {
     /// The format of a column of these cells.
-    /// `table` is what [`Numbers::mark_of`] finds among all cells, `by` the separator of cells.
+    /// `table` is what [`DecimalMarks::mark_of`] finds among all cells, `by` the separator of cells.
     pub fn of<'t>(column: impl IntoIterator<Item = &'t str> + Clone, table: Option<char>, by: char) -> Self {
         let is_grouped = column.clone().into_iter().any(shows_thousands);
         Self { is_grouped, ..Self::shown(Self::mark_of(column), table, by) }
@@ -211,9 +211,9 @@ impl TableMarks {
     }
 
     /// The number format of a column; `place` is the column's index, from 0.
-    pub fn numbers(&self, place: usize) -> Numbers {
-        let shown = Numbers::shown(self.columns.get(place).copied().flatten(), self.table, self.by);
-        Numbers { is_grouped: self.is_grouped, ..shown }
+    pub fn numbers(&self, place: usize) -> DecimalMarks {
+        let shown = DecimalMarks::shown(self.columns.get(place).copied().flatten(), self.table, self.by);
+        DecimalMarks { is_grouped: self.is_grouped, ..shown }
     }
 
     /// The style for further columns of the same table.
@@ -408,7 +408,8 @@ mod tests {
             (&["1.234.567", "12.34.5"], ';', &[Some(1_234_567.0), None]),
             (&["", "nan", "#N/A", "--1", "1e999", "."], ',', &[None, None, None, None, None, None]),
         ] {
-            let numbers = Numbers::of(column.iter().copied(), Numbers::mark_of(column.iter().copied()), by);
+            let numbers =
+                DecimalMarks::of(column.iter().copied(), DecimalMarks::mark_of(column.iter().copied()), by);
             let read: Vec<Option<f64>> = column.iter().map(|c| numbers.parse(c)).collect();
             assert_eq!(read, wants, "{column:?}");
         }
@@ -460,7 +461,7 @@ mod tests {
             for table in [None, Some('.'), Some(',')] {
                 for by in [';', ','] {
                     let text = format!("-1{blank}234{blank}567");
-                    let numbers = Numbers::of([text.as_str()], table, by);
+                    let numbers = DecimalMarks::of([text.as_str()], table, by);
                     assert_eq!(numbers.parse(&text), Some(-1_234_567.0), "{blank:?} {table:?} {by}");
                 }
             }
@@ -471,13 +472,13 @@ mod tests {
             ("123,45,678", None),
             ("1,00,00", None),
         ] {
-            assert_eq!(Numbers::of([text], Some('.'), ',').parse(text), right, "{text}");
+            assert_eq!(DecimalMarks::of([text], Some('.'), ',').parse(text), right, "{text}");
         }
     }
 
     #[test]
     fn lone_thousands_beside_decimal_commas_have_two_readings() {
-        let numbers = Numbers::of(["1.000"], Some(','), ';');
+        let numbers = DecimalMarks::of(["1.000"], Some(','), ';');
         assert_eq!(numbers.parse("1.000"), None);
         assert!(numbers.expected("1.000").contains("may part thousands"));
     }

@@ -16,35 +16,41 @@ pub const LENGTHS: [(&str, f64); 5] = [("m", 1e6), ("mm", 1e3), ("um", 1.0), ("n
 /// Units of a time, and ns of each.
 pub const TIMES: [(&str, f64); 5] = [("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0), ("d", 86_400e9)];
 
-/// A position record (CSV: a time and a position column), and the scale that follows it.
+/// A position record, and the scale that follows it.
+/// The record is a CSV with a time and a position column.
 #[derive(Debug, Clone)]
 pub struct PositionRecord {
     /// The file.
     pub file: PathBuf,
     /// What one count is worth, µm.
     pub count_um: f64,
-    /// The position column, by its name or number from 1; none: the one whose name begins with "position".
+    /// The position column, by its name or number from 1.
+    /// None: the one whose name begins with "position".
     pub position_column: Option<String>,
-    /// The time column, by its name or number from 1; none: `t_s`, `t_ms`, `t_us` or `t_ns`.
+    /// The time column, by its name or number from 1.
+    /// None: `t_s`, `t_ms`, `t_us` or `t_ns`.
     pub time_column: Option<String>,
     /// The time's unit, of [`TIMES`]; none: that of the column's name, else s.
     pub time_unit: Option<String>,
     /// The position's unit, of [`LENGTHS`]; none: that of the column's name, else m.
     pub unit: Option<String>,
-    /// Way back, in counts, before a count edge is undone, as in a scale's interpolator.
+    /// Way back before a count edge is undone, counts.
+    /// A scale's interpolator has it.
     pub hysteresis_counts: f64,
-    /// Bits of a counter that begins again at zero; 0: it is none; none: found in the record.
+    /// Bits of a counter that begins again at zero; 0 for none.
+    /// None: found in the record.
     pub counter_bits: Option<u32>,
     /// A record whose trace would have more edges is refused.
     pub most_edges: u64,
 }
 
 impl PositionRecord {
-    /// Gives the first point and each edge of the trace, and says what is unusual in the record.
+    /// Gives the first point and each edge of the trace.
+    /// It says what is unusual in the record.
     ///
     /// # Errors
-    /// A file that cannot be read, a cell that is no number, times that do not rise, too many edges, a motion of
-    /// more than one count a nanosecond; or what `edge` returns.
+    /// A file that cannot be read, a cell that is no number, times that do not rise, too many edges. A motion of
+    /// more than one count a nanosecond. What `edge` returns.
     pub fn trace<E: From<InputError>>(
         &self,
         say: &mut dyn FnMut(&str),
@@ -106,7 +112,8 @@ impl PositionRecord {
         Ok(bits)
     }
 
-    /// Travel of the rows with a counter of so many bits; `see` gets each row's time, counts and line.
+    /// Travel of the rows with a counter of so many bits.
+    /// `see` gets each row's time, counts and line.
     fn read(&self, bits: u32, see: &mut dyn FnMut(u64, f64, usize)) -> Result<Travel, InputError> {
         let (mut rows, mut travel) = (PositionRows::open(self, bits)?, Travel::default());
         while let Some((t_ns, counts)) = rows.next()? {

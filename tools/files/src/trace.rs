@@ -8,12 +8,12 @@
 //! Other programs use other names, and times in seconds: [`Columns`] assigns them. If a table has other
 //! columns too, rows in which neither a nor b changes belong to those, and are skipped.
 
-use crate::clock::{self, Moments};
+use crate::clock::{self, ClockColumn};
 use crate::csv::{self, Cell, Header};
 use crate::file_kind::FileKind;
 use crate::input_error::InputError;
 use crate::lines::BUFFER;
-use crate::numbers::{Numbers, TableMarks};
+use crate::numbers::{DecimalMarks, TableMarks};
 use crate::sheet::Columns;
 use crate::text::{open_regular, opened};
 use crate::units;
@@ -92,9 +92,9 @@ struct Table<const N: usize> {
     /// `columns` are the columns that are read for that.
     file: Option<PathBuf>,
     columns: Vec<String>,
-    numbers: Option<[Numbers; N]>,
+    numbers: Option<[DecimalMarks; N]>,
     /// State for times that are dates or times of the day.
-    moments: Moments,
+    moments: ClockColumn,
     /// Whether no time has been read yet.
     at_start: bool,
     /// The zero of the times, ns.
@@ -152,7 +152,7 @@ impl<const N: usize> Table<N> {
             let found = format!("the column {time} as {}", TIMES[shift / 3].0);
             return Err(header.finding(found, format!("its own unit: {option} {name}={time}")));
         }
-        let (file, moments) = (file.map(Path::to_owned), Moments::default());
+        let (file, moments) = (file.map(Path::to_owned), ClockColumn::default());
         let columns = wanted.to_vec();
         Ok(Self {
             header,
@@ -247,13 +247,14 @@ impl<const N: usize> Table<N> {
 
     /// The number formats of the columns.
     /// All cells decide, if the file can be read twice.
-    fn find_numbers(&mut self, by: char) -> Result<[Numbers; N], InputError> {
+    fn find_numbers(&mut self, by: char) -> Result<[DecimalMarks; N], InputError> {
         let columns: Vec<&str> = self.columns.iter().map(String::as_str).collect();
         let marks = match self.file.as_deref() {
             Some(file) => TableMarks::find(file, &mut open_regular(file)?, &columns)?,
             None => None,
         };
-        let of = |place| marks.as_ref().map_or(Numbers::shown(None, None, by), |marks| marks.numbers(place));
+        let of =
+            |place| marks.as_ref().map_or(DecimalMarks::shown(None, None, by), |marks| marks.numbers(place));
         Ok(*self.numbers.insert(self.places.map(of)))
     }
 }

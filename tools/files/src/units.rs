@@ -101,7 +101,7 @@ pub fn restated(name: &str, unit: &str) -> String {
 
 /// A unit in a column's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Stated<'n> {
+pub struct ColumnUnit<'n> {
     /// In the program's spelling, if it is known.
     pub unit: &'n str,
     /// Whether it is in brackets, which hold nothing but a unit.
@@ -112,7 +112,7 @@ pub struct Stated<'n> {
 
 /// Finds the unit in a name.
 /// It is in brackets at the end, or after a blank, a `/` or the last `_`.
-pub fn stated(name: &str) -> Option<Stated<'_>> {
+pub fn stated(name: &str) -> Option<ColumnUnit<'_>> {
     let name = name.trim();
     let open = match name.chars().next_back()? {
         ']' => name.rfind('['),
@@ -125,13 +125,17 @@ pub fn stated(name: &str) -> Option<Stated<'_>> {
             && !inside.contains(char::is_whitespace)
             && !inside.starts_with(|c: char| c.is_ascii_digit() && inside.len() == 1)
             && !inside.contains([':', ',', '#', '(', '[']);
-        return is_word.then(|| Stated { unit: plain(inside), in_brackets: true, name: name[..open].trim() });
+        return is_word.then(|| ColumnUnit {
+            unit: plain(inside),
+            in_brackets: true,
+            name: name[..open].trim(),
+        });
     }
     // After a blank a letter or a digit distinguishes columns: `T C`, `Probe 1`.
     let is_word = |unit: &str| unit.chars().nth(1).is_some() && !unit.ends_with(|c: char| c.is_ascii_digit());
     let behind_blank = name.rsplit_once(char::is_whitespace).filter(|(_, unit)| is_word(unit));
     let (name, unit) = behind_blank.or_else(|| name.split_once('/')).or_else(|| name.rsplit_once('_'))?;
-    Some(Stated { unit: plain(unit.trim()), in_brackets: false, name: name.trim_end_matches('/').trim() })
+    Some(ColumnUnit { unit: plain(unit.trim()), in_brackets: false, name: name.trim_end_matches('/').trim() })
 }
 
 #[cfg(test)]

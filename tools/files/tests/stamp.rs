@@ -1,6 +1,6 @@
 //! A program that states its commit. It does so once: a process of its own.
 
-use rtec_files::stamp::{built_from, by, signed};
+use rtec_files::format_stamp::{built_from, by, signed};
 
 #[test]
 fn documents_name_the_commit() {

@@ -2,7 +2,7 @@
 //! Prints the times and asserts nothing: `cargo bench -p rtec-fit`.
 
 use rtec_fit::thermal::{self, Options};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
@@ -51,7 +51,7 @@ fn log(rows: usize, sensors: usize) -> Record {
         unit: "um".into(),
         data: (0..rows).map(|i| 1.3 * warm(i, 320.0) + 0.1 * (i as f64 * 1.7).sin()).collect(),
     });
-    Record::new(Path::new("log.run.toml"), Kind::Drift, columns).expect("a sound record")
+    Record::new(Path::new("log.run.toml"), RunKind::Drift, columns).expect("a sound record")
 }
 
 fn main() {

@@ -1,6 +1,6 @@
 //! Which of three sensors does a spindle's growth follow, and with what lag?
 use rtec_fit::thermal::{self, Options};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 #[cfg_attr(test, test)]
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let degc = minutes().map(|t| 20.0 + share * heat_k(t) + wobble(t, k)).collect();
         columns.push(Column::new(name, Role::Temperature, degc));
     }
-    let run = Record::new(Path::new("warm_up.run.toml"), Kind::Drift, columns)?;
+    let run = Record::new(Path::new("warm_up.run.toml"), RunKind::Drift, columns)?;
     let (_, reports) = thermal::fit(&[&run], &[], &Options::default())?;
     println!("{:#?}", reports[0].effects);
     assert_eq!(reports[0].effects[1].sensor.as_deref(), Some("bearing"));

@@ -5,7 +5,7 @@
 //! their coefficients; the rest of the chain stays fixed. The error is linear in the coefficients except for
 //! products of two small quantities. A second pass includes those.
 
-use crate::least::{FittedValue, Problem, unread};
+use crate::linear_least_squares::{FittedValue, LinearProblem, unread};
 use rtec_files::InputError;
 use rtec_model::chain::{COMPONENTS, Chain};
 use rtec_model::record::{Record, Role};
@@ -18,7 +18,7 @@ const SEEN_UM: f64 = 1e-4;
 
 /// One fitted coefficient of a chain's component.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TermFound {
+pub struct FittedChainTerm {
     /// Name of the joint.
     pub joint: String,
     /// The component, as `dx`.
@@ -38,7 +38,7 @@ pub struct TermFound {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChainReport {
     /// The fitted coefficients.
-    pub terms: Vec<TermFound>,
+    pub terms: Vec<FittedChainTerm>,
     /// RMS per record and response, before and after, µm.
     /// Each response's own zero is subtracted.
     pub rms_um: Vec<(PathBuf, String, [f64; 2])>,
@@ -80,10 +80,10 @@ pub struct ChainRun<'r> {
 }
 
 /// Indices of a coefficient: joint, component, term.
-type Place = [usize; 3];
+type CoefficientIndex = [usize; 3];
 
 /// The places of the components named `JOINT.COMPONENT`.
-fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError> {
+fn places(chain: &Chain, components: &[String]) -> Result<Vec<CoefficientIndex>, InputError> {
     let mut found = Vec::new();
     for text in components {
         let usage =
@@ -115,7 +115,7 @@ fn places(chain: &Chain, components: &[String]) -> Result<Vec<Place>, InputError
 }
 
 /// The error for records that do not determine a coefficient.
-fn not_determined(chain: &Chain, [j, c, t]: Place) -> InputError {
+fn not_determined(chain: &Chain, [j, c, t]: CoefficientIndex) -> InputError {
     let joint = &chain.joints[j];
     let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
     let name = format!("{}.{}", joint.name, COMPONENTS[component.kind]);
@@ -147,10 +147,10 @@ pub fn fit(
 ) -> Result<(Chain, ChainReport), InputError> {
     let places = places(chain, components)?;
     let mut now = chain.clone();
-    let set = |chain: &mut Chain, [j, c, t]: Place, v: f64| {
+    let set = |chain: &mut Chain, [j, c, t]: CoefficientIndex, v: f64| {
         chain.joints[j].components[c].terms[t].coefficient = v;
     };
-    let get = |chain: &Chain, [j, c, t]: Place| chain.joints[j].components[c].terms[t].coefficient;
+    let get = |chain: &Chain, [j, c, t]: CoefficientIndex| chain.joints[j].components[c].terms[t].coefficient;
     let says = |chain: &Chain, run: &ChainRun<'_>, role: &Role| {
         let mut out = vec![0.0; run.record.rows()];
         let mut chain = chain.clone();
@@ -184,7 +184,7 @@ pub fn fit(
     let (mut found, mut warnings): (Vec<FittedValue>, Vec<String>) = (Vec::new(), Vec::new());
     for _ in 0..2 {
         warnings.clear();
-        let mut problem = Problem::new(places.len());
+        let mut problem = LinearProblem::new(places.len());
         for run in runs {
             for (role, y) in measured(run.record) {
                 let base = says(&now, run, &role)?;
@@ -226,10 +226,10 @@ pub fn fit(
             }
         }
     }
-    let term = |(&[j, c, t], f): (&Place, &FittedValue)| {
+    let term = |(&[j, c, t], f): (&CoefficientIndex, &FittedValue)| {
         let joint = &chain.joints[j];
         let (component, term) = (&joint.components[c], &joint.components[c].terms[t]);
-        TermFound {
+        FittedChainTerm {
             joint: joint.name.clone(),
             component: COMPONENTS[component.kind].to_owned(),
             p: term.position,

@@ -7,7 +7,7 @@
 //! tells that temperature and noise were within half a step of it; there Laplace's approximation of the
 //! likelihood chooses smoothness and noise. A log that jumps stays unchanged.
 
-use rtec_measure::steps::step_of;
+use rtec_measure::gauge_resolution::step_of;
 use rtec_model::record::{Record, Role, median};
 use statrs::function::erf::erfc;
 use std::f64::consts::{PI, SQRT_2};

@@ -3,7 +3,7 @@
 //! | module | contents |
 //! |---|---|
 //! | [`thermal`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
-//! | [`least`] | least squares for named effects and chain terms |
+//! | [`linear_least_squares`] | least squares for named effects and chain terms |
 //! | `places` | residuals that repeat at a place |
 //! | [`denoise`] | temperatures without sensor noise |
 //! | `statistics` | means and quantiles |
@@ -17,7 +17,7 @@
 
 pub mod chain;
 pub mod denoise;
-pub mod least;
+pub mod linear_least_squares;
 mod places;
 mod statistics;
 pub mod thermal;

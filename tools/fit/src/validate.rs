@@ -3,12 +3,12 @@
 
 use crate::thermal::prediction_chart;
 use rtec_files::date;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, InputMessage};
 use rtec_measure::derive;
+use rtec_measure::gauge_resolution;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
-use rtec_measure::steps;
-use rtec_model::machine::{FitNote, Machine, Reach};
+use rtec_model::machine::{FitNote, Machine, RecordRanges};
 use rtec_model::record::{Column, Record};
 use serde_json::{Value, json};
 
@@ -33,7 +33,7 @@ pub struct Validation {
 pub fn validate(
     machine: &Machine,
     records: &[Record],
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<Validation, InputError> {
     let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
     let doubts = plausible::said(records, say);
@@ -41,16 +41,16 @@ pub fn validate(
         let path = record.path.display();
         let record = plausible::good_rows(record, all.rows(), say);
         let record = record.as_ref();
-        for note in steps::said(record, true) {
-            say(Said::Warning(format!("{path}: {note}")));
+        for note in gauge_resolution::said(record, true) {
+            say(InputMessage::Warning(format!("{path}: {note}")));
         }
         let (prediction, notes) = derive::predict(machine, record)?;
         for note in notes {
-            say(Said::Note(format!("{path}: {note}")));
+            say(InputMessage::Note(format!("{path}: {note}")));
         }
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
             let widths = machine.half_widths_um(record, &column.role);
-            let no_interval = machine.stating(&Reach::of(record), &column.role).err();
+            let no_interval = machine.stating(&RecordRanges::of(record), &column.role).err();
             charts.push(prediction_chart(record, column, predicted, widths.as_deref()));
             let mut judged = judge(machine, record, column, predicted, widths.as_deref(), say);
             judged.figures["no_interval"] = json!(no_interval);
@@ -60,14 +60,14 @@ pub fn validate(
             found.push(judged.figures);
         }
         for (effect, role) in &prediction.taken_as_zero {
-            say(Said::Warning(format!("{path}: no {role}, taken as zero for {effect}")));
+            say(InputMessage::Warning(format!("{path}: no {role}, taken as zero for {effect}")));
         }
         for warning in machine.out_of_range(record) {
-            say(Said::Warning(format!("{path}: {warning}")));
+            say(InputMessage::Warning(format!("{path}: {warning}")));
         }
     }
     for warning in machine.doubts(date::today()) {
-        say(Said::Warning(format!("{}: {warning}", machine.path.display())));
+        say(InputMessage::Warning(format!("{}: {warning}", machine.path.display())));
     }
     let mut document = json!({ "responses": found, "no_better": no_better });
     plausible::enter(&mut document, &doubts);
@@ -75,7 +75,7 @@ pub fn validate(
 }
 
 /// The result for one response.
-struct Judged {
+struct ResponseValidation {
     figures: Value,
     no_better: Option<String>,
 }
@@ -86,8 +86,8 @@ fn judge(
     column: &Column,
     predicted: &[f64],
     widths: Option<&[f64]>,
-    say: &mut dyn FnMut(Said),
-) -> Judged {
+    say: &mut dyn FnMut(InputMessage),
+) -> ResponseValidation {
     let (path, response) = (record.path.display(), column.role.to_string());
     let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
     let n = column.data.len() as f64;
@@ -106,7 +106,7 @@ fn judge(
         && inside < HOLDS
         && about >= HOLDS
     {
-        say(Said::Note(format!(
+        say(InputMessage::Note(format!(
             "{path}: {response}: what is left is {zero:+.3} µm all along, the run's own zero (homing, the gauge's set-up) or a \
              lost count: the interval is of the shape, and holds {:.1} % about it",
             100.0 * about
@@ -114,7 +114,7 @@ fn judge(
     }
     let no_better = (after >= before && before > 0.0).then(|| format!("{path}: {response}"));
     if let (Some(response), Some(why)) = (&no_better, why_worse(column, predicted)) {
-        say(Said::Warning(format!("{response}: {why}")));
+        say(InputMessage::Warning(format!("{response}: {why}")));
     }
     let width_key =
         if FitNote::unit_of(&response) == "N" { "mean_half_width_N" } else { "mean_half_width_um" };
@@ -124,7 +124,7 @@ fn judge(
         "largest_left": left.iter().map(|v| v.abs()).fold(0.0, f64::max), width_key: width,
         "coverage": inside, "coverage_about_mean": about_zero, "fitted_on_this_record": seen,
     });
-    Judged { figures, no_better }
+    ResponseValidation { figures, no_better }
 }
 
 /// The reason in words why a prediction does not help.

@@ -2,15 +2,15 @@
 //! It reports and leaves out suspicious data, then selects sensors or fits named effects. It also makes the
 //! document for programs.
 
-use crate::least::{self, NamedReport};
-use crate::thermal::{self, Options, Report};
+use crate::linear_least_squares::{self, NamedReport};
+use crate::thermal::{self, Options, ThermalFitReport};
 use rtec_files::date;
-use rtec_files::{InputError, Said};
+use rtec_files::{InputError, InputMessage};
+use rtec_measure::gauge_resolution;
 use rtec_measure::plausible::{self, Suspicion};
-use rtec_measure::steps;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Record, Role, RunKind};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -36,7 +36,7 @@ pub struct Fit {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// A report per response.
-    pub reports: Vec<Report>,
+    pub reports: Vec<ThermalFitReport>,
     /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
     /// The training records as used for the fit.
@@ -71,7 +71,7 @@ pub fn fit(
     train: Vec<Record>,
     holdout: Vec<Record>,
     asked: &FitRequest,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<Fit, InputError> {
     let doubts = plausible::said(&[train.as_slice(), &holdout].concat(), say);
     let (train, holdout) = plausible::once(train, holdout);
@@ -86,14 +86,14 @@ pub fn fit(
     let holdout: Vec<Record> = usable.iter().zip(&holdout).map(good).collect();
     for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
         let file = record.path.display();
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "{file}: no column of role time: lags and spans of time in it are numbers of rows"
         )));
     }
-    for record in train.iter().filter(|r| r.kind == Kind::Drift && r.column(&Role::Time).is_some()) {
+    for record in train.iter().filter(|r| r.kind == RunKind::Drift && r.column(&Role::Time).is_some()) {
         let span_s = record.time_s().last().zip(record.time_s().first()).map_or(0.0, |(b, a)| b - a);
         if span_s < SHORT_S {
-            say(Said::Warning(format!(
+            say(InputMessage::Warning(format!(
                 "{}: the run lasts {:.1} min, in which hardly a machine warms: is its time in another unit than stated?",
                 record.path.display(),
                 span_s / 60.0
@@ -101,13 +101,13 @@ pub fn fit(
         }
     }
     for record in &train {
-        for note in steps::said(record, true) {
-            say(Said::Warning(format!("{}: {note}", record.path.display())));
+        for note in gauge_resolution::said(record, true) {
+            say(InputMessage::Warning(format!("{}: {note}", record.path.display())));
         }
     }
     let sensors = asked.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     for d in closed(&sensors) {
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "--sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
         )));
     }
@@ -117,7 +117,7 @@ pub fn fit(
         thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
     for r in &reports {
         for w in &r.warnings {
-            say(Said::Warning(format!("{}: {w}", r.response)));
+            say(InputMessage::Warning(format!("{}: {w}", r.response)));
         }
     }
     Ok(Fit { machine, reports, doubts, records: train })
@@ -133,7 +133,7 @@ pub fn fit_named(
     records: Vec<Record>,
     effects: &[String],
     asked: &FitRequest,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<NamedFit, InputError> {
     let paths: Vec<_> = records.iter().map(|r| r.path.clone()).collect();
     let doubts = plausible::said(&records, say);
@@ -152,9 +152,10 @@ pub fn fit_named(
         .unwrap_or_else(|| Machine::ideal(&format!("fit of {}", effects.join(", "))));
     let day = date::format(asked.date.unwrap_or_else(|| day_of(&records)));
     let borrowed: Vec<&Record> = records.iter().collect();
-    let (machine, report) = least::fit_named(&base, effects, &borrowed, &day, asked.options.valid_days)?;
+    let (machine, report) =
+        linear_least_squares::fit_named(&base, effects, &borrowed, &day, asked.options.valid_days)?;
     for w in &report.warnings {
-        say(Said::Warning(w.clone()));
+        say(InputMessage::Warning(w.clone()));
     }
     Ok(NamedFit { machine, report, doubts, records })
 }
@@ -191,7 +192,7 @@ impl Fit {
         })
     }
 
-    fn of(&self, one: impl Fn(&Report) -> serde_json::Result<Value>) -> serde_json::Result<Value> {
+    fn of(&self, one: impl Fn(&ThermalFitReport) -> serde_json::Result<Value>) -> serde_json::Result<Value> {
         let mut all = self.reports.iter().map(one).collect::<serde_json::Result<Vec<_>>>()?;
         let mut document =
             if all.len() == 1 { all.remove(0) } else { serde_json::json!({ "responses": all }) };

@@ -110,7 +110,8 @@ mod wide {
     }
 }
 
-/// Products of columns among each other after projection on orthonormal ones, row by row.
+/// Products of columns among each other, row by row.
+/// They are those after projection on orthonormal columns.
 /// By products of matrices: for many columns they take a fraction of the time of single products.
 pub fn products_beside(orthonormal: &DMatrix<f64>, columns: &[Vec<f64>]) -> Vec<f64> {
     let own =

@@ -1,6 +1,6 @@
 //! An axis measured from both sides, evaluated as ISO 230-2 has it.
 use rtec_measure::iso230::positioning;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 #[cfg_attr(test, test)]
@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Column::new("dir", Role::Direction(y.clone()), side),
         Column::new("e", Role::Error(y), error),
     ];
-    let run = Record::new(Path::new("y.run.toml"), Kind::Positioning, columns)?;
+    let run = Record::new(Path::new("y.run.toml"), RunKind::Positioning, columns)?;
     let figures = &positioning(&run)?[0];
     println!("B {:?} µm, E {:?} µm, A {:?} µm", figures.B, figures.E, figures.A);
     assert!((figures.B.ok_or("no reversal")?.abs() - 6.0).abs() < 1e-9);

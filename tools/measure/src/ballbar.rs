@@ -12,13 +12,13 @@
 //! the radial errors of all records of a plane. Each record has its own centre and mean radius.
 
 use crate::derive::noise;
-use crate::iso230::{Budget, Round, error_axes, lacks};
-use crate::steps::step_of;
+use crate::gauge_resolution::step_of;
+use crate::iso230::{Budget, FittedCircle, error_axes, lacks};
 use rtec_files::Result;
 use rtec_model::ballbar_circle::{Circle, rates, turn_rad};
 use rtec_model::effect::Dictionary;
 use rtec_model::effect::sign;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, median, span};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, median, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -485,7 +485,7 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
         return Err(lacks(record, "error.r without an angle", "a column of role angle"));
     }
     let mut columns: Vec<Column> = record.columns.clone();
-    let (plane, round): ([Axis; 2], Round) = if radial.is_some() {
+    let (plane, round): ([Axis; 2], FittedCircle) = if radial.is_some() {
         let [(a, pa), (b, pb), ..] = positions.as_slice() else {
             // Without plane or positions only deviations are known.
             return Ok((record.clone(), "first-second".to_owned()));
@@ -510,7 +510,7 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
         columns.extend(Axis::new("r").map(|a| Column::new("radial error", Role::Error(a), r)));
         ([(*ax).clone(), (*ay).clone()], round)
     };
-    let mut circle = Record::of_checked(&record.path, Kind::Ballbar, columns);
+    let mut circle = Record::of_checked(&record.path, RunKind::Ballbar, columns);
     circle.file.clone_from(&record.file);
     let stated = Circle { radius_mm: round.radius, plane, centre_mm: None };
     let plane = name(&stated);
@@ -519,9 +519,9 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
 }
 
 /// The circle that the positions run on.
-fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<Round> {
+fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<FittedCircle> {
     let error = || lacks(record, "positions that are on no circle", "positions of both axes on one circle");
-    Round::through(x, y).filter(Round::is_met).ok_or_else(error)
+    FittedCircle::through(x, y).filter(FittedCircle::is_met).ok_or_else(error)
 }
 
 /// The dictionary's effect of this built-in name, at zero.

@@ -9,7 +9,7 @@
 use rtec_files::Result;
 use rtec_least_squares::Factor;
 use rtec_model::machine::{Machine, Prediction};
-use rtec_model::record::{Axis, Column, Kind, Record, Role, median};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, median};
 use std::ops::Range;
 
 /// Rows that a window needs: a cubic, and one more for the noise.
@@ -116,7 +116,7 @@ fn lacks_motion(prediction: &Prediction, record: &Record) -> bool {
 }
 
 /// Stretches of rows without a gap in time, or the reason why they show no motion.
-fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
+fn runs(t: &[f64], kind: RunKind) -> Result<Vec<Range<usize>>, String> {
     if t.len() < 2 * FEWEST {
         return Err(format!("{} rows are too few", t.len()));
     }
@@ -124,7 +124,7 @@ fn runs(t: &[f64], kind: Kind) -> Result<Vec<Range<usize>>, String> {
     if step <= 0.0 {
         return Err("most rows have the same time as the row before".to_owned());
     }
-    let moving = matches!(kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
+    let moving = matches!(kind, RunKind::Dynamics | RunKind::Ballbar | RunKind::FeedSweep);
     if !moving && step > AT_STOPS_S {
         let name = kind.name();
         return Err(format!("rows {step} s apart in a run of kind {name} are readings at stops"));

@@ -1,15 +1,15 @@
 //! Evaluates runs by the standard that fits them.
 //! The results are a document for programs and a report for people.
 
+use crate::gauge_resolution;
 use crate::iso230::{self, Conditions, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
-use crate::report::{self, Report, Run};
-use crate::steps;
+use crate::report::{self, Report, ReportedRecord};
 use crate::{ballbar, plate, record};
 use rtec_files::text::short;
-use rtec_files::{InputError, Result, Said};
-use rtec_model::record::{Column, Kind, Record, Role, median, sha256_of};
+use rtec_files::{InputError, InputMessage, Result};
+use rtec_model::record::{Column, Record, Role, RunKind, median, sha256_of};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -44,13 +44,13 @@ impl Standard {
     pub fn of(record: &Record) -> Result<Self> {
         match record.kind {
             // Errors across the moving axis only are straightness, not positioning.
-            Kind::Positioning if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
+            RunKind::Positioning if !iso230::has_positioning(record) && iso230::has_straightness(record) => {
                 Ok(Self::Straightness)
             }
-            Kind::Positioning => Ok(Self::Iso230_2),
-            Kind::Drift => Ok(Self::Iso230_3),
-            Kind::Ballbar => Ok(Self::Ballbar),
-            Kind::Plate => Ok(Self::Plate),
+            RunKind::Positioning => Ok(Self::Iso230_2),
+            RunKind::Drift => Ok(Self::Iso230_3),
+            RunKind::Ballbar => Ok(Self::Ballbar),
+            RunKind::Plate => Ok(Self::Plate),
             kind => {
                 let expected = "--standard, as no evaluation belongs to this kind";
                 Err(InputError::whole(&record.path, format!("a run of kind {}", kind.name()), expected))
@@ -120,7 +120,7 @@ pub struct Evaluation {
 pub fn evaluate(
     records: &[Record],
     asked: &EvaluationRequest,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<Evaluation> {
     let Some(first) = records.first() else {
         return Err(InputError::whole(Path::new("characterise evaluate"), "no record", "a record"));
@@ -148,7 +148,7 @@ pub fn evaluate(
     }
     // Positioning and returns already report the resolution with their figures.
     let responses = !matches!(standard, Standard::Iso230_2 | Standard::Repeatability);
-    for note in usable.iter().flat_map(|record| steps::said(record, responses)) {
+    for note in usable.iter().flat_map(|record| gauge_resolution::said(record, responses)) {
         report.warn(&note);
     }
     if let Some(unused) = standard.unused(&asked.conditions, records) {
@@ -166,7 +166,7 @@ pub fn evaluate(
 pub fn evaluate_files(
     paths: &[PathBuf],
     asked: &EvaluationRequest,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<Evaluation> {
     if let [path] = paths
         && let Some(mut long) = long_drift(path, asked, MOST_ROWS)?
@@ -183,7 +183,7 @@ pub const MOST_ROWS: usize = 1 << 18;
 fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<LongDrift>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
-        None => record::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == Kind::Drift),
+        None => record::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == RunKind::Drift),
     };
     if drift { LongDrift::of(path, more_than) } else { Ok(None) }
 }
@@ -193,7 +193,7 @@ fn in_pieces(
     long: &mut LongDrift,
     asked: &EvaluationRequest,
     most_rows: usize,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<Evaluation> {
     // Pieces of equal length, so that none is too short for the checks.
     let pieces = long.rows.div_ceil(most_rows);
@@ -211,7 +211,12 @@ fn in_pieces(
     let head = &long.head;
     let ranges = long.ranges_degc().map(|(name, range)| (name.to_owned(), range)).collect();
     let csv = path.parent().unwrap_or(Path::new("")).join(&head.file);
-    let run = Run { rows: long.rows, sha256: sha256_of(&csv)?, ranges_degc: ranges, ..Run::of(head) };
+    let run = ReportedRecord {
+        rows: long.rows,
+        sha256: sha256_of(&csv)?,
+        ranges_degc: ranges,
+        ..ReportedRecord::of(head)
+    };
     let mut document = figures(path, "axes", &all)?;
     let mut report = drawn(path, report::drift(&all, &run, long.charts(), &asked.conditions))?;
     if doubts.iter().any(Suspicion::is_of_rows) {
@@ -247,16 +252,16 @@ fn doubted(
     mut document: Value,
     mut report: Report,
     doubts: Vec<Suspicion>,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Evaluation {
     for doubt in &doubts {
         report.doubt(&doubt.to_string(), doubt.is_of_rows());
     }
     for warning in report.warnings().iter().skip(doubts.len()) {
-        say(Said::Warning(format!("{}: {warning}", file.display())));
+        say(InputMessage::Warning(format!("{}: {warning}", file.display())));
     }
     if doubts.iter().any(Suspicion::is_of_rows) {
-        say(Said::Warning(report::LEFT_OUT.to_owned()));
+        say(InputMessage::Warning(report::LEFT_OUT.to_owned()));
     }
     plausible::enter(&mut document, &doubts);
     Evaluation { document, report, doubts }
@@ -353,7 +358,7 @@ fn by(
     standard: Standard,
     records: &[Record],
     asked: &EvaluationRequest,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<(Value, Report)> {
     let file = &records[0].path;
     let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };
@@ -371,7 +376,7 @@ fn by(
                 })?);
             }
             for record in records.iter().filter(|r| iso230::has_straightness(r)) {
-                say(Said::Note(format!(
+                say(InputMessage::Note(format!(
                     "{}: errors across the moving axis too: --standard straightness evaluates them",
                     record.path.display()
                 )));
@@ -388,7 +393,8 @@ fn by(
             let mut all = iso230::drift(record)?;
             iso230::state_budget(&mut all, conditions);
             let charts = iso230::drift_charts(record);
-            let mut report = drawn(file, report::drift(&all, &Run::of(record), charts, conditions))?;
+            let mut report =
+                drawn(file, report::drift(&all, &ReportedRecord::of(record), charts, conditions))?;
             if let Some(gap) = gaps(record) {
                 report.warn(&gap);
             }
@@ -461,7 +467,7 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report)> 
         ));
     }
     let coarse = |column: &Column| {
-        let (step, of) = (steps::step_of(&column.data)?, iso230::Returns::of(&column.data)?);
+        let (step, of) = (gauge_resolution::step_of(&column.data)?, iso230::Returns::of(&column.data)?);
         let s_um = of.s_about_trend_um.unwrap_or(of.s_um);
         (s_um < step).then(|| (column.role.to_string(), short(step)))
     };

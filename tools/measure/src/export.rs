@@ -21,8 +21,8 @@ mod siemens_cec;
 pub mod user_format;
 
 use rtec_files::{InputError, Result, nearest};
-use rtec_model::effect::{Difference, Effect, Naming, Need, Quantity};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::effect::{Difference, Effect, Naming, Quantity, RequiredInput};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, LINEAR};
 use std::fmt::Write as _;
@@ -40,7 +40,7 @@ const ROUND: [f64; 6] = [8.0, 5.0, 4.0, 2.5, 2.0, 1.0];
 
 /// One point of a table: the axis's error in both directions of approach.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Point {
+pub(crate) struct CompensationPoint {
     /// Commanded position, mm.
     pub position_mm: f64,
     /// Position reached less commanded position, moving up, µm.
@@ -49,7 +49,7 @@ pub(crate) struct Point {
     pub down_um: f64,
 }
 
-impl Point {
+impl CompensationPoint {
     /// Mean of both directions, µm.
     pub(crate) fn mean_um(&self) -> f64 {
         f64::midpoint(self.up_um, self.down_um)
@@ -146,10 +146,10 @@ fn usage(found: impl Into<String>, expected: impl Into<String>) -> InputError {
 /// The model's errors of one axis at rest, by direction of approach.
 /// Parts that depend on speed, time and load are left out.
 #[derive(Debug)]
-pub(crate) struct Errors<'m> {
+pub(crate) struct StaticErrors<'m> {
     machine: &'m Machine,
     axis: Axis,
-    layout: Layout,
+    layout: StateLayout,
     degc: Vec<f64>,
     /// Positions of the axes in the layout's order, mm; the table's own comes first.
     places_mm: Vec<f64>,
@@ -159,7 +159,7 @@ pub(crate) struct Errors<'m> {
     moving: usize,
 }
 
-impl<'m> Errors<'m> {
+impl<'m> StaticErrors<'m> {
     /// The axis's errors at these temperatures and positions of the other axes.
     /// Sensors without a value are at 20 °C, axes at 0 mm.
     pub(crate) fn of(
@@ -200,7 +200,7 @@ impl<'m> Errors<'m> {
             axes.extend(chain.joints.iter().filter_map(|j| j.axis.as_ref().map(|(a, _)| a.clone())));
         }
         let channels = machine.effects().filter_map(Effect::channel).map(str::to_owned);
-        let layout = Layout { axes: each_once(axes), sensors: names, channels: each_once(channels) };
+        let layout = StateLayout { axes: each_once(axes), sensors: names, channels: each_once(channels) };
         let mut places_mm = vec![0.0; layout.axes.len()];
         let others: Vec<String> = layout.axes[1..].iter().map(ToString::to_string).collect();
         let of = if others.is_empty() { "the model reads none".to_owned() } else { others.join(", ") };
@@ -270,18 +270,22 @@ impl<'m> Errors<'m> {
         Ok(behind(true)?.max(behind(false)?))
     }
 
-    fn live(&self) -> Result<Live> {
-        Live::at_work(self.machine, self.layout.clone())
+    fn live(&self) -> Result<LiveModel> {
+        LiveModel::at_work(self.machine, self.layout.clone())
             .map_err(|e| usage(e.to_string(), "sensors and axes only"))
     }
 
-    fn at(&self, live: &mut Live, position_mm: f64, direction: f64) -> f64 {
-        let at = |p: &f64| AxisNow { position_mm: *p, ..AxisNow::default() };
-        let mut axes: Vec<AxisNow> = self.places_mm.iter().map(at).collect();
-        axes[self.moving] = AxisNow { position_mm, direction, ..AxisNow::default() };
+    fn at(&self, live: &mut LiveModel, position_mm: f64, direction: f64) -> f64 {
+        let at = |p: &f64| AxisMotionState { position_mm: *p, ..AxisMotionState::default() };
+        let mut axes: Vec<AxisMotionState> = self.places_mm.iter().map(at).collect();
+        axes[self.moving] = AxisMotionState { position_mm, direction, ..AxisMotionState::default() };
         let channels = vec![0.0; self.layout.channels.len()];
-        let frame =
-            Frame { axes: &axes, temperatures_degc: &self.degc, channels: &channels, ..Frame::default() };
+        let frame = MachineState {
+            axes: &axes,
+            temperatures_degc: &self.degc,
+            channels: &channels,
+            ..MachineState::default()
+        };
         live.evaluate(&frame);
         live.errors_um()[0]
     }
@@ -310,7 +314,8 @@ impl<'m> Errors<'m> {
             let others = self.unstated.join(", ");
             doubts.push(format!("the table holds with {others} at 0 mm; --at states another place"));
         }
-        let angular = |e: &&Effect| e.description().needs.contains(&Need::Angle) && self.is_in_table(e);
+        let angular =
+            |e: &&Effect| e.description().needs.contains(&RequiredInput::Angle) && self.is_in_table(e);
         for effect in self.machine.effects().filter(angular) {
             doubts.push(format!(
                 "{}: is over the angle of a circle, which a table of positions does not have: it is not in the table",
@@ -320,18 +325,21 @@ impl<'m> Errors<'m> {
         let along = &self.layout.axes[self.moving];
         for part in live.parts().filter(|p| self.is_in_table(p.effect)) {
             let own = part.effect.axes().first() == Some(along);
-            let held = |need: &Need| match need {
-                Need::Position(n) if part.effect.axes()[*n] != *along => {
+            let held = |need: &RequiredInput| match need {
+                RequiredInput::Position(n) if part.effect.axes()[*n] != *along => {
                     Some("with the other axes where --at puts them, otherwise at 0 mm")
                 }
-                Need::Direction if !own => Some("with the other axes at rest"),
-                Need::Position(_) | Need::Direction | Need::Delta | Need::Angle => None,
-                Need::Time => Some("at time 0"),
-                Need::Velocity | Need::Acceleration => Some("at rest"),
-                Need::Load => Some("without load"),
-                Need::SpindleSpeed => Some("with the spindle at rest"),
-                Need::Coolant => Some("without coolant"),
-                Need::Channel => Some("with its channel at 0"),
+                RequiredInput::Direction if !own => Some("with the other axes at rest"),
+                RequiredInput::Position(_)
+                | RequiredInput::Direction
+                | RequiredInput::Delta
+                | RequiredInput::Angle => None,
+                RequiredInput::Time => Some("at time 0"),
+                RequiredInput::Velocity | RequiredInput::Acceleration => Some("at rest"),
+                RequiredInput::Load => Some("without load"),
+                RequiredInput::SpindleSpeed => Some("with the spindle at rest"),
+                RequiredInput::Coolant => Some("without coolant"),
+                RequiredInput::Channel => Some("with its channel at 0"),
             };
             let turned = part.effect.description().after_turn.then_some("far from where the axis turned");
             if let Some(held) = part.effect.description().needs.iter().find_map(held).or(turned) {
@@ -407,7 +415,7 @@ fn axes(machine: &Machine) -> Vec<Axis> {
 pub(crate) struct Table {
     pub axis: Axis,
     /// Its points with rising positions, and values as written.
-    pub points: Vec<Point>,
+    pub points: Vec<CompensationPoint>,
     /// Distance between them, mm.
     pub step_mm: f64,
     /// Constant subtracted from all values so that the reference point is zero, µm.
@@ -446,9 +454,9 @@ struct Dense {
 
 /// Linear interpolation at rising places; the end values beyond the ends.
 fn interpolate<'a>(
-    points: &'a [Point],
+    points: &'a [CompensationPoint],
     places_mm: &'a [f64],
-    value: fn(&Point) -> f64,
+    value: fn(&CompensationPoint) -> f64,
 ) -> impl Iterator<Item = f64> + 'a {
     let mut next = 0;
     places_mm.iter().map(move |p| {
@@ -479,7 +487,7 @@ fn round_to(value: f64, resolution: f64) -> f64 {
 impl Table {
     /// The table for a format, with the given step or the widest within the limit.
     /// If no step keeps the limit, the table with the smallest error is used.
-    pub(crate) fn of(errors: &Errors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self> {
+    pub(crate) fn of(errors: &StaticErrors<'_>, wanted: &TableRange, rules: &Rules) -> Result<Self> {
         let (from, to) = (wanted.from_mm, wanted.to_mm);
         if !(from.abs() <= LONGEST_MM && to.abs() <= LONGEST_MM && to - from >= rules.position_mm) {
             let step = rules.position_mm;
@@ -545,7 +553,7 @@ impl Table {
     }
 
     fn with_step(
-        errors: &Errors<'_>,
+        errors: &StaticErrors<'_>,
         dense: &Dense,
         from: f64,
         to: f64,
@@ -561,12 +569,13 @@ impl Table {
         }
         let (up, down) = (errors.along(&places, true)?, errors.along(&places, false)?);
         let rows = places.iter().zip(up.iter().zip(&down));
-        let mut points: Vec<Point> =
-            rows.map(|(&position_mm, (&up_um, &down_um))| Point { position_mm, up_um, down_um }).collect();
+        let mut points: Vec<CompensationPoint> = rows
+            .map(|(&position_mm, (&up_um, &down_um))| CompensationPoint { position_mm, up_um, down_um })
+            .collect();
         for p in points.iter_mut().filter(|_| !rules.both) {
             (p.up_um, p.down_um) = (p.mean_um(), p.mean_um());
         }
-        let at = |zero: f64| interpolate(&points, &[zero], Point::mean_um).next();
+        let at = |zero: f64| interpolate(&points, &[zero], CompensationPoint::mean_um).next();
         let constant_um = rules.zero_at_mm.and_then(at).unwrap_or(0.0);
         for p in &mut points {
             p.up_um = round_to(p.up_um - constant_um, rules.value_um);
@@ -584,12 +593,12 @@ impl Table {
     /// The table with its residual where a controller applies it.
     /// A controller that looks up the commanded position moves the drive to a place with another error. Near
     /// a large reversal that is a good part of a screw's wave.
-    fn applied(mut self, errors: &Errors<'_>, dense: &Dense, rules: &Rules) -> Result<Self> {
+    fn applied(mut self, errors: &StaticErrors<'_>, dense: &Dense, rules: &Rules) -> Result<Self> {
         if rules.lookup == Lookup::Encoder {
             // `judge` already used value and error of one place.
             return Ok(self);
         }
-        let moved = |value: fn(&Point) -> f64, up: bool| -> Result<Vec<f64>> {
+        let moved = |value: fn(&CompensationPoint) -> f64, up: bool| -> Result<Vec<f64>> {
             let values: Vec<f64> = interpolate(&self.points, &dense.positions_mm, value).collect();
             let places = dense.positions_mm.iter().zip(&values);
             let driven: Vec<f64> = places.map(|(p, um)| p - um / 1000.0).collect();
@@ -641,7 +650,7 @@ impl Table {
 impl Dense {
     /// Evenly spread places, each shifted within its interval by the golden ratio.
     /// So no period of an error matches them.
-    fn of(errors: &Errors<'_>, from: f64, to: f64, most: usize) -> Result<Self> {
+    fn of(errors: &StaticErrors<'_>, from: f64, to: f64, most: usize) -> Result<Self> {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let n = (most * PLACES.0).clamp(PLACES.1 / 4, PLACES.1);
         let stretch = (to - from) / n as f64;

@@ -78,7 +78,7 @@ pub const NAMES: [&str; 7] = ["A", "E", "M", "R", "B_mean", "squareness_urad", "
 
 /// The value of a figure in one record.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Point {
+pub struct FigureValue {
     /// The day of the record.
     pub date: String,
     /// Path of the record, as given.
@@ -117,7 +117,7 @@ pub struct Figure {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
     /// Its values, in order of time.
-    pub points: Vec<Point>,
+    pub points: Vec<FigureValue>,
     /// Its limit, on both sides of zero.
     pub limit: Option<f64>,
     /// Whether the last value exceeds the limit.
@@ -130,7 +130,7 @@ pub struct Figure {
 
 /// A record that is not in the history.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct LeftOut {
+pub struct ExcludedRecord {
     /// Path of the record, as given.
     pub record: String,
     /// The reason.
@@ -145,7 +145,7 @@ pub struct History {
     /// Its figures, by name.
     pub figures: Vec<Figure>,
     /// Records without a date, or that cannot be read or evaluated.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<ExcludedRecord>,
     /// Suspicions against the records; their rows are in no figure.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<Suspicion>,
@@ -172,7 +172,7 @@ pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Lim
             Ok((r, day, figures, every))
         });
         match said {
-            Err(why) => left_out.push(LeftOut { record: path.clone(), why }),
+            Err(why) => left_out.push(ExcludedRecord { record: path.clone(), why }),
             Ok((record, day, figures, every)) => {
                 changes.extend(held_changes(&record).into_iter().map(|held| format!("{path}: {held}")));
                 for (name, unit, sensor, value) in figures {
@@ -182,7 +182,13 @@ pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Lim
                     let figure = found.entry(name.clone());
                     let figure = figure.or_insert(Figure { name, unit, sensor, limit, ..Figure::default() });
                     let date = record.date.clone().unwrap_or_default();
-                    figure.points.push(Point { date, record: path.clone(), value, with_every_row, day });
+                    figure.points.push(FigureValue {
+                        date,
+                        record: path.clone(),
+                        value,
+                        with_every_row,
+                        day,
+                    });
                 }
             }
         }

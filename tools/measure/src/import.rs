@@ -32,11 +32,11 @@ pub use halsampler::{Sampling, halsampler};
 pub use linuxcnc::linuxcnc_comp;
 pub use renishaw::{any_text, rtl};
 pub use shdr::shdr;
-pub use table::{Form, ImportColumn, table};
+pub use table::{ImportColumn, TableSyntax, table};
 pub use user_format::UserTableFormat;
 
 use rtec_files::Result;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 /// A record of targets on an axis; a row is cycle, position, direction and error.
@@ -48,7 +48,7 @@ fn of_targets(to: &Path, axis: &Axis, rows: &[[f64; 4]]) -> Result<Record> {
         Column::new("direction", Role::Direction(axis.clone()), get(2)),
         Column::new("error", Role::Error(axis.clone()), get(3)),
     ];
-    Record::new(to, Kind::Positioning, columns)
+    Record::new(to, RunKind::Positioning, columns)
 }
 
 fn letter(name: &str) -> Axis {
@@ -61,7 +61,7 @@ fn finite(word: &str) -> Option<f64> {
 
 /// A record of these columns.
 /// A log, for example for a rehearsal, needs no response.
-fn record_of(to: &Path, kind: Kind, mut columns: Vec<Column>, log: bool) -> Result<Record> {
+fn record_of(to: &Path, kind: RunKind, mut columns: Vec<Column>, log: bool) -> Result<Record> {
     let bare = log && !columns.iter().any(|c| c.role.is_response()) && !columns.is_empty();
     if bare {
         // Checked like any record, with a temporary response.

@@ -75,7 +75,7 @@ pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
 }
 
 /// The circle through places, by least squares of squared distances (Kåsa).
-pub(crate) struct Round {
+pub(crate) struct FittedCircle {
     centre: [f64; 2],
     /// In the unit of the places.
     pub(crate) radius: f64,
@@ -83,7 +83,7 @@ pub(crate) struct Round {
     pub(crate) off: f64,
 }
 
-impl Round {
+impl FittedCircle {
     /// `None` for fewer than three places, or places on a line.
     pub(crate) fn through(x: &[f64], y: &[f64]) -> Option<Self> {
         let (mx, my) = (mean(x), mean(y));

@@ -23,6 +23,7 @@ pub mod ballbar;
 pub mod derive;
 pub mod evaluation;
 pub mod export;
+pub mod gauge_resolution;
 pub mod history;
 pub mod import;
 pub mod iso230;
@@ -32,6 +33,5 @@ pub mod plausible;
 pub mod plot;
 pub mod prediction;
 pub mod report;
-pub mod steps;
 
 pub use rtec_records::{record, spool};

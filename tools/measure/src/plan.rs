@@ -3,7 +3,7 @@
 //! dry and wet).
 
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
-use rtec_files::{InputError, Result, Said};
+use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::record::{Axis, LINEAR};
 use serde::Serialize;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub struct PlanAxis {
 
 /// One run of the sequence.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Step {
+pub struct PlannedRun {
     /// Number in the sequence, from 1.
     pub number: usize,
     /// Name of the record to take.
@@ -98,13 +98,13 @@ pub fn for_machine(
     axes: &[PlanAxis],
     max_rpm: f64,
     ballbar_mm: Option<f64>,
-    say: &mut dyn FnMut(Said),
-) -> Result<Vec<Step>> {
+    say: &mut dyn FnMut(InputMessage),
+) -> Result<Vec<PlannedRun>> {
     check(axes, max_rpm, ballbar_mm)?;
     let shortest = shortest_mm(axes);
     let bar_mm = ballbar_mm.or_else(|| BARS_MM.into_iter().find(|r| 2.0 * r <= shortest));
     if bar_mm.is_none() && axes.len() > 1 {
-        say(Said::Note(format!(
+        say(InputMessage::Note(format!(
             "no circles: none of the bars of 150, 100 and 50 mm fits an axis of {shortest} mm; --ballbar-mm names another"
         )));
     }
@@ -114,12 +114,12 @@ pub fn for_machine(
 /// The sequence for these axes and this highest spindle speed.
 /// Warm runs come last. *Cold* means a machine that has been off over night. Without a bar there are no
 /// circles.
-pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<Step> {
+pub fn sequence(axes: &[PlanAxis], max_rpm: f64, ball_radius_mm: Option<f64>) -> Vec<PlannedRun> {
     let mut steps = ball_radius_mm.map_or_else(Vec::new, |radius_mm| contouring(axes, radius_mm));
     steps.extend(axes.iter().flat_map(displacement));
     steps.extend(axes.iter().flat_map(|a| axes.iter().filter(|b| b.name != a.name).map(|b| straight(a, b))));
     let errors: Vec<String> = axes.iter().map(|a| format!("error.{}", a.name)).collect();
-    steps.push(Step {
+    steps.push(PlannedRun {
         number: 0,
         record: "tool_change".to_owned(),
         kind: "drift",
@@ -144,14 +144,14 @@ fn words(of: &[&str]) -> Vec<String> {
 }
 
 /// Circles in every plane, at three feeds, both directions (the patent's table 1).
-fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<Step> {
+fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<PlannedRun> {
     let mut steps = Vec::new();
     for (i, a) in axes.iter().enumerate() {
         for b in &axes[i + 1..] {
             for feed in FEEDS_MM_PER_MIN {
                 for turn in ["ccw", "cw"] {
                     let plane = format!("{}-{}", a.name, b.name);
-                    steps.push(Step {
+                    steps.push(PlannedRun {
                         number: 0,
                         record: format!("ballbar_{}{}_{feed:.0}_{turn}", a.name, b.name),
                         kind: "ballbar",
@@ -238,13 +238,13 @@ impl TargetRun {
 }
 
 /// The plan's step for such a run; the gauge reads the error of axis `response`.
-pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> Step {
+pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun) -> PlannedRun {
     let n = &axis.name;
     let warm = run.warmer_k.map_or_else(String::new, |k| {
         format!("; then warm the machine by about {k:.0} K with strokes and spindle, and the same once more")
     });
     let across = || format!("straightness optics or a straightedge along {n}, read across it in {response}");
-    Step {
+    PlannedRun {
         number: 0,
         record: record.to_owned(),
         kind: "positioning",
@@ -287,7 +287,7 @@ fn margin_mm(axis: &PlanAxis) -> f64 {
 /// Bidirectional linear displacement of one axis (the patent's table 2, ISO 230-2).
 /// An axis of more than 2 m has a run over its whole travel, once each way, and the standard's cycles on 2 m
 /// of it.
-fn displacement(axis: &PlanAxis) -> Vec<Step> {
+fn displacement(axis: &PlanAxis) -> Vec<PlannedRun> {
     let travel_mm = axis.travel_mm;
     let margin_mm = margin_mm(axis);
     let length_mm = travel_mm - 2.0 * margin_mm;
@@ -301,14 +301,14 @@ fn displacement(axis: &PlanAxis) -> Vec<Step> {
     vec![whole, line(axis, "_2m", &targets(middle_mm, LONG_AXIS_MM, 11), 5)]
 }
 
-fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
+fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> PlannedRun {
     let n = &axis.name;
     let (how_often, evaluate) = if cycles == 1 {
         ("once each way", "iso230-2: E, B, M of a long axis; scale, reversal, position map")
     } else {
         ("five cycles", "iso230-2: A, E, R, B, M; scale, reversal, position map, screw period")
     };
-    Step {
+    PlannedRun {
         number: 0,
         record: format!("linear_{n}{of}"),
         kind: "positioning",
@@ -326,12 +326,12 @@ fn line(axis: &PlanAxis, of: &str, targets_mm: &[f64], cycles: usize) -> Step {
 }
 
 /// Straightness of one axis's motion in the direction of another (ISO 230-1).
-fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
+fn straight(axis: &PlanAxis, across: &PlanAxis) -> PlannedRun {
     let (n, b) = (&axis.name, &across.name);
     let margin_mm = margin_mm(axis);
     let length_mm = axis.travel_mm - 2.0 * margin_mm;
     let places = targets(margin_mm, length_mm, fewest_targets(length_mm).max(11));
-    Step {
+    PlannedRun {
         number: 0,
         // Named as the effect `straightness.B.A`: the error of B while A moves.
         record: format!("straightness_{b}_{n}"),
@@ -357,7 +357,7 @@ fn straight(axis: &PlanAxis, across: &PlanAxis) -> Step {
 }
 
 /// Spindle cycles cold-dry, cold-wet, warm, production, and cooling down.
-fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
+fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<PlannedRun> {
     let [full, slowest, slow, middle] = [1.0, 0.2, 0.3, 0.6].map(|share| share * (0.9 * max_rpm));
     let cycle = |wet: &str| {
         format!(
@@ -385,7 +385,7 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
     let causes = words(&["time", "spindle_speed", "coolant"]);
     let columns = [causes, errors.to_vec(), tilts.collect(), words(&[TEMPERATURES])].concat();
     let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| {
-        Step {
+        PlannedRun {
         number: 0,
         record: record.to_owned(),
         kind: "drift",
@@ -405,13 +405,13 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<Step> {
 }
 
 /// The sequence as Markdown.
-pub fn markdown(machine: &str, steps: &[Step]) -> String {
+pub fn markdown(machine: &str, steps: &[PlannedRun]) -> String {
     use std::fmt::Write as _;
     let hours = steps.iter().map(|s| s.minutes).sum::<f64>() / 60.0;
     let runs = steps.len();
     let mut out =
         format!("# Characterisation of {machine}\n\n{runs} runs, about {hours:.1} h of machine time.\n");
-    for Step { number, record, kind, state, mount, run, columns, evaluate, minutes } in steps {
+    for PlannedRun { number, record, kind, state, mount, run, columns, evaluate, minutes } in steps {
         let columns = columns.join(", ");
         let _ = write!(
             out,

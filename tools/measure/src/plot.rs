@@ -122,7 +122,7 @@ pub struct Chart {
 /// A plot as data, for SVG or for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum Picture {
+pub enum PlotSpec {
     /// Series over an axis.
     Chart(Chart),
     /// Deviations from a circle.
@@ -131,7 +131,7 @@ pub enum Picture {
     Vectors(Vectors),
 }
 
-impl Picture {
+impl PlotSpec {
     /// An SVG document; the size in pixels applies to charts only.
     ///
     /// # Errors
@@ -145,7 +145,7 @@ impl Picture {
     }
 }
 
-impl From<Chart> for Picture {
+impl From<Chart> for PlotSpec {
     fn from(chart: Chart) -> Self {
         Self::Chart(chart)
     }

@@ -1,8 +1,8 @@
 //! Predictions of a machine model for a record, with notes on their assumptions.
 
 use crate::{derive, plausible, record};
-use rtec_files::{InputError, Result, Said};
-use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, PiecewisePrediction, Reach};
+use rtec_files::{InputError, InputMessage, Result};
+use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, PiecewisePrediction, RecordRanges};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -16,23 +16,28 @@ use std::path::Path;
 pub fn predict(
     machine: &Machine,
     record: &Record,
-    say: &mut dyn FnMut(Said),
+    say: &mut dyn FnMut(InputMessage),
 ) -> Result<Vec<(String, Vec<f64>)>> {
     let (prediction, notes) = derive::predict(machine, record)?;
     for note in notes {
-        say(Said::Note(format!("{}: {note}", record.path.display())));
+        say(InputMessage::Note(format!("{}: {note}", record.path.display())));
     }
     warn(&record.path, &prediction.taken_as_zero, &machine.out_of_range(record), say);
     Ok(prediction.columns)
 }
 
-fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say: &mut dyn FnMut(Said)) {
+fn warn(
+    file: &Path,
+    taken_as_zero: &[(String, String)],
+    beyond: &[String],
+    say: &mut dyn FnMut(InputMessage),
+) {
     let file = file.display();
     for (effect, role) in taken_as_zero {
-        say(Said::Warning(format!("{file}: no {role} in the record, taken as zero for {effect}")));
+        say(InputMessage::Warning(format!("{file}: no {role} in the record, taken as zero for {effect}")));
     }
     for warning in beyond {
-        say(Said::Warning(format!("{file}: {warning}")));
+        say(InputMessage::Warning(format!("{file}: {warning}")));
     }
 }
 
@@ -47,8 +52,8 @@ pub fn write(
     path: &Path,
     interval: bool,
     out: &mut impl Write,
-    say: &mut dyn FnMut(Said),
-) -> Result<(), Failed> {
+    say: &mut dyn FnMut(InputMessage),
+) -> Result<(), PredictionError> {
     let Some(mut pieces) = record::RecordPieceReader::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
@@ -112,9 +117,9 @@ pub fn write(
 }
 
 /// Reports readings that a sensor did not take.
-fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
+fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(InputMessage)) {
     if not_taken > 0 {
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "{}: {not_taken} readings that a sensor did not take (`characterise evaluate` names them): those rows are predicted from the \
              sensor's last good reading",
             file.display()
@@ -126,8 +131,8 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(Said)) {
 fn look_over(
     pieces: &mut record::RecordPieceReader,
     asked: &mut FitRangeCheck<'_>,
-) -> Result<(Reach, usize)> {
-    let (mut reach, mut rows, mut held) = (Reach::default(), 0, BTreeMap::new());
+) -> Result<(RecordRanges, usize)> {
+    let (mut reach, mut rows, mut held) = (RecordRanges::default(), 0, BTreeMap::new());
     while let Some(mut record) = pieces.next_record(PIECE_ROWS)? {
         plausible::hold_last_good(&mut record, &mut held);
         asked.see(&record);
@@ -138,7 +143,11 @@ fn look_over(
 }
 
 /// Half widths of every response of the record.
-fn half_widths<'m>(machine: &'m Machine, reach: &Reach, record: &Record) -> Result<Vec<HalfWidths<'m>>> {
+fn half_widths<'m>(
+    machine: &'m Machine,
+    reach: &RecordRanges,
+    record: &Record,
+) -> Result<Vec<HalfWidths<'m>>> {
     let of = |role: &Role| HalfWidths::of(machine, reach, role).ok_or_else(|| no_interval(machine, role));
     record.responses().map(|response| of(&response.role)).collect()
 }
@@ -154,7 +163,7 @@ const PIECE_ROWS: usize = 4096;
 
 /// Why a prediction was not written.
 #[derive(Debug, thiserror::Error)]
-pub enum Failed {
+pub enum PredictionError {
     /// An error of the record or the model.
     #[error(transparent)]
     Input(#[from] InputError),
@@ -168,7 +177,12 @@ pub enum Failed {
 ///
 /// # Errors
 /// As [`predict`]; no interval is known; the record's CSV has changed.
-pub fn csv(machine: &Machine, record: &Record, interval: bool, say: &mut dyn FnMut(Said)) -> Result<String> {
+pub fn csv(
+    machine: &Machine,
+    record: &Record,
+    interval: bool,
+    say: &mut dyn FnMut(InputMessage),
+) -> Result<String> {
     let mut columns = Vec::new();
     let mut good = record.clone();
     let not_taken = plausible::hold_last_good(&mut good, &mut BTreeMap::new());

@@ -1,13 +1,15 @@
 //! Reports of evaluations for people.
 //! Conditions, tables and plots in the standard's order, as text and as one HTML file for A4.
 
-mod of;
+mod evaluation_reports;
 
-pub(crate) use of::short;
-pub(crate) use of::{ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness};
+pub(crate) use evaluation_reports::short;
+pub(crate) use evaluation_reports::{
+    ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness,
+};
 
 use crate::iso230::Conditions;
-use crate::plot::{Picture, PlotError};
+use crate::plot::{PlotError, PlotSpec};
 use rtec_files::message_text::escaped;
 use rtec_model::record::{Column, Record, span};
 use std::fmt::Write as _;
@@ -80,12 +82,12 @@ pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
 #[derive(Debug, Clone, PartialEq)]
 enum Section {
     Table(Table),
-    Plot { svg: String, picture: Picture },
+    Plot { svg: String, picture: PlotSpec },
 }
 
 /// Facts about a record in a report.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Run {
+pub struct ReportedRecord {
     /// The sidecar's name.
     pub name: String,
     /// Number of rows.
@@ -100,7 +102,7 @@ pub struct Run {
     pub ranges_degc: Vec<(String, [f64; 2])>,
 }
 
-impl Run {
+impl ReportedRecord {
     /// Facts about this record.
     pub fn of(record: &Record) -> Self {
         let range = |c: &Column| (c.name.clone(), span(&c.data));
@@ -154,10 +156,10 @@ impl Report {
     }
 
     fn new(title: &str, records: &[Record], conditions: &Conditions) -> Self {
-        Self::of_runs(title, &records.iter().map(Run::of).collect::<Vec<_>>(), conditions)
+        Self::of_runs(title, &records.iter().map(ReportedRecord::of).collect::<Vec<_>>(), conditions)
     }
 
-    fn of_runs(title: &str, runs: &[Run], conditions: &Conditions) -> Self {
+    fn of_runs(title: &str, runs: &[ReportedRecord], conditions: &Conditions) -> Self {
         let mut facts = Vec::new();
         for r in runs {
             let date = r.date.as_ref().map(|d| format!(", {d}")).unwrap_or_default();
@@ -191,7 +193,7 @@ impl Report {
         }
     }
 
-    fn plot(&mut self, picture: impl Into<Picture>) -> Result<(), PlotError> {
+    fn plot(&mut self, picture: impl Into<PlotSpec>) -> Result<(), PlotError> {
         let picture = picture.into();
         let svg = picture.svg(PLOT_PX.0, PLOT_PX.1)?;
         self.sections.push(Section::Plot { svg, picture });
@@ -207,7 +209,7 @@ impl Report {
     }
 
     /// Its plots as data, in the order of [`Report::plots`].
-    pub fn pictures(&self) -> impl Iterator<Item = &Picture> {
+    pub fn pictures(&self) -> impl Iterator<Item = &PlotSpec> {
         self.sections.iter().filter_map(|s| match s {
             Section::Plot { picture, .. } => Some(picture),
             Section::Table(_) => None,
@@ -286,7 +288,12 @@ impl Report {
             let instrument = all(&["instrument kind", "instrument name", "instrument serial"]);
             h.push_str(&signed_line(&instrument, &all(&["operator"]), &self.days.join(", ")));
         }
-        let _ = writeln!(h, "<p><small>{}, {}</small></p></body></html>", rtec_files::stamp::by(), self.by);
+        let _ = writeln!(
+            h,
+            "<p><small>{}, {}</small></p></body></html>",
+            rtec_files::format_stamp::by(),
+            self.by
+        );
         h
     }
 }
@@ -314,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_test_s_page_ends_with_a_line_to_be_signed() {
-        let run = |date: &str| Run {
+        let run = |date: &str| ReportedRecord {
             name: "a.run.toml".into(),
             rows: 9,
             date: Some(date.into()),

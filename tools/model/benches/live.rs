@@ -3,8 +3,8 @@
 //! Prints the times and asserts nothing: `cargo bench --workspace --bench live`.
 
 use rtec_builders::axis;
-use rtec_model::effect::{Dictionary, Difference, Effect, Naming, Need};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::effect::{Dictionary, Difference, Effect, Naming, RequiredInput};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ fn every_law() -> Vec<Effect> {
             Naming::Channel => format!("{name}.x.load"),
         };
         let mut e = d.effect(&name).expect("the dictionary's own names");
-        if e.description().needs.contains(&Need::Delta) {
+        if e.description().needs.contains(&RequiredInput::Delta) {
             e.delta = Some(Difference::pair("T1", "T2"));
         }
         effects.push(e);
@@ -31,20 +31,20 @@ fn every_law() -> Vec<Effect> {
 }
 
 /// A model of `count` effects: one of every law, repeated as often as needed.
-fn live(count: usize) -> Live {
+fn live(count: usize) -> LiveModel {
     let effects: Vec<Effect> = every_law().into_iter().cycle().take(count).collect();
-    let layout = Layout {
+    let layout = StateLayout {
         axes: vec![axis("x"), axis("y"), axis("z")],
         sensors: vec!["T1".into(), "T2".into()],
         channels: vec!["load".into()],
     };
-    Live::new(&effects, layout).expect("everything is in the layout")
+    LiveModel::new(&effects, layout).expect("everything is in the layout")
 }
 
 /// A motion as a series of instants.
 struct Motion {
     t_s: f64,
-    instants: Vec<(f64, [AxisNow; 3])>,
+    instants: Vec<(f64, [AxisMotionState; 3])>,
 }
 
 impl Motion {
@@ -55,23 +55,23 @@ impl Motion {
             self.t_s += 0.01;
             let t = self.t_s;
             let axes = [
-                AxisNow::moving(100.0 * t.sin(), t.cos()),
-                AxisNow::moving(t, 1.0),
-                AxisNow::moving(2.0, -1.0),
+                AxisMotionState::moving(100.0 * t.sin(), t.cos()),
+                AxisMotionState::moving(t, 1.0),
+                AxisMotionState::moving(2.0, -1.0),
             ];
             self.instants.push((t, axes));
         }
     }
 
     /// Evaluates the model at each of the prepared instants.
-    fn ask(&self, live: &mut Live) {
+    fn ask(&self, live: &mut LiveModel) {
         for (t_s, axes) in &self.instants {
-            live.evaluate(&Frame {
+            live.evaluate(&MachineState {
                 t_s: *t_s,
                 axes,
                 temperatures_degc: &[25.0, 20.0],
                 channels: &[1.0],
-                ..Frame::default()
+                ..MachineState::default()
             });
             black_box(live.errors_um());
         }

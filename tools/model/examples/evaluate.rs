@@ -1,7 +1,7 @@
 //! Evaluates one machine model over the rows of a run, and at one instant.
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 const MODEL: &str = "name = \"lathe\"
@@ -16,13 +16,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let cold = Column::new("T18", Role::Temperature, vec![20.0, 20.0]);
     let place = Column::new("z", Role::Position(z.clone()), vec![100.0, 500.0]);
     let error = Column::new("ez", Role::Error(z.clone()), vec![1.3, 17.8]);
-    let run = Record::new(Path::new("run.run.toml"), Kind::Drift, vec![warm, cold, place, error])?;
+    let run = Record::new(Path::new("run.run.toml"), RunKind::Drift, vec![warm, cold, place, error])?;
     println!("z over the run, µm: {:?}", model.predict(&run)?.columns[0].1); // 1.2, then 6 + 12
 
     let sensors = vec!["T8".to_owned(), "T18".to_owned()]; // the order of the temperatures below
-    let mut live = Live::of(&model, Layout { axes: vec![z], sensors, channels: Vec::new() })?;
-    let axes = [AxisNow::moving(500.0, 20.0)];
-    live.evaluate(&Frame { axes: &axes, temperatures_degc: &[28.0, 20.0], ..Frame::default() });
+    let mut live = LiveModel::of(&model, StateLayout { axes: vec![z], sensors, channels: Vec::new() })?;
+    let axes = [AxisMotionState::moving(500.0, 20.0)];
+    live.evaluate(&MachineState { axes: &axes, temperatures_degc: &[28.0, 20.0], ..MachineState::default() });
     assert!((live.errors_um()[0] - 18.0).abs() < 1e-9);
     Ok(())
 }

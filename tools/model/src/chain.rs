@@ -6,7 +6,7 @@
 //! difference. The error is the tool point's place in the frame of the work, minus the place where it should
 //! be.
 
-use crate::effect::{Difference, Missing, read_difference};
+use crate::effect::{Difference, MissingInput, read_difference};
 use crate::record::{Axis, LINEAR, Record, Role};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
@@ -40,7 +40,7 @@ pub struct Term {
 
 /// One component of a joint.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Component {
+pub struct ErrorMotion {
     /// Which of the six motions it is: index into [`COMPONENTS`].
     pub kind: usize,
     /// The temperature difference of its terms; `None` if no term depends on it.
@@ -63,7 +63,7 @@ pub struct Joint {
     /// Offset from the frame before, mm.
     pub offset_mm: [f64; 3],
     /// Its error motions; those not listed are zero.
-    pub components: Vec<Component>,
+    pub components: Vec<ErrorMotion>,
 }
 
 /// A kinematic chain from the workpiece to the tool.
@@ -309,7 +309,7 @@ impl Chain {
     ///
     /// # Errors
     /// A sensor that the record does not have.
-    pub fn add(&self, record: &Record, response: &Role, out: &mut [f64]) -> Result<(), Missing> {
+    pub fn add(&self, record: &Record, response: &Role, out: &mut [f64]) -> Result<(), MissingInput> {
         let Role::Error(axis) = response else { return Ok(()) };
         let place = |axis: &Axis| ["x", "y", "z"].iter().position(|n| *n == axis.as_str());
         // The chain's x, y and z that the response takes, with the share of each (`None`: all of it).
@@ -320,7 +320,7 @@ impl Chain {
             }
             _ => return Ok(()),
         };
-        let missing = |what: String| Missing { effect: "chain".to_owned(), what, has: String::new() };
+        let missing = |what: String| MissingInput { effect: "chain".to_owned(), what, has: String::new() };
         for s in self.deltas().flat_map(Difference::sensors) {
             record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
         }
@@ -337,7 +337,7 @@ impl Chain {
     }
 }
 
-impl Component {
+impl ErrorMotion {
     /// Its value, µm or µrad, at a position (mm) and temperature difference (K).
     pub fn value(&self, p_mm: f64, delta_k: f64) -> f64 {
         let of = |t: &Term| {
@@ -419,7 +419,7 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
                 coefficient: term.required("value", form)?.within([-1e5, 1e5], "µm or µrad")?,
             });
         }
-        components.push(Component { kind, delta, terms });
+        components.push(ErrorMotion { kind, delta, terms });
     }
     Ok(Joint { name, branch, axis, offset_mm, components })
 }
@@ -441,7 +441,7 @@ impl Branch {
 impl Chain {
     /// The chain as JSON.
     pub fn to_json(&self) -> serde_json::Value {
-        let component = |c: &Component| {
+        let component = |c: &ErrorMotion| {
             let terms: Vec<serde_json::Value> = (c.terms.iter())
                 .map(|t| serde_json::json!({"p": t.position, "dT": t.temperature, "value": t.coefficient}))
                 .collect();

@@ -1,7 +1,7 @@
 //! A model evaluated at one instant, live.
 //! The corrector evaluates it every 10–20 ms and the simulator at every step.
 //!
-//! [`Live::new`] looks up everything by name once; [`Live::evaluate`] allocates nothing. Effects with the
+//! [`LiveModel::new`] looks up everything by name once; [`LiveModel::evaluate`] allocates nothing. Effects with the
 //! same inputs (axes, temperature difference, channel) share one `Reading`, which is filled once per instant.
 //!
 //! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades. Let e
@@ -13,14 +13,15 @@
 
 use crate::chain::{Chain, JointIndices};
 use crate::effect::{
-    Basis, Difference, Effect, Input, Missing, Naming, Need, Probing, Quantity, STANDARD_DEGC, State, sign,
+    Basis, Difference, Effect, Input, MissingInput, Naming, Probing, Quantity, RequiredInput, STANDARD_DEGC,
+    State, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
 
-/// The order of a [`Frame`]'s values: names of axes, sensors and channels.
+/// The order of a [`MachineState`]'s values: names of axes, sensors and channels.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Layout {
+pub struct StateLayout {
     /// Names of the axes.
     pub axes: Vec<Axis>,
     /// Names of the temperature sensors.
@@ -31,7 +32,7 @@ pub struct Layout {
 
 /// The state of one axis at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct AxisNow {
+pub struct AxisMotionState {
     /// Position by the scale, mm.
     pub position_mm: f64,
     /// Velocity with its sign, mm/s.
@@ -44,7 +45,7 @@ pub struct AxisNow {
     pub load_n: f64,
 }
 
-impl AxisNow {
+impl AxisMotionState {
     /// An axis moving at constant velocity; its direction is the velocity's sign.
     pub fn moving(position_mm: f64, velocity_mm_s: f64) -> Self {
         Self { position_mm, velocity_mm_s, direction: sign(velocity_mm_s), ..Self::default() }
@@ -53,11 +54,11 @@ impl AxisNow {
 
 /// The state of the machine at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Frame<'a> {
+pub struct MachineState<'a> {
     /// Time on the caller's clock, s; never decreasing.
     pub t_s: f64,
     /// State of every axis of the layout.
-    pub axes: &'a [AxisNow],
+    pub axes: &'a [AxisMotionState],
     /// Temperature of every sensor of the layout, °C.
     pub temperatures_degc: &'a [f64],
     /// Value of every channel of the layout, in the unit it is logged in.
@@ -75,7 +76,7 @@ pub struct Frame<'a> {
     pub held: &'a [bool],
 }
 
-impl Frame<'_> {
+impl MachineState<'_> {
     fn holds(&self, axis: Option<usize>) -> bool {
         axis.and_then(|a| self.held.get(a)).is_some_and(|h| *h)
     }
@@ -155,8 +156,8 @@ struct LiveChain {
 
 /// A model ready to be evaluated.
 #[derive(Debug, Clone)]
-pub struct Live {
-    layout: Layout,
+pub struct LiveModel {
+    layout: StateLayout,
     readings: Vec<Reading>,
     items: Vec<LiveEffect>,
     chain: Option<LiveChain>,
@@ -166,31 +167,35 @@ pub struct Live {
     sums: Vec<f64>,
 }
 
-impl Live {
+impl LiveModel {
     /// Prepares a machine's effects and chain for evaluation.
     /// The zero of a set-up is left out, because it belongs to the gauges and not to the machine.
     ///
     /// # Errors
     /// A sensor, channel or (for the chain) axis that the layout does not have.
-    pub fn of(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
+    pub fn of(machine: &Machine, layout: StateLayout) -> Result<Self, MissingInput> {
         Self::only(machine, layout, |_| true)
     }
 
-    /// As [`Live::of`], without the effects over the angle of a circle.
+    /// As [`LiveModel::of`], without the effects over the angle of a circle.
     /// A machine at work has no such angle.
     ///
     /// # Errors
-    /// As [`Live::of`].
-    pub fn at_work(machine: &Machine, layout: Layout) -> Result<Self, Missing> {
-        Self::only(machine, layout, |e| !e.description().needs.contains(&Need::Angle))
+    /// As [`LiveModel::of`].
+    pub fn at_work(machine: &Machine, layout: StateLayout) -> Result<Self, MissingInput> {
+        Self::only(machine, layout, |e| !e.description().needs.contains(&RequiredInput::Angle))
     }
 
-    fn only(machine: &Machine, layout: Layout, acts: impl Fn(&Effect) -> bool) -> Result<Self, Missing> {
+    fn only(
+        machine: &Machine,
+        layout: StateLayout,
+        acts: impl Fn(&Effect) -> bool,
+    ) -> Result<Self, MissingInput> {
         let own = machine.listed().iter().filter(|l| !l.provenance.set_up).map(|l| &l.effect);
         let mut live = Self::new(own.filter(|e| acts(e)), layout)?;
         if let Some(chain) = machine.chain() {
             let layout = &live.layout;
-            let missing = |what: String, has: String| Missing { effect: "chain".to_owned(), what, has };
+            let missing = |what: String, has: String| MissingInput { effect: "chain".to_owned(), what, has };
             for joint in &chain.joints {
                 if let Some((axis, _)) = joint.axis.as_ref().filter(|(a, _)| !layout.axes.contains(a)) {
                     let has = layout.axes.iter().map(Axis::as_str).collect::<Vec<_>>().join(", ");
@@ -222,13 +227,16 @@ impl Live {
     ///
     /// # Errors
     /// A sensor or channel that the layout does not have. An axis that it does not have reads as zero.
-    pub fn new<'e>(effects: impl IntoIterator<Item = &'e Effect>, layout: Layout) -> Result<Self, Missing> {
+    pub fn new<'e>(
+        effects: impl IntoIterator<Item = &'e Effect>,
+        layout: StateLayout,
+    ) -> Result<Self, MissingInput> {
         let (mut items, mut readings) = (Vec::new(), Vec::<Reading>::new());
         let mut longest = 0;
         let count = layout.axes.len();
         for effect in effects {
             let find = |what: &str, names: &[String], name: &str| {
-                names.iter().position(|n| n == name).ok_or_else(|| Missing {
+                names.iter().position(|n| n == name).ok_or_else(|| MissingInput {
                     effect: effect.name(),
                     what: format!("{what}.{name}"),
                     has: names.join(", "),
@@ -240,7 +248,7 @@ impl Live {
             }
             let (mut sensor, mut minus, mut reference) = (None, None, STANDARD_DEGC);
             if let Some(delta) =
-                effect.delta.as_ref().filter(|_| effect.description().needs.contains(&Need::Delta))
+                effect.delta.as_ref().filter(|_| effect.description().needs.contains(&RequiredInput::Delta))
             {
                 sensor = Some(find("temperature", &layout.sensors, &delta.sensor)?);
                 minus = delta.minus().map(|m| find("temperature", &layout.sensors, m)).transpose()?;
@@ -288,7 +296,7 @@ impl Live {
     }
 
     /// The layout it was made for.
-    pub fn layout(&self) -> &Layout {
+    pub fn layout(&self) -> &StateLayout {
         &self.layout
     }
 
@@ -297,7 +305,7 @@ impl Live {
     ///
     /// # Panics
     /// When the frame has fewer values than the layout has names.
-    pub fn evaluate(&mut self, frame: &Frame<'_>) {
+    pub fn evaluate(&mut self, frame: &MachineState<'_>) {
         for reading in &mut self.readings {
             reading.fill(frame);
         }
@@ -383,9 +391,9 @@ impl Live {
 }
 
 impl Reading {
-    fn fill(&mut self, frame: &Frame<'_>) {
+    fn fill(&mut self, frame: &MachineState<'_>) {
         let InputIndices { axes, sensor, minus, reference, channel } = &self.places;
-        let nowhere = AxisNow::default();
+        let nowhere = AxisMotionState::default();
         let at = |n: usize| axes[n].map_or(&nowhere, |a| &frame.axes[a]);
         let first = at(0);
         let mut thermal = (0.0, frame.t_s);
@@ -454,9 +462,9 @@ mod tests {
         for (text, um) in [(own.to_owned(), 2.0), (zero.to_owned(), 0.0), (format!("{zero}{own}"), 2.0)] {
             let machine = of(&format!("name = \"m\"\n{text}"));
             assert_eq!(of(&machine.to_text()).listed(), machine.listed());
-            let layout = Layout { axes: vec![Axis::new("z").unwrap()], ..Layout::default() };
-            let mut live = Live::of(&machine, layout).unwrap();
-            live.evaluate(&Frame { axes: &[AxisNow::default()], ..Frame::default() });
+            let layout = StateLayout { axes: vec![Axis::new("z").unwrap()], ..StateLayout::default() };
+            let mut live = LiveModel::of(&machine, layout).unwrap();
+            live.evaluate(&MachineState { axes: &[AxisMotionState::default()], ..MachineState::default() });
             assert!((live.errors_um()[0] - um).abs() < 1e-12, "{text}");
         }
         for law in ["scale.z\"\nppm = 2.0\n", "force_offset.z\"\nN = 2.0\n"] {
@@ -473,10 +481,14 @@ mod tests {
                     um_per_K = 2.0\num_per_K2 = -0.3\nrange_K = [0.0, 4.0]\n";
         let machine = Machine::parse(std::path::Path::new("m.toml"), text).unwrap();
         let layout =
-            Layout { axes: vec![Axis::new("z").unwrap()], sensors: vec!["T1".into()], channels: vec![] };
-        let mut live = Live::of(&machine, layout).unwrap();
+            StateLayout { axes: vec![Axis::new("z").unwrap()], sensors: vec!["T1".into()], channels: vec![] };
+        let mut live = LiveModel::of(&machine, layout).unwrap();
         let mut at = |degc: f64| {
-            let frame = Frame { axes: &[AxisNow::default()], temperatures_degc: &[degc], ..Frame::default() };
+            let frame = MachineState {
+                axes: &[AxisMotionState::default()],
+                temperatures_degc: &[degc],
+                ..MachineState::default()
+            };
             live.evaluate(&frame);
             let part = live.parts().next().unwrap();
             (live.errors_um()[0], part.weight, part.outside_k)
@@ -499,7 +511,7 @@ mod tests {
                  range_K = [0.0, {hi:.1}]\n"
             )
         };
-        let layout = || Layout {
+        let layout = || StateLayout {
             axes: vec![Axis::new("z").unwrap()],
             sensors: vec!["T1".into(), "T2".into()],
             channels: vec![],
@@ -507,13 +519,13 @@ mod tests {
         for (gain, hi) in [(45.0, 6.2), (5.0, 10.0), (2.0, 3.0)] {
             let text = format!("name = \"m\"\n{}{}", effect("T1", gain, hi), effect("T2", -0.7 * gain, 50.0));
             let machine = Machine::parse(std::path::Path::new("m.toml"), &text).unwrap();
-            let mut live = Live::of(&machine, layout()).unwrap();
+            let mut live = LiveModel::of(&machine, layout()).unwrap();
             for beyond_k in [0.0, 0.01, 0.1, 0.5, 1.0, 3.0, 10.0, 100.0] {
                 let degc = 20.0 + hi + beyond_k;
-                let frame = Frame {
-                    axes: &[AxisNow::default()],
+                let frame = MachineState {
+                    axes: &[AxisMotionState::default()],
                     temperatures_degc: &[degc, 20.0 + hi],
-                    ..Frame::default()
+                    ..MachineState::default()
                 };
                 live.evaluate(&frame);
                 let (e, at_the_bound) = (live.errors_um()[0], 0.3 * gain * hi);

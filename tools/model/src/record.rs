@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-pub use crate::role::{Axis, Column, Kind, LINEAR, Role};
+pub use crate::role::{Axis, Column, LINEAR, Role, RunKind};
 pub use crate::values::{mean, median, span};
 
 /// One run: its columns in the CSV's order, rows in order of acquisition.
@@ -22,7 +22,7 @@ pub struct Record {
     /// SHA-256 of the CSV, in hexadecimal; empty for a record made in memory.
     pub sha256: String,
     /// The kind of the run.
-    pub kind: Kind,
+    pub kind: RunKind,
     /// The length of one count, µm.
     pub count_um: Option<f64>,
     /// The day of the run, as ISO 8601.
@@ -75,7 +75,7 @@ impl Record {
 
     /// Whether the travel since a turn is known for the rows after it.
     pub fn tells_turns(&self) -> bool {
-        self.kind != Kind::Positioning
+        self.kind != RunKind::Positioning
             || matches!(self.turns, Some(ReversalPoint::Overtravel(Some(_)) | ReversalPoint::AtTarget))
     }
 
@@ -84,7 +84,7 @@ impl Record {
     /// # Errors
     /// The same findings as for a file: columns of unequal length, a role given twice, a value that is not
     /// finite, decreasing time, no response.
-    pub fn new(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
+    pub fn new(path: &Path, kind: RunKind, columns: Vec<Column>) -> Result<Self, InputError> {
         let record = Self::log(path, kind, columns)?;
         if !record.columns.iter().any(|c| c.role.is_measured()) {
             let expected = "a column of role error.AXIS or force.AXIS";
@@ -98,7 +98,7 @@ impl Record {
     ///
     /// # Errors
     /// As [`Record::new`], except for a missing response.
-    pub fn log(path: &Path, kind: Kind, columns: Vec<Column>) -> Result<Self, InputError> {
+    pub fn log(path: &Path, kind: RunKind, columns: Vec<Column>) -> Result<Self, InputError> {
         let whole = |found: String, expected: &str| InputError::whole(path, found, expected);
         for (i, c) in columns.iter().enumerate() {
             if columns[..i].iter().any(|d| d.name == c.name) {
@@ -135,7 +135,7 @@ impl Record {
     ///
     /// # Panics
     /// Without a column.
-    pub fn of_checked(path: &Path, kind: Kind, columns: Vec<Column>) -> Self {
+    pub fn of_checked(path: &Path, kind: RunKind, columns: Vec<Column>) -> Self {
         let stem = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         Self {
             path: path.to_owned(),
@@ -197,7 +197,7 @@ impl Record {
     /// What was found and what was expected: a run of another kind, no radial error, no angle, one axis
     /// twice, a radius that is not above zero.
     pub fn with_circle(mut self, circle: Circle) -> Result<Self, (String, &'static str)> {
-        if self.kind != Kind::Ballbar {
+        if self.kind != RunKind::Ballbar {
             return Err((format!("a run of kind {}", self.kind.name()), "kind = \"ballbar\""));
         }
         let [a, b] = &circle.plane;
@@ -386,9 +386,9 @@ impl Record {
     }
 }
 
-fn times(kind: Kind, columns: &[Column]) -> Vec<f64> {
+fn times(kind: RunKind, columns: &[Column]) -> Vec<f64> {
     match columns.iter().find(|c| c.role == Role::Time) {
-        Some(c) if kind == Kind::Drift => spread(&c.data).unwrap_or_else(|| c.data.clone()),
+        Some(c) if kind == RunKind::Drift => spread(&c.data).unwrap_or_else(|| c.data.clone()),
         Some(c) => c.data.clone(),
         None => (0..columns[0].data.len()).map(|row| row as f64).collect(),
     }

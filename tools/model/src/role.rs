@@ -228,7 +228,7 @@ impl fmt::Display for Role {
 /// The kind of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
-pub enum Kind {
+pub enum RunKind {
     Positioning,
     Drift,
     Ballbar,
@@ -239,7 +239,7 @@ pub enum Kind {
     Part,
 }
 
-impl Kind {
+impl RunKind {
     /// All kinds with their names.
     pub const ALL: [(&'static str, Self); 8] = [
         ("positioning", Self::Positioning),

@@ -2,10 +2,10 @@
 //! The exact values are from `data/chain_reference.py`; the sum is the well-known one of a turning centre.
 
 use rtec_model::chain::{Chain, Transform, transform};
-use rtec_model::effect::{Against, Difference, STANDARD_DEGC};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::effect::{Difference, DifferenceReference, STANDARD_DEGC};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 fn data(name: &str) -> std::path::PathBuf {
@@ -25,9 +25,9 @@ fn equal_to_the_symbolic_reference() {
         let delta = |d: &Difference| {
             degc(&d.sensor)
                 - match &d.against {
-                    Against::Sensor(m) => degc(m),
-                    Against::Reference(t) => *t,
-                    Against::Standard => STANDARD_DEGC,
+                    DifferenceReference::Sensor(m) => degc(m),
+                    DifferenceReference::Reference(t) => *t,
+                    DifferenceReference::Standard => STANDARD_DEGC,
                 }
         };
         let axis = |a: &rtec_model::record::Axis| {
@@ -72,9 +72,12 @@ fn live_and_by_rows_it_is_what_its_names_say() {
         Machine::parse(Path::new("m.toml"), "name = \"m\"\n").unwrap().with_chain(Some(chain.clone()));
     let (axes, sensors) = (["z", "y", "x"], ["T18", "T3", "T6", "T9", "T2", "T8"]);
     let axis = |name: &str| Axis::new(name).unwrap();
-    let layout =
-        Layout { axes: axes.map(axis).into(), sensors: sensors.map(String::from).into(), channels: vec![] };
-    let mut live = Live::of(&machine, layout).unwrap();
+    let layout = StateLayout {
+        axes: axes.map(axis).into(),
+        sensors: sensors.map(String::from).into(),
+        channels: vec![],
+    };
+    let mut live = LiveModel::of(&machine, layout).unwrap();
     let value = |row: usize, column: usize| ((row * 7 + column * 31) % 23) as f64 * 1.37 - 4.0;
     let rows = 0..40_usize;
     let column = |name: &str, role: Role, n: usize| {
@@ -84,22 +87,26 @@ fn live_and_by_rows_it_is_what_its_names_say() {
     let degc = sensors.iter().enumerate().map(|(n, s)| column(s, Role::Temperature, 3 + n));
     let error = std::iter::once(column("e", Role::Error(axis("x")), 20));
     let columns = places.chain(degc).chain(error).collect();
-    let record = Record::new(Path::new("r.run.toml"), Kind::Drift, columns).unwrap();
+    let record = Record::new(Path::new("r.run.toml"), RunKind::Drift, columns).unwrap();
     let mut by_rows = vec![0.0; record.rows()];
     chain.add(&record, &Role::Error(axis("x")), &mut by_rows).unwrap();
     for row in rows.clone() {
         let at = |n: usize| value(row, n);
         let degc = |s: &str| at(3 + sensors.iter().position(|n| *n == s).unwrap());
         let delta = |d: &Difference| match &d.against {
-            Against::Sensor(m) => degc(&d.sensor) - degc(m),
-            Against::Reference(t) => degc(&d.sensor) - t,
-            Against::Standard => degc(&d.sensor) - STANDARD_DEGC,
+            DifferenceReference::Sensor(m) => degc(&d.sensor) - degc(m),
+            DifferenceReference::Reference(t) => degc(&d.sensor) - t,
+            DifferenceReference::Standard => degc(&d.sensor) - STANDARD_DEGC,
         };
         let want = chain.error_um(|a| at(axes.iter().position(|n| *n == a.as_str()).unwrap()), delta);
         assert!(want.iter().any(|e| e.abs() > 1.0), "{want:?}");
-        let now = [0, 1, 2].map(|n| AxisNow::moving(at(n), 0.0));
+        let now = [0, 1, 2].map(|n| AxisMotionState::moving(at(n), 0.0));
         let temperatures: Vec<f64> = (3..9).map(at).collect();
-        live.evaluate(&Frame { axes: &now, temperatures_degc: &temperatures, ..Frame::default() });
+        live.evaluate(&MachineState {
+            axes: &now,
+            temperatures_degc: &temperatures,
+            ..MachineState::default()
+        });
         assert_eq!(live.chain_um().unwrap().map(f64::to_bits), want.map(f64::to_bits), "{row}");
         assert_eq!(by_rows[row].to_bits(), want[0].to_bits(), "{row}");
     }

@@ -7,7 +7,7 @@ use rtec_builders::column;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -43,7 +43,7 @@ fn record(more: Vec<Column>) -> Record {
         column("e", "error.r", vec![0.0; rows.len()]),
     ];
     columns.extend(more);
-    Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns)
+    Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns)
         .unwrap()
         .with_circle(circle(RADIUS_MM))
         .unwrap()
@@ -189,7 +189,7 @@ fn what_is_logged_stands_before_what_follows_from_the_angle() {
 fn at_the_quadrant_an_axis_has_no_direction() {
     let a: Vec<f64> = (0..8).map(|i| f64::from(i) * PI / 4.0).collect();
     let columns = vec![column("a", "angle", a), column("e", "error.r", vec![0.0; 8])];
-    let r = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+    let r = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap();
     let r = r.with_circle(circle(100.0)).unwrap();
     let way = |n: &str| r.data(&Role::parse(&format!("direction.{n}")).unwrap()).unwrap().to_vec();
     assert_eq!(way("x"), [0.0, -1.0, -1.0, -1.0, 0.0, 1.0, 1.0, 1.0]);
@@ -288,7 +288,7 @@ fn candidates_are_the_axes_effects() {
     // Together with a run along x: the candidates that both records show.
     let line = Record::new(
         Path::new("x.run.toml"),
-        Kind::Positioning,
+        RunKind::Positioning,
         vec![
             column("x", "position.x", vec![0.0, 1.0]),
             column("d", "direction.x", vec![1.0, -1.0]),
@@ -340,7 +340,7 @@ fn a_centre_that_the_positions_contradict_is_refused() {
         Column::new("x", Role::Position(axis("x")), angle.iter().map(|a| 250.0 + 100.0 * a.cos()).collect()),
         Column::new("e", Role::Error(axis("r")), vec![0.0; angle.len()]),
     ];
-    let record = Record::new(Path::new("c.run.toml"), Kind::Ballbar, columns).unwrap();
+    let record = Record::new(Path::new("c.run.toml"), RunKind::Ballbar, columns).unwrap();
     let about = |x: f64| record.clone().with_circle(Circle { centre_mm: Some([x, 0.0]), ..circle(100.0) });
     assert!(about(250.0).is_ok() && about(250.4).is_ok());
     let (found, expected) = about(25.0).unwrap_err();

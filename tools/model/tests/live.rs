@@ -6,9 +6,10 @@
 
 use proptest::prelude::*;
 use rtec_model::effect::{
-    Against, Dictionary, Difference, Effect, Input, Naming, Need, Probing, Quantity, STANDARD_DEGC, State,
+    Dictionary, Difference, DifferenceReference, Effect, Input, Naming, Probing, Quantity, RequiredInput,
+    STANDARD_DEGC, State,
 };
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::record::Axis;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -25,19 +26,19 @@ struct Plain {
 type Sums = ([f64; 3], [f64; 3], f64);
 
 impl Plain {
-    fn add(&mut self, frame: &Frame<'_>, sums: &mut Sums) {
+    fn add(&mut self, frame: &MachineState<'_>, sums: &mut Sums) {
         let (effect, law) = (&self.effect, self.effect.description());
         let place = |n: usize| effect.axes().get(n).and_then(|a| AXES.iter().position(|b| *b == a.as_str()));
-        let at = |n: usize| place(n).map_or(AxisNow::default(), |a| frame.axes[a]);
+        let at = |n: usize| place(n).map_or(AxisMotionState::default(), |a| frame.axes[a]);
         let degc = |name: &str| frame.temperatures_degc[SENSORS.iter().position(|s| *s == name).unwrap()];
         let held = |n: usize| place(n).is_some_and(|a| frame.held.get(a) == Some(&true));
         let (mut delta_k, mut t_s) = (0.0, frame.t_s);
-        if let Some(d) = effect.delta.as_ref().filter(|_| law.needs.contains(&Need::Delta)) {
+        if let Some(d) = effect.delta.as_ref().filter(|_| law.needs.contains(&RequiredInput::Delta)) {
             if !(0..3).any(held) {
                 let from = match &d.against {
-                    Against::Sensor(s) => degc(s),
-                    Against::Reference(t) => *t,
-                    Against::Standard => STANDARD_DEGC,
+                    DifferenceReference::Sensor(s) => degc(s),
+                    DifferenceReference::Reference(t) => *t,
+                    DifferenceReference::Standard => STANDARD_DEGC,
                 };
                 self.thermal = (degc(&d.sensor) - from, frame.t_s);
             }
@@ -120,11 +121,11 @@ fn effect(n: usize, seed: u64) -> Effect {
     };
     // Values that the law refuses are left at its default.
     let _ = e.set_values(&values);
-    if law.needs.contains(&Need::Delta) {
+    if law.needs.contains(&RequiredInput::Delta) {
         e.delta = Some(match seed % 4 {
             0 => Difference::pair("T1", "T2"),
-            1 => Difference { sensor: "T3".into(), against: Against::Reference(21.5) },
-            2 => Difference { sensor: "T2".into(), against: Against::Standard },
+            1 => Difference { sensor: "T3".into(), against: DifferenceReference::Reference(21.5) },
+            2 => Difference { sensor: "T2".into(), against: DifferenceReference::Standard },
             _ => Difference::pair("T3", "T1"),
         });
         e.range_k = seed.is_multiple_of(3).then_some([-1.0, 2.0]);
@@ -152,25 +153,25 @@ proptest! {
         let count = Dictionary::default().laws().count();
         let effects: Vec<Effect> = (0..count).map(|n| effect(n, chosen[n % chosen.len()].1))
             .chain(chosen.iter().map(|(n, seed)| effect(*n, *seed))).collect();
-        let layout = Layout {
+        let layout = StateLayout {
             axes: AXES.map(|a| Axis::new(a).unwrap()).to_vec(),
             sensors: SENSORS.map(String::from).to_vec(),
             channels: vec!["load".into()],
         };
-        let mut live = Live::new(&effects, layout).unwrap();
+        let mut live = LiveModel::new(&effects, layout).unwrap();
         let mut plain: Vec<Plain> = effects.into_iter()
             .map(|effect| Plain { effect, state: State::default(), thermal: (0.0, 0.0) }).collect();
         let mut t_s = 0.0;
         for (axes, temperatures_degc, [step, channel, rpm, coolant, angle_rad], [hx, hy, hz, probing]) in instants {
             t_s += step.max(0.0);
-            let axes = axes.map(|[p, v, a, dir, load]| AxisNow {
+            let axes = axes.map(|[p, v, a, dir, load]| AxisMotionState {
                 position_mm: p,
                 velocity_mm_s: v,
                 acceleration_mm_s2: a,
                 direction: if dir.abs() < 10.0 { 0.0 } else { dir.signum() },
                 load_n: load,
             });
-            let frame = Frame {
+            let frame = MachineState {
                 t_s,
                 axes: &axes,
                 temperatures_degc: &temperatures_degc,

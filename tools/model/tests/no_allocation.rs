@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_model::effect::{Dictionary, Difference};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::record::Axis;
 use std::alloc::{GlobalAlloc, Layout as Memory, System};
 use std::cell::Cell;
@@ -52,18 +52,19 @@ fn evaluating_a_model_allocates_nothing() {
         effects.push(e);
     }
     let axes = vec![Axis::new("x").unwrap(), Axis::new("z").unwrap()];
-    let layout = Layout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec![] };
-    let mut live = Live::new(&effects, layout).unwrap();
+    let layout = StateLayout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec![] };
+    let mut live = LiveModel::new(&effects, layout).unwrap();
     let before = ALLOCATIONS.with(Cell::get);
     let mut sum = 0.0;
     for i in 0..1000 {
         let t = f64::from(i) * 0.01;
-        let axes = [AxisNow::moving(50.0 + 40.0 * t.sin(), 40.0 * t.cos()), AxisNow::moving(t, 1.0)];
-        live.evaluate(&Frame {
+        let axes =
+            [AxisMotionState::moving(50.0 + 40.0 * t.sin(), 40.0 * t.cos()), AxisMotionState::moving(t, 1.0)];
+        live.evaluate(&MachineState {
             t_s: t,
             axes: &axes,
             temperatures_degc: &[20.0 + t, 20.0],
-            ..Frame::default()
+            ..MachineState::default()
         });
         sum += live.errors_um().iter().sum::<f64>() + live.parts().map(|p| p.value[0]).sum::<f64>();
     }

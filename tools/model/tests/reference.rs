@@ -4,7 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_model::effect::{
-    Dictionary, Heat, LawDescription, Mechanism, Naming, Need, Owner, Parameter, Probing, Quantity,
+    Dictionary, LawDescription, MechanicalParameter, Naming, Owner, Parameter, Probing, Quantity,
+    RequiredInput, ThermalDependence,
 };
 use std::fmt::Write as _;
 use std::path::Path;
@@ -21,7 +22,8 @@ fn the_page_of_effects_is_what_the_dictionary_says() {
     page += "| effect | law | parameters |\n|---|---|---|\n";
     for law in dictionary.laws().map(rtec_model::effect::Law::describe) {
         let parameters = law.parameters.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ");
-        let sensors = if law.needs.contains(&Need::Delta) { "sensor, minus or reference_degC, " } else { "" };
+        let sensors =
+            if law.needs.contains(&RequiredInput::Delta) { "sensor, minus or reference_degC, " } else { "" };
         let _ = writeln!(page, "| [`{}`](#{}) | {} | {sensors}{parameters} |", name(law), law.name, law.law);
     }
     let mut laws = 0;
@@ -76,9 +78,13 @@ fn describe(page: &mut String, law: &LawDescription) {
         Probing::Displaced => notes.push("in records of kind `probing` another effect takes its place"),
     }
     match law.heat {
-        Heat::FromStart => notes.push("grows with the time since the start, with no logged cause"),
-        Heat::Growth | Heat::Expansion => notes.push("a temperature difference drives it"),
-        Heat::None | Heat::StandsIn => {}
+        ThermalDependence::FromStart => {
+            notes.push("grows with the time since the start, with no logged cause");
+        }
+        ThermalDependence::Growth | ThermalDependence::Expansion => {
+            notes.push("a temperature difference drives it");
+        }
+        ThermalDependence::None | ThermalDependence::StandsIn => {}
     }
     if law.whole_counts {
         notes.push("a multiple of the record's `count_um`");
@@ -93,7 +99,7 @@ fn describe(page: &mut String, law: &LawDescription) {
         notes.push("several may stand in one model");
     }
     match law.mechanism {
-        Some(Mechanism::ProbeDelay) => notes.push("a simulated probe is built with it"),
+        Some(MechanicalParameter::ProbeDelay) => notes.push("a simulated probe is built with it"),
         Some(_) => notes.push("a simulated axis is built with it"),
         None => {}
     }
@@ -112,7 +118,7 @@ fn describe(page: &mut String, law: &LawDescription) {
             p.source.replace('|', "\\|")
         );
     }
-    if law.needs.contains(&Need::Delta) {
+    if law.needs.contains(&RequiredInput::Delta) {
         page.push_str(
             "| `sensor` | name | | | | its temperature is the first of the difference ΔT |\n\
              | `minus` | name | | | | ΔT = sensor − minus; not together with `reference_degC` |\n\
@@ -125,21 +131,21 @@ fn describe(page: &mut String, law: &LawDescription) {
     }
 }
 
-fn need(need: Need) -> &'static str {
+fn need(need: RequiredInput) -> &'static str {
     match need {
-        Need::Time => "time",
-        Need::Position(0) => "the position of A",
-        Need::Position(1) => "the position of B",
-        Need::Position(_) => "the position of C",
-        Need::Direction => "the direction of A, or the sign of its velocity",
-        Need::Velocity => "the velocity of A",
-        Need::Acceleration => "the acceleration of A",
-        Need::Load => "the load of A",
-        Need::Delta => "a temperature difference",
-        Need::SpindleSpeed => "spindle speed",
-        Need::Coolant => "coolant",
-        Need::Angle => "angle",
-        Need::Channel => "the channel NAME",
+        RequiredInput::Time => "time",
+        RequiredInput::Position(0) => "the position of A",
+        RequiredInput::Position(1) => "the position of B",
+        RequiredInput::Position(_) => "the position of C",
+        RequiredInput::Direction => "the direction of A, or the sign of its velocity",
+        RequiredInput::Velocity => "the velocity of A",
+        RequiredInput::Acceleration => "the acceleration of A",
+        RequiredInput::Load => "the load of A",
+        RequiredInput::Delta => "a temperature difference",
+        RequiredInput::SpindleSpeed => "spindle speed",
+        RequiredInput::Coolant => "coolant",
+        RequiredInput::Angle => "angle",
+        RequiredInput::Channel => "the channel NAME",
     }
 }
 

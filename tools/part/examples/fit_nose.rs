@@ -1,6 +1,6 @@
 //! Fits a probed nose with a bump.
 //! Points that do not belong to the circle are left out of the fit, so that their errors show.
-use rtec_part::fit::{FitShape, FittedShape, Zx, two_step};
+use rtec_part::geometric_fit::{FitShape, FittedShape, Zx, two_step};
 
 #[cfg_attr(test, test)]
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -2,8 +2,8 @@
 //! The batch comes from a coordinate measuring machine. Systematic errors are offered as a change, with their
 //! statistics; nothing is applied (NISTIR 4854, section 1).
 
-use crate::cor::{MOST_RAD, MOST_UM, PointError, turned_near};
-use crate::determine::is_times;
+use crate::error_cor_file::{MOST_RAD, MOST_UM, PointError, turned_near};
+use crate::error_determination::is_times;
 use crate::written_step::{left_in_mean, written_step_mm};
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
@@ -130,7 +130,7 @@ pub struct PlaceStatistics {
 
 /// The strictness of the judgement.
 #[derive(Debug, Clone, Copy)]
-pub struct Judgement {
+pub struct SignificanceLimits {
     /// False-alarm rate over all places together.
     pub alpha: f64,
     /// Smallest mean error that matters, in µm.
@@ -177,7 +177,7 @@ pub fn evaluate_columns(
     file: &Path,
     columns: &[String],
     seen: Option<&[PointError]>,
-    judgement: Judgement,
+    judgement: SignificanceLimits,
 ) -> Result<Batch, InputError> {
     let columns = Columns::parse(columns, &COLUMNS, |_| false)?;
     judge(file, &Sheet::read_columns(file, &COLUMNS, |_| false, &columns)?, seen, judgement)
@@ -191,7 +191,7 @@ pub fn evaluate_text(
     file: &Path,
     text: &str,
     seen: Option<&[PointError]>,
-    judgement: Judgement,
+    judgement: SignificanceLimits,
 ) -> Result<Batch, InputError> {
     judge(file, &Sheet::parse(file, text, &COLUMNS, |_| false)?, seen, judgement)
 }
@@ -202,7 +202,7 @@ fn judge(
     file: &Path,
     sheet: &Sheet,
     seen: Option<&[PointError]>,
-    judgement: Judgement,
+    judgement: SignificanceLimits,
 ) -> Result<Batch, InputError> {
     let mut series = read(file, sheet)?;
     let places = series.len();
@@ -531,7 +531,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let kept = series.kept();
     let (e, n): (Vec<f64>, usize) = (kept.iter().map(|(_, um)| *um).collect(), kept.len());
     let mean = mean_of(&e);
-    let sd = crate::fit::sd(&e, |_| true);
+    let sd = crate::geometric_fit::sd(&e, |_| true);
     let of_mean = sd / (n as f64).sqrt();
     let half = StudentsT::new(0.0, 1.0, (n - 1) as f64).map_or(0.0, |d| d.inverse_cdf(0.975)) * of_mean;
     let line = Line::through(&kept);
@@ -541,7 +541,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let slope_error = sd_about / square.sqrt();
     let with_every_reading = (n < series.errors_um.len()).then(|| WithEveryReading {
         mean_um: mean_of(&series.errors_um),
-        sd_um: crate::fit::sd(&series.errors_um, |_| true),
+        sd_um: crate::geometric_fit::sd(&series.errors_um, |_| true),
     });
     let seen_on_machine_um = series.angle_rad.zip(seen).and_then(|(angle, seen)| {
         let at = |e: &&PointError| (e.angle_rad - turned_near(angle, e.angle_rad)).abs();

@@ -1,7 +1,7 @@
 //! The contour of a turned part: segments and features in probing order.
 
 use crate::edge_tree::EdgeTree;
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 use crate::svg::Svg;
 use serde::Serialize;
 use std::f64::consts::{FRAC_PI_2, TAU};

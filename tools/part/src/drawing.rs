@@ -7,7 +7,7 @@
 use crate::contour::{Contour, Segment, Spline};
 use crate::dxf::{Drawing, Entity};
 use crate::errors::ErrorReport;
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
@@ -38,7 +38,7 @@ fn unit_of_header(units: i32) -> Option<Unit> {
 
 /// The options for reading a drawing.
 #[derive(Debug, Clone, Copy)]
-pub struct Options<'a> {
+pub struct DxfOptions<'a> {
     /// The drawing's unit, if its header does not give it or is wrong.
     pub unit: Option<Unit>,
     /// The only layer to read.
@@ -47,7 +47,7 @@ pub struct Options<'a> {
     pub tolerance_mm: f64,
 }
 
-impl Default for Options<'_> {
+impl Default for DxfOptions<'_> {
     fn default() -> Self {
         Self { unit: None, layer: None, tolerance_mm: 1e-3 }
     }
@@ -107,7 +107,7 @@ fn is_aid(kind: &str) -> bool {
 /// # Errors
 /// Not a DXF file, or unknown units. An entity that belongs to no contour, is given twice, has no length, or
 /// is below the axis or out of the plane. A contour with a gap, a branch or several pieces.
-pub fn read(file: &Path, options: &Options) -> Result<(Contour, Unit), InputError> {
+pub fn read(file: &Path, options: &DxfOptions) -> Result<(Contour, Unit), InputError> {
     let drawing = load(file)?;
     let unit = options.unit.or_else(|| unit_of_header(drawing.units)).ok_or_else(|| {
         let found = format!("unknown units ($INSUNITS: {})", drawing.unit_name());
@@ -349,7 +349,7 @@ fn axis_ratio(ellipse: &Entity) -> f64 {
 struct Reader<'a> {
     file: &'a Path,
     unit: Unit,
-    options: &'a Options<'a>,
+    options: &'a DxfOptions<'a>,
     /// The placement of the present entity.
     place: AffineMap,
 }
@@ -818,7 +818,7 @@ mod tests {
         let file = directory.path().join("a.dxf");
         std::fs::write(&file, crate::dxf::written(&lines)).unwrap();
         LOOKS.with(|looks| looks.set(0));
-        let read = read(&file, &Options::default());
+        let read = read(&file, &DxfOptions::default());
         let found = read.map(|(contour, _)| contour.chords().len()).map_err(|e| e.found);
         (found, LOOKS.with(Cell::get))
     }

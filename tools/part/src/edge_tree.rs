@@ -1,6 +1,6 @@
 //! Straight edges in a tree of boxes, to find the nearest edge or those on a ray.
 
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 
 /// Edges in a leaf of the tree.
 const LEAF: usize = 4;

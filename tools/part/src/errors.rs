@@ -2,16 +2,16 @@
 //! The steps are probe tip, geometric-thermal correction, fit, `error.cor` and whiskers.
 
 use crate::contour::folded_deg;
-use crate::cor::{PointError, error_cor, turned_near};
-use crate::fit::{self, FitError, FitShape, FittedShape, Robust, TwoStep, Zx, sequence};
+use crate::error_cor_file::{PointError, error_cor, turned_near};
+use crate::geometric_fit::{self, FitError, FitShape, FittedShape, RobustFit, TwoStepFit, Zx, sequence};
 use crate::path::{PathPoint, touches};
-use crate::repeats::{self, Repeats};
+use crate::repeats::{self, RepeatedTouches};
 use crate::svg::Svg;
 use crate::written_step::written_step_mm;
 use rtec_files::InputError;
 use rtec_files::{Columns, Sheet};
-use rtec_model::effect::{Effect, Need};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::effect::{Effect, RequiredInput};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::Axis;
 use serde::Serialize;
@@ -26,7 +26,7 @@ pub const MAGNIFICATION: f64 = 250.0;
 
 /// The recorded points: the centre of the probe's tip at each trip.
 #[derive(Debug, Clone)]
-pub struct Probed {
+pub struct ProbedPoints {
     sheet: Sheet,
     /// Centre of the tip, in mm.
     pub tip_centre: Vec<Zx>,
@@ -42,7 +42,7 @@ const LEAST_STEP_UM: f64 = 0.1;
 
 /// The nominal feature that was probed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Nominal {
+pub enum NominalShape {
     /// A circle (hemisphere, fillet) of this radius.
     Circle {
         /// Nominal radius, in mm.
@@ -127,7 +127,7 @@ pub struct ErrorReport {
     /// Places that were touched several times.
     /// The standard errors then count places, not touches.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub repeats: Option<Repeats>,
+    pub repeats: Option<RepeatedTouches>,
     /// SD of all points about the plain fit, in µm.
     pub sd_before_um: f64,
     /// SD of the kept points about the second fit, in µm.
@@ -148,7 +148,7 @@ pub struct ErrorReport {
     outline: FittedShape,
 }
 
-impl Probed {
+impl ProbedPoints {
     /// Reads `z_mm,x_mm[,approach_z,approach_x]`.
     /// Other columns may be `point`, `t_s`, `uncertainty_um` and temperatures (`T8`, or `temperature.NAME`)
     /// for the off-line correction.
@@ -159,20 +159,20 @@ impl Probed {
         Self::of(Sheet::read(file, &COLUMNS, is_sensor)?)
     }
 
-    /// As [`Probed::read`], with columns that the user has assigned.
+    /// As [`ProbedPoints::read`], with columns that the user has assigned.
     /// Words are such as `z_mm=3` or `x_mm=Radius`. Without words the columns have their own names.
     ///
     /// # Errors
-    /// As [`Probed::read`]; an invalid word, a column that is missing.
+    /// As [`ProbedPoints::read`]; an invalid word, a column that is missing.
     pub fn read_columns(file: &Path, columns: &[String]) -> Result<Self, InputError> {
         let columns = Columns::parse(columns, &COLUMNS, is_sensor)?;
         Self::of(Sheet::read_columns(file, &COLUMNS, is_sensor, &columns)?)
     }
 
-    /// As [`Probed::read`], from text already in memory; `file` only names it.
+    /// As [`ProbedPoints::read`], from text already in memory; `file` only names it.
     ///
     /// # Errors
-    /// As [`Probed::read`].
+    /// As [`ProbedPoints::read`].
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
         Self::of(Sheet::parse(file, text, &COLUMNS, is_sensor)?)
     }
@@ -226,25 +226,25 @@ impl Probed {
             .collect();
         let times = self.sheet.optional("t_s")?;
         let axes = ["z", "x"].into_iter().filter_map(Axis::new).collect();
-        let layout = Layout { axes, sensors, channels: Vec::new() };
-        let mut live = Live::of(machine, layout).map_err(|m| {
+        let layout = StateLayout { axes, sensors, channels: Vec::new() };
+        let mut live = LiveModel::of(machine, layout).map_err(|m| {
             let found = format!("{} reads {}, the record has: {}", m.effect, m.what, m.has);
             InputError::whole(self.sheet.file(), found, "a column for every sensor of the model")
         })?;
         for row in 0..self.tip_centre.len() {
             let place = self.tip_centre[row] + origin;
             let approach = self.approach.as_ref().map_or(Zx::new(0.0, 0.0), |a| a[row]);
-            let axis = |position_mm: f64, towards: f64| AxisNow {
+            let axis = |position_mm: f64, towards: f64| AxisMotionState {
                 position_mm,
                 direction: if towards.abs() < 1e-9 { 0.0 } else { towards.signum() },
-                ..AxisNow::default()
+                ..AxisMotionState::default()
             };
             let degc: Vec<f64> = temperatures.iter().map(|t| t[row]).collect();
-            live.evaluate(&Frame {
+            live.evaluate(&MachineState {
                 t_s: times.as_ref().map_or(row as f64, |t| t[row]),
                 axes: &[axis(place.z, approach.z), axis(place.x, approach.x)],
                 temperatures_degc: &degc,
-                ..Frame::default()
+                ..MachineState::default()
             });
             if let [z_um, x_um] = *live.errors_um() {
                 self.tip_centre[row] = self.tip_centre[row] + Zx::new(z_um, x_um) * 1e-3;
@@ -267,10 +267,10 @@ impl Probed {
     /// Such an input counts as zero; for the time it is the row's number.
     pub fn read_blind(&self, machine: &Machine) -> Vec<String> {
         let timed = self.sheet.names().iter().any(|n| n == "t_s");
-        let blind = |need: &Need| match need {
-            Need::Position(_) | Need::Delta | Need::Channel => false,
-            Need::Direction => self.approach.is_none(),
-            Need::Time => !timed,
+        let blind = |need: &RequiredInput| match need {
+            RequiredInput::Position(_) | RequiredInput::Delta | RequiredInput::Channel => false,
+            RequiredInput::Direction => self.approach.is_none(),
+            RequiredInput::Time => !timed,
             _ => true,
         };
         machine.effects().filter(|e| e.description().needs.iter().any(blind)).map(Effect::name).collect()
@@ -340,15 +340,15 @@ impl Probed {
     pub fn is_straight(&self, expected: bool) -> Result<bool, InputError> {
         let points = &self.tip_centre;
         let spread = |shape: FitShape| {
-            fit::least_squares(shape, points, None)
-                .map(|f| fit::sd(&fit::deviations_um(&f, points), |_| true))
+            geometric_fit::least_squares(shape, points, None)
+                .map(|f| geometric_fit::sd(&geometric_fit::deviations_um(&f, points), |_| true))
         };
         if points.len() < 4 {
             return Err(self.undetermined(FitError::TooFew { found: points.len(), needed: 4 }));
         }
         let line_um = spread(FitShape::Line).map_err(|e| self.undetermined(e))?;
         let length_mm = points.iter().map(|p| (*p - points[0]).norm()).fold(0.0, f64::max);
-        let bowed = match fit::least_squares(FitShape::Circle, points, None) {
+        let bowed = match geometric_fit::least_squares(FitShape::Circle, points, None) {
             Ok(FittedShape::Circle { radius_mm, .. }) => !expected && radius_mm > BOWED * length_mm,
             _ => false,
         };
@@ -356,7 +356,7 @@ impl Probed {
         let straight = spread(FitShape::Circle).map_or(true, |circle_um| circle_um >= STRAIGHT * line_um);
         if straight && expected && points.len() >= ENOUGH_TO_DOUBT {
             // One false trip of millimetres spoils both fits equally, but not the robust fits.
-            let of = |shape| fit::robust(shape, points).map(|r| r.scale_um);
+            let of = |shape| geometric_fit::robust(shape, points).map(|r| r.scale_um);
             if let (Ok(circle_um), Ok(line_um)) = (of(FitShape::Circle), of(FitShape::Line)) {
                 return Ok(circle_um >= STRAIGHT * line_um);
             }
@@ -376,50 +376,56 @@ impl Probed {
     }
 
     /// Part errors of a feature probed with a tip of radius `tip_mm`.
-    /// Points beyond noise are left out of the fit ([`fit::beyond_noise`]).
+    /// Points beyond noise are left out of the fit ([`geometric_fit::beyond_noise`]).
     /// The tip touches where its surface is normal to the part's, whatever the direction of approach. The
     /// approach only shows the side. So the shape is fitted to the tip's centres and moved by the tip's
     /// radius.
     ///
     /// # Errors
     /// Too few or degenerate points; approaches from both sides of the surface or along it.
-    pub fn errors(&self, nominal: Nominal, tip_mm: f64) -> Result<ErrorReport, InputError> {
+    pub fn errors(&self, nominal: NominalShape, tip_mm: f64) -> Result<ErrorReport, InputError> {
         self.fitted(nominal, tip_mm, |shape, points, robust, repeats| {
             let least_um = written_step_mm(&coordinates(points)).map_or(0.0, |mm| 1e3 * mm / 12f64.sqrt());
             let rejected = match repeats {
-                None => fit::beyond_noise(&robust.fitted, points, least_um),
+                None => geometric_fit::beyond_noise(&robust.fitted, points, least_um),
                 // Touches of one place share its form: each place counts once.
-                Some(repeats) => fit::robust(shape, &repeats.means).map_or_else(
+                Some(repeats) => geometric_fit::robust(shape, &repeats.means).map_or_else(
                     |_| Vec::new(),
-                    |robust| repeats.touches(&fit::beyond_noise(&robust.fitted, &repeats.means, least_um)),
+                    |robust| {
+                        repeats.touches(&geometric_fit::beyond_noise(
+                            &robust.fitted,
+                            &repeats.means,
+                            least_um,
+                        ))
+                    },
                 ),
             };
-            TwoStep::without(shape, points, rejected)
+            TwoStepFit::without(shape, points, rejected)
         })
     }
 
-    /// As [`Probed::errors`], by the report's rule ([`fit::two_step`]).
+    /// As [`ProbedPoints::errors`], by the report's rule ([`geometric_fit::two_step`]).
     ///
     /// # Errors
-    /// As [`Probed::errors`].
-    pub fn errors_by_report(&self, nominal: Nominal, tip_mm: f64) -> Result<ErrorReport, InputError> {
-        self.fitted(nominal, tip_mm, |shape, points, _, _| fit::two_step(shape, points))
+    /// As [`ProbedPoints::errors`].
+    pub fn errors_by_report(&self, nominal: NominalShape, tip_mm: f64) -> Result<ErrorReport, InputError> {
+        self.fitted(nominal, tip_mm, |shape, points, _, _| geometric_fit::two_step(shape, points))
     }
 
     fn fitted(
         &self,
-        nominal: Nominal,
+        nominal: NominalShape,
         tip_mm: f64,
-        second_fit: impl Fn(FitShape, &[Zx], &Robust, Option<&Repeats>) -> Result<TwoStep, FitError>,
+        second_fit: impl Fn(FitShape, &[Zx], &RobustFit, Option<&RepeatedTouches>) -> Result<TwoStepFit, FitError>,
     ) -> Result<ErrorReport, InputError> {
         let shape = match nominal {
-            Nominal::Circle { .. } => FitShape::Circle,
-            Nominal::Line { .. } => FitShape::Line,
+            NominalShape::Circle { .. } => FitShape::Circle,
+            NominalShape::Line { .. } => FitShape::Line,
         };
         let as_input = |e| self.undetermined(e);
         let points = &self.tip_centre;
-        let mut robust = fit::robust(shape, points).map_err(as_input)?;
-        let plain = fit::least_squares(shape, points, None).map_err(as_input)?;
+        let mut robust = geometric_fit::robust(shape, points).map_err(as_input)?;
+        let plain = geometric_fit::least_squares(shape, points, None).map_err(as_input)?;
         let repeats = repeats::find(&plain, points, shape.parameters());
         let mut two = second_fit(shape, points, &robust, repeats.as_ref()).map_err(as_input)?;
         let side = self.side(&two.fitted)?;
@@ -452,8 +458,8 @@ impl Probed {
         let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
         let inclination_deg = inclination_deg(&surface);
         let (nominal_mm, taper_deg) = match nominal {
-            Nominal::Circle { radius_mm } => (Some(radius_mm), None),
-            Nominal::Line { taper_deg } => (None, taper_deg),
+            NominalShape::Circle { radius_mm } => (Some(radius_mm), None),
+            NominalShape::Line { taper_deg } => (None, taper_deg),
         };
         let off_um = |radius_mm: Option<f64>| radius_mm.zip(nominal_mm).map(|(f, r)| (f - r) * 1e3);
         let off_deg = |(f, t): (f64, f64)| (f - t + 90.0).rem_euclid(180.0) - 90.0;
@@ -462,10 +468,10 @@ impl Probed {
             (0..points.len()).filter(|i| !two.rejected.contains(i)).map(|i| points[i]).collect();
         let (sd_um, step_um) = self.scatter_um(two.sd_before_um, shape);
         let standard_errors = |fitted: &FittedShape, points: &[Zx]| match &repeats {
-            None => fit::standard_errors(fitted, points, sd_um),
+            None => geometric_fit::standard_errors(fitted, points, sd_um),
             Some(repeats) => {
                 let sd_um = repeats.sd_between_um?.hypot(step_um.map_or(0.0, |step| step / 12f64.sqrt()));
-                fit::standard_errors(fitted, &repeats.means, sd_um)
+                geometric_fit::standard_errors(fitted, &repeats.means, sd_um)
             }
         };
         let known = standard_errors(&two.fitted, &kept);

@@ -6,10 +6,10 @@
 //! | [`path`] | probing points, the probe's path, collisions |
 //! | [`program`] | the NC probing program: template, parameters, dialects |
 //! | [`probe`] | captured trips compared with the plan |
-//! | [`fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
-//! | [`determine`] | errors from probed points as users give them
-//! | [`cor`] | `error.cor`, read and written |
-//! | [`table`], [`line_table`] | the finish cut's corrections, or the same as G01 moves |
+//! | [`geometric_fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
+//! | [`error_determination`] | errors from probed points as users give them
+//! | [`error_cor_file`] | `error.cor`, read and written |
+//! | [`table`], [`straight_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
 //! | [`svg`] | drawings as SVG |
 //! | [`comparison_page`] | two probing sessions side by side |
@@ -24,18 +24,18 @@
 pub mod batch;
 pub mod comparison_page;
 pub mod contour;
-pub mod cor;
-pub mod determine;
 pub mod drawing;
 mod dxf;
 mod edge_tree;
+pub mod error_cor_file;
+pub mod error_determination;
 pub mod errors;
-pub mod fit;
-pub mod line_table;
+pub mod geometric_fit;
 pub mod path;
 pub mod probe;
 pub mod program;
 mod repeats;
+pub mod straight_table;
 pub mod svg;
 pub mod table;
 pub mod unit;

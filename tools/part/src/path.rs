@@ -2,8 +2,8 @@
 //! The files are `pathfin.cdl` and the expected trip points (NISTIR 4854, sections 3 and 4).
 
 use crate::contour::{Contour, SurfacePlace};
-use crate::cor::MOST_MM;
-use crate::fit::Zx;
+use crate::error_cor_file::MOST_MM;
+use crate::geometric_fit::Zx;
 use crate::svg::Svg;
 use crate::unit::Unit;
 use rtec_files::InputError;
@@ -121,7 +121,7 @@ pub struct Collision {
 
 /// The plan of a probing session.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct ProbingPlan {
     /// The probe that the path is made for.
     pub probe: ProbeGeometry,
     /// Gauging points in probing order.
@@ -139,7 +139,7 @@ pub fn number_at(length_mm: f64, spacing_mm: f64) -> usize {
     (length_mm / spacing_mm - 1e-9).ceil().max(1.0) as usize + 1
 }
 
-impl Plan {
+impl ProbingPlan {
     /// A plan without points.
     pub const fn new(probe: ProbeGeometry) -> Self {
         Self { probe, points: Vec::new() }
@@ -278,7 +278,7 @@ impl Plan {
 
     /// Adds by-pass points where the path to a point collides with the part.
     /// They go over the top or round the front, with the fewest points that are clear. If no such detour is
-    /// clear, the path is unchanged, and [`Plan::hits`] names it.
+    /// clear, the path is unchanged, and [`ProbingPlan::hits`] names it.
     pub fn add_bypasses(&mut self, contour: &Contour, clear_mm: f64) {
         let away = self.probe.tip_mm + clear_mm;
         let top = contour.reach() + Zx::new(away, away);

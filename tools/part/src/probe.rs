@@ -2,8 +2,8 @@
 //! Each point needs one trip, at the expected place.
 
 use crate::errors::sensor_column;
-use crate::fit::Zx;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use crate::geometric_fit::Zx;
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -69,7 +69,7 @@ pub enum TripFault {
 /// Each has both axes' positions, their half width and the time. `bounces` are the numbers of trips (from 1)
 /// during which the contact bounced.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Captured {
+pub struct CapturedTrips {
     /// Position on the scales in counts `[z, x]`, half width in counts, time in s.
     pub trips: Vec<([f64; 2], f64, f64)>,
     /// Trips with a bounce.
@@ -83,7 +83,7 @@ pub struct Captured {
 /// # Errors
 /// The first point that was missed, tripped twice, bounced or tripped elsewhere.
 pub fn assign(
-    captured: &Captured,
+    captured: &CapturedTrips,
     expected: &[Zx],
     count_um: f64,
     origin: Zx,
@@ -174,5 +174,5 @@ pub fn run_record(
             sensors.iter().enumerate().map(|(s, name)| column(name, Role::Temperature, &|n| degc[n][s])),
         );
     }
-    Record::new(Path::new("probing.run.toml"), Kind::Probing, columns).ok()
+    Record::new(Path::new("probing.run.toml"), RunKind::Probing, columns).ok()
 }

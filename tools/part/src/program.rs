@@ -1,7 +1,7 @@
 //! The NC probing program (NISTIR 4854, section 4 and figure 8).
 //! It is made from a template, named parameters and the probe's moves.
 
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 use crate::path::{PathPoint, PathRole};
 use crate::unit::Unit;
 use rtec_files::InputError;

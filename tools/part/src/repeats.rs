@@ -1,7 +1,7 @@
 //! Places that were touched several times.
 //! Their touches share the part's form, so they are not independent points.
 
-use crate::fit::{FittedShape, Zx, deviations_um, sequence};
+use crate::geometric_fit::{FittedShape, Zx, deviations_um, sequence};
 use serde::Serialize;
 
 /// Largest distance of touches of one place, as a share of the distance of places.
@@ -12,7 +12,7 @@ const ONE_PLACE_MM: f64 = 0.1;
 
 /// Places that were touched several times, and the scatter of their touches.
 #[derive(Debug, Clone, Serialize)]
-pub struct Repeats {
+pub struct RepeatedTouches {
     /// Number of places.
     pub places: usize,
     /// SD of the touches of one place about their mean, pooled, in µm.
@@ -28,7 +28,7 @@ pub struct Repeats {
     groups: Vec<Vec<usize>>,
 }
 
-impl Repeats {
+impl RepeatedTouches {
     /// The touches of these places, in ascending order.
     pub(crate) fn touches(&self, places: &[usize]) -> Vec<usize> {
         let mut touches: Vec<usize> = places.iter().flat_map(|place| self.groups[*place].clone()).collect();
@@ -50,7 +50,7 @@ fn way_mm(fitted: &FittedShape, from: Zx, to: Zx) -> f64 {
 
 /// Groups points on a shape with this number of `parameters` into places.
 /// `None` if most points have a place of their own.
-pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<Repeats> {
+pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Option<RepeatedTouches> {
     // Starts after the widest gap, so that no arc and no place is cut in two.
     let order = sequence(fitted, points);
     let gap = |w: &[usize]| way_mm(fitted, points[w[0]], points[w[1]]);
@@ -76,7 +76,7 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
     let centre = |group: &Vec<usize>| {
         group.iter().fold(Zx::new(0.0, 0.0), |sum, k| sum + points[*k]) * (1.0 / group.len() as f64)
     };
-    Some(Repeats {
+    Some(RepeatedTouches {
         places,
         sd_within_um: (within / (points.len() - places) as f64).sqrt(),
         sd_between_um: free.map(|free| (between / free as f64).sqrt()),

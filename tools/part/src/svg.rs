@@ -1,7 +1,7 @@
 //! Drawings of the turning plane as self-contained SVG.
 //! Z is to the right, X up, in mm.
 
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 use rtec_files::message_text::escaped;
 use std::fmt::Write as _;
 

@@ -1,8 +1,8 @@
 //! The finish cut's corrections (NISTIR 4854, section 5).
 //! Errors by angle become requested counts by machine position.
 
-use crate::cor::{PointError, turned_near};
-use crate::fit::Zx;
+use crate::error_cor_file::{PointError, turned_near};
+use crate::geometric_fit::Zx;
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -39,7 +39,7 @@ impl AxisCounts {
 
 /// The arc of the finish cut, and the machine positions along it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FinishCut {
+pub struct FinishArc {
     /// Centre of the arc in part coordinates.
     pub centre: Zx,
     /// Radius of the finished surface.
@@ -52,7 +52,7 @@ pub struct FinishCut {
     pub origin: Zx,
 }
 
-impl FinishCut {
+impl FinishArc {
     /// Machine position while the surface at this angle is cut.
     pub fn machine_at(&self, angle_rad: f64) -> Zx {
         self.part_at(angle_rad) + self.origin
@@ -122,7 +122,7 @@ pub(crate) fn interpolated<T>(points: &[T], of: impl Fn(&T) -> (f64, f64), at: f
 #[derive(Debug, Clone)]
 pub struct FinishTable {
     /// The arc that is cut.
-    pub cut: FinishCut,
+    pub cut: FinishArc,
     /// The counts of Z and of X.
     pub axes: [AxisCounts; 2],
     errors: Vec<PointError>,
@@ -130,8 +130,8 @@ pub struct FinishTable {
 
 impl FinishTable {
     /// A table from the errors of the semi-finish cut.
-    /// Their angles ascend, as [`crate::cor::read_arc`] reads them.
-    pub fn new(cut: FinishCut, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
+    /// Their angles ascend, as [`crate::error_cor_file::read_arc`] reads them.
+    pub fn new(cut: FinishArc, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
         errors.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
         Self { cut, axes, errors }
     }

@@ -5,12 +5,12 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::InputError;
-use rtec_part::batch::{Batch, BatchFinding, Judgement, evaluate_columns};
-use rtec_part::cor::PointError;
+use rtec_part::batch::{Batch, BatchFinding, SignificanceLimits, evaluate_columns};
+use rtec_part::error_cor_file::PointError;
 use std::fmt::Write as _;
 use test_needs::fewer;
 
-const JUDGEMENT: Judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+const JUDGEMENT: SignificanceLimits = SignificanceLimits { alpha: 0.01, least_um: 1.0 };
 
 fn judged(text: &str, seen: Option<&[PointError]>) -> Result<Batch, InputError> {
     let folder = tempfile::tempdir().unwrap();

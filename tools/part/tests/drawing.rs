@@ -6,8 +6,8 @@ use dxf::enums::Units;
 use dxf::{LwPolylineVertex, Point, Vector};
 use rtec_files::InputError;
 use rtec_part::contour::{Contour, FeatureKind};
-use rtec_part::drawing::{Options, read};
-use rtec_part::fit::Zx;
+use rtec_part::drawing::{DxfOptions, read};
+use rtec_part::geometric_fit::Zx;
 use rtec_part::unit::Unit;
 
 fn line(a: (f64, f64), b: (f64, f64)) -> EntityType {
@@ -33,7 +33,7 @@ fn nose_part() -> Vec<EntityType> {
 fn contour(
     units: Units,
     entities: Vec<EntityType>,
-    options: &Options,
+    options: &DxfOptions,
 ) -> Result<(Contour, Unit), InputError> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("part.dxf");
@@ -48,12 +48,12 @@ fn contour(
 }
 
 fn finding(entities: Vec<EntityType>) -> InputError {
-    contour(Units::Inches, entities, &Options::default()).unwrap_err()
+    contour(Units::Inches, entities, &DxfOptions::default()).unwrap_err()
 }
 
 #[test]
 fn features_stand_in_probing_order() {
-    let (part, unit) = contour(Units::Inches, nose_part(), &Options::default()).unwrap();
+    let (part, unit) = contour(Units::Inches, nose_part(), &DxfOptions::default()).unwrap();
     assert_eq!(unit, Unit::INCH);
     let kinds: Vec<FeatureKind> = part.features.iter().map(|f| f.kind).collect();
     assert!(
@@ -81,7 +81,7 @@ fn features_stand_in_probing_order() {
 fn a_closed_drawing_and_a_ring_are_taken() {
     let mut closed = nose_part();
     closed.extend([line((0.5, 2.1), (0.5, 0.0)), line((0.5, 0.0), (6.5, 0.0))]);
-    let (part, _) = contour(Units::Inches, closed, &Options::default()).unwrap();
+    let (part, _) = contour(Units::Inches, closed, &DxfOptions::default()).unwrap();
     assert_eq!(part.features.len(), 6, "the axis is no feature");
     let vertex = |x, y| LwPolylineVertex { x, y, ..Default::default() };
     let ring = LwPolyline {
@@ -90,7 +90,7 @@ fn a_closed_drawing_and_a_ring_are_taken() {
         ..Default::default()
     };
     let (ring, _) =
-        contour(Units::Millimeters, vec![EntityType::LwPolyline(ring)], &Options::default()).unwrap();
+        contour(Units::Millimeters, vec![EntityType::LwPolyline(ring)], &DxfOptions::default()).unwrap();
     assert!(ring.closed);
     // The bore's surface faces the axis.
     let bore = ring.nearest(Zx::new(15.0, 9.0)).unwrap();
@@ -124,7 +124,7 @@ fn conics_and_bulges_lie_where_they_should() {
     let bulge =
         LwPolyline { vertices: vec![vertex(40.0, 20.0, 1.0), vertex(36.0, 20.0, 0.0)], ..Default::default() };
     let all = vec![EntityType::Spline(spline), EntityType::Ellipse(ellipse), EntityType::LwPolyline(bulge)];
-    let (part, _) = contour(Units::Millimeters, all, &Options::default()).unwrap();
+    let (part, _) = contour(Units::Millimeters, all, &DxfOptions::default()).unwrap();
     assert_eq!(part.features.len(), 3);
     for k in 0..=20 {
         let t = f64::from(k) / 20.0;
@@ -140,9 +140,9 @@ fn conics_and_bulges_lie_where_they_should() {
 
 #[test]
 fn bad_drawings_are_named() {
-    let e = contour(Units::Unitless, nose_part(), &Options::default()).unwrap_err();
+    let e = contour(Units::Unitless, nose_part(), &DxfOptions::default()).unwrap_err();
     assert!(e.found.contains("unknown units"), "{e}");
-    let inch = Options { unit: Some(Unit::INCH), ..Options::default() };
+    let inch = DxfOptions { unit: Some(Unit::INCH), ..DxfOptions::default() };
     assert!(contour(Units::Unitless, nose_part(), &inch).is_ok());
 
     let mut gap = nose_part();
@@ -180,9 +180,9 @@ fn bad_drawings_are_named() {
     let file = folder.path().join("x.dxf");
     for junk in ["", "hello\n", "0\nSECTION\n2\nENTITIES\n0\nLINE\n10\nabc\n", "  0\nSECTION\n  2\n"] {
         std::fs::write(&file, junk).unwrap();
-        assert!(read(&file, &Options::default()).is_err(), "{junk:?}");
+        assert!(read(&file, &DxfOptions::default()).is_err(), "{junk:?}");
     }
-    assert!(read(&folder.path().join("none.dxf"), &Options::default()).is_err());
+    assert!(read(&folder.path().join("none.dxf"), &DxfOptions::default()).is_err());
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn binary_drawings_read_like_text() {
         let [text, binary] = ["text.dxf", "binary.dxf"].map(|name| folder.path().join(name));
         drawing.save_file(&text).unwrap();
         drawing.save_file_binary(&binary).unwrap();
-        let inch = Options { unit: Some(Unit::INCH), ..Options::default() };
+        let inch = DxfOptions { unit: Some(Unit::INCH), ..DxfOptions::default() };
         let [text, binary] = [text, binary].map(|file| format!("{:?}", read(&file, &inch).unwrap()));
         assert_eq!(text, binary, "{version:?}");
         assert!(text.contains("38.0"), "{text}");
@@ -236,7 +236,7 @@ fn binary_drawings_read_like_text() {
     for n in (0..end).step_by(7) {
         let file = folder.path().join("cut.dxf");
         std::fs::write(&file, &whole[..n]).unwrap();
-        assert!(read(&file, &Options::default()).is_err(), "{n} of {} bytes", whole.len());
+        assert!(read(&file, &DxfOptions::default()).is_err(), "{n} of {} bytes", whole.len());
     }
 }
 
@@ -253,13 +253,13 @@ fn broken_groups_are_named_with_their_line() {
         ("0\nSECTION\n2\nENTITIES\n0\nENDSEC\n5\n1F\n0\nEOF\n".to_owned(), 8, "group 5 '1F'"),
     ] {
         std::fs::write(&file, &text).unwrap();
-        let e = read(&file, &Options::default()).unwrap_err();
+        let e = read(&file, &DxfOptions::default()).unwrap_err();
         assert_eq!((e.line, &*e.found), (line, found), "{text}");
     }
     let rest = "10\n0\n20\n9\n11\n5\n21\n9\n0\nENDSEC\n0\nEOF\n";
     let read_layer = |bytes: &[u8]| {
         std::fs::write(&file, bytes).unwrap();
-        let options = Options { layer: Some("Ränder"), unit: Some(Unit::INCH), ..Options::default() };
+        let options = DxfOptions { layer: Some("Ränder"), unit: Some(Unit::INCH), ..DxfOptions::default() };
         read(&file, &options).map(|(contour, _)| contour.features.len())
     };
     // Escaped, in UTF-8, in Windows-1252, with the line ends of three systems.

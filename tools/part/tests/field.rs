@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::format_collect, reason = "helpers and inputs of tests")]
 
-use rtec_part::batch::{self, Judgement};
-use rtec_part::errors::{Nominal, Probed};
+use rtec_part::batch::{self, SignificanceLimits};
+use rtec_part::errors::{NominalShape, ProbedPoints};
 use std::path::PathBuf;
 
 fn field(name: &str) -> PathBuf {
@@ -12,7 +12,7 @@ fn field(name: &str) -> PathBuf {
 
 #[test]
 fn a_spreadsheet_is_one_batch_however_it_is_saved() {
-    let judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+    let judgement = SignificanceLimits { alpha: 0.01, least_um: 1.0 };
     for (name, written) in [
         ("batch-point.csv", None),
         ("batch-comma.csv", Some("columns parted by semicolons, decimal commas")),
@@ -31,8 +31,8 @@ fn a_spreadsheet_is_one_batch_however_it_is_saved() {
 
 #[test]
 fn a_size_below_its_standard_error_is_not_told() {
-    let probed = Probed::read(&field("six-points.csv")).unwrap();
-    let report = probed.errors(Nominal::Circle { radius_mm: 27.3504 }, 0.0).unwrap();
+    let probed = ProbedPoints::read(&field("six-points.csv")).unwrap();
+    let report = probed.errors(NominalShape::Circle { radius_mm: 27.3504 }, 0.0).unwrap();
     assert!(!report.is_size_known());
     assert!(report.size_standard_error_um.unwrap() > 57.0, "{:?}", report.size_standard_error_um);
 }
@@ -52,8 +52,10 @@ fn an_angle_within_its_interval_is_not_told() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("taper.csv");
         std::fs::write(&file, format!("z_mm,x_mm\n{rows}")).unwrap();
-        let report =
-            Probed::read(&file).unwrap().errors(Nominal::Line { taper_deg: Some(taper_deg) }, 0.0).unwrap();
+        let report = ProbedPoints::read(&file)
+            .unwrap()
+            .errors(NominalShape::Line { taper_deg: Some(taper_deg) }, 0.0)
+            .unwrap();
         assert_eq!(report.is_inclination_known(), known, "{:?}", report.inclination_error_deg);
         // Student's t of four degrees of freedom, not of a normal distribution.
         let wide = report.inclination_within_deg().unwrap() / report.inclination_standard_error_deg.unwrap();
@@ -64,11 +66,11 @@ fn an_angle_within_its_interval_is_not_told() {
 mod drawings {
     use super::field;
     use rtec_part::contour::{Contour, FeatureKind, Segment, Spline};
-    use rtec_part::drawing::{self, Options};
-    use rtec_part::fit::Zx;
+    use rtec_part::drawing::{self, DxfOptions};
+    use rtec_part::geometric_fit::Zx;
 
     fn contour(name: &str) -> Contour {
-        drawing::read(&field(name), &Options::default()).unwrap().0
+        drawing::read(&field(name), &DxfOptions::default()).unwrap().0
     }
 
     #[test]
@@ -117,7 +119,7 @@ mod drawings {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("drawn.dxf");
         std::fs::write(&file, text).unwrap();
-        drawing::read(&file, &Options::default()).map(|(contour, _)| contour)
+        drawing::read(&file, &DxfOptions::default()).map(|(contour, _)| contour)
     }
 
     /// Group codes and values, one line each.
@@ -371,7 +373,7 @@ mod drawings {
 fn steps_of_a_caliper_are_in_a_batch_s_intervals() {
     // 6 µm too large, read by a caliper of 10 µm: every part reads 10.
     let rows: String = (1..=8).map(|part| format!("{part},D1,38.10,38.11\n")).collect();
-    let judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+    let judgement = SignificanceLimits { alpha: 0.01, least_um: 1.0 };
     let text = format!("part,feature,nominal_mm,measured_mm\n{rows}");
     let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
     let place = &batch.places[0];
@@ -392,8 +394,8 @@ fn steps_of_points_are_in_the_standard_errors() {
         .map(|i| (f64::from(i) * 0.14).sin_cos())
         .map(|(x, z)| format!("{:.1},{:.1}\n", 10.0 * z, 10.0 * x))
         .collect();
-    let probed = Probed::parse(&PathBuf::from("p.csv"), &format!("z_mm,x_mm\n{rows}")).unwrap();
-    let report = probed.errors(Nominal::Circle { radius_mm: 10.0 }, 0.0).unwrap();
+    let probed = ProbedPoints::parse(&PathBuf::from("p.csv"), &format!("z_mm,x_mm\n{rows}")).unwrap();
+    let report = probed.errors(NominalShape::Circle { radius_mm: 10.0 }, 0.0).unwrap();
     assert!((report.step_um.unwrap() - 100.0).abs() < 1e-6);
     assert!(report.size_standard_error_um.unwrap() > 100.0 / 12f64.sqrt() / 12f64.sqrt());
 }

@@ -3,9 +3,9 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::Sheet;
-use rtec_part::errors::{Nominal, Probed};
-use rtec_part::fit::{
-    FitError, FitShape, FittedShape, TwoStep, Zx, beyond_noise, deviations_um, least_squares, robust, sd,
+use rtec_part::errors::{NominalShape, ProbedPoints};
+use rtec_part::geometric_fit::{
+    FitError, FitShape, FittedShape, TwoStepFit, Zx, beyond_noise, deviations_um, least_squares, robust, sd,
     standard_errors, two_step,
 };
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -136,7 +136,7 @@ fn two_steps_come_closer_to_the_truth_than_one_over_a_thousand_random_bumps() {
         two_um += off(&two.fitted) / 1000.0;
         robust_um += off(&free.fitted) / 1000.0;
         let screened =
-            TwoStep::without(FitShape::Circle, &points, beyond_noise(&free.fitted, &points, 0.0)).unwrap();
+            TwoStepFit::without(FitShape::Circle, &points, beyond_noise(&free.fitted, &points, 0.0)).unwrap();
         screened_um += off(&screened.fitted) / 1000.0;
         let left = (0..points.len()).filter(|k| !screened.rejected.contains(k)).map(|k| points[k]);
         let scatter_um = screened.sd_before_um * (19.0_f64 / 17.0).sqrt();
@@ -204,11 +204,11 @@ fn sizes_of_white_noise_hold_their_rate() {
                     };
                     let _ = writeln!(text, "{:.6},{:.6}", p.z, p.x);
                 }
-                let probed = Probed::parse(Path::new("p.csv"), &text).unwrap();
+                let probed = ProbedPoints::parse(Path::new("p.csv"), &text).unwrap();
                 let nominal = if round {
-                    Nominal::Circle { radius_mm: 20.0 }
+                    NominalShape::Circle { radius_mm: 20.0 }
                 } else {
-                    Nominal::Line { taper_deg: None }
+                    NominalShape::Line { taper_deg: None }
                 };
                 let report = probed.errors(nominal, 0.0).unwrap();
                 let off_um = report.size_error_um.unwrap_or((report.centre_mm[1] - 20.0) * 1e3);

@@ -3,8 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::contour::{Contour, Segment};
-use rtec_part::fit::Zx;
-use rtec_part::path::{PathRole, Plan, ProbeGeometry, ProbingMotion, Stem, number_at, pathfin, read_pathfin};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::path::{
+    PathRole, ProbeGeometry, ProbingMotion, ProbingPlan, Stem, number_at, pathfin, read_pathfin,
+};
 use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
@@ -42,7 +44,7 @@ fn the_reports_stand_off_and_over_travel() {
 #[test]
 fn figure_seven_comes_out() {
     let part = part();
-    let mut plan = Plan::new(PROBE);
+    let mut plan = ProbingPlan::new(PROBE);
     plan.add_number(&part, 0, 20, 0.0);
     let text = pathfin(&plan.records(), Unit::INCH);
     assert_eq!(text.lines().count(), 60);
@@ -62,7 +64,7 @@ fn figure_seven_comes_out() {
 #[test]
 fn the_path_file_is_read_as_it_is_written() {
     let part = part();
-    let mut plan = Plan::new(PROBE);
+    let mut plan = ProbingPlan::new(PROBE);
     plan.add_number(&part, 0, 5, 0.0);
     plan.add_number(&part, 3, number_at(part.features[3].segment.length_mm() - 2.0, 10.0), 1.0);
     plan.points[5].bypass = vec![Zx::new(130.0, 60.0)];
@@ -100,7 +102,7 @@ fn the_path_file_is_read_as_it_is_written() {
 fn collisions_are_found_and_gone_round() {
     let part = part();
     // From the nose's end over the step to the larger cylinder, and a face point near the inner corner.
-    let mut plan = Plan::new(ProbeGeometry { stand_off_mm: 1.0, over_travel_mm: 0.5, ..PROBE });
+    let mut plan = ProbingPlan::new(ProbeGeometry { stand_off_mm: 1.0, over_travel_mm: 0.5, ..PROBE });
     plan.add_number(&part, 1, 1, 0.0);
     plan.add(part.place(3, 20.0));
     let hits = plan.hits(&part);
@@ -109,14 +111,14 @@ fn collisions_are_found_and_gone_round() {
     assert!(plan.hits(&part).is_empty());
     assert!(plan.records().iter().any(|r| r.role == PathRole::Bypass));
     // Half a millimetre from the step's face, a tip of 2.5 mm touches the face first.
-    let mut corner = Plan::new(PROBE);
+    let mut corner = ProbingPlan::new(PROBE);
     corner.add(part.place(1, part.features[1].segment.length_mm() - 0.5));
     let hits = corner.hits(&part);
     assert!(hits.iter().any(|h| h.touching && h.feature == "F3"), "{hits:?}");
     // A stylus along −Z passes through the part; an upright one is clear.
     let stem = |angle_rad| Stem { length_mm: 60.0, radius_mm: 2.0, angle_rad };
     let with = |angle| {
-        let mut plan = Plan::new(ProbeGeometry { stem: Some(stem(angle)), ..PROBE });
+        let mut plan = ProbingPlan::new(ProbeGeometry { stem: Some(stem(angle)), ..PROBE });
         plan.add_number(&part, 0, 1, 0.0);
         plan.hits(&part)
     };
@@ -127,7 +129,7 @@ fn collisions_are_found_and_gone_round() {
 #[test]
 fn a_fast_move_through_the_whole_part_is_seen() {
     let part = part();
-    let mut plan = Plan::new(PROBE);
+    let mut plan = ProbingPlan::new(PROBE);
     plan.add(part.place(0, 0.0));
     plan.add(part.place(3, 30.0));
     let hits = plan.hits(&part);
@@ -142,9 +144,9 @@ fn points_from_a_file_must_be_on_the_part() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("points.csv");
     std::fs::write(&file, "z_mm,x_mm\n120,38.1\n165.1,0\n").unwrap();
-    let mut plan = Plan::new(PROBE);
+    let mut plan = ProbingPlan::new(PROBE);
     plan.add_file(&part, &file, 0.1).unwrap();
     assert!((plan.points[0].place.at - Zx::new(165.1, 0.0)).norm() < 0.01, "in probing order");
     std::fs::write(&file, "z_mm,x_mm\n120,38.1\n160,60\n").unwrap();
-    assert_eq!(Plan::new(PROBE).add_file(&part, &file, 0.1).unwrap_err().line, 3);
+    assert_eq!(ProbingPlan::new(PROBE).add_file(&part, &file, 0.1).unwrap_err().line, 3);
 }

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::contour::{Contour, Segment};
-use rtec_part::fit::Zx;
-use rtec_part::path::{PathPoint, PathRole, Plan, ProbeGeometry};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::path::{PathPoint, PathRole, ProbeGeometry, ProbingPlan};
 use rtec_part::program::{BUILT_IN, Controller, Parameters, ProbingProgram};
 use rtec_part::unit::Unit;
 use std::path::Path;
@@ -20,7 +20,7 @@ fn records() -> Vec<PathPoint> {
     };
     let part = Contour::new(vec![(nose, "ARC".to_owned())], false);
     let mut plan =
-        Plan::new(ProbeGeometry { tip_mm: 2.5, stand_off_mm: 5.0, over_travel_mm: 2.5, stem: None });
+        ProbingPlan::new(ProbeGeometry { tip_mm: 2.5, stand_off_mm: 5.0, over_travel_mm: 2.5, stem: None });
     plan.add_number(&part, 0, 20, 0.0);
     plan.points[7].bypass = vec![Zx::new(165.0, 40.0)];
     plan.records()

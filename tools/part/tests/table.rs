@@ -3,13 +3,13 @@
 //! instead.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_part::cor::PointError;
-use rtec_part::fit::Zx;
-use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
+use rtec_part::error_cor_file::PointError;
+use rtec_part::geometric_fit::Zx;
+use rtec_part::table::{AxisCounts, FinishArc, FinishTable, csv};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-const CUT: FinishCut =
-    FinishCut { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
+const CUT: FinishArc =
+    FinishArc { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
 /// The Original RTEC on 1 µm counts: 4 µm per correction.
 const ORIGINAL: AxisCounts = AxisCounts { count_um: 1.0, increment: 4, sign: 1.0 };
 const DESIGN_C: AxisCounts = AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 };

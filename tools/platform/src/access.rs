@@ -11,7 +11,7 @@
 //! | `card_irq` | on the real-time CPU for a card that wakes the thread, elsewhere for one that is polled |
 
 use rtec_driver::pci::{Function, PciId};
-use rtec_rt::setup::{Finding, OsError, System, cpu_list};
+use rtec_rt::setup::{OsError, SetupFinding, SystemRoot, cpu_list};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -61,12 +61,12 @@ struct User {
 
 /// The findings about a card with these devices.
 /// With `events`, interrupts of the card wake the real-time thread on `cpu`.
-pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Vec<Finding> {
+pub fn card(system: &SystemRoot, devices: &[Device], events: bool, cpu: usize) -> Vec<SetupFinding> {
     let tree = Tree { system };
     let user = tree.user(USER);
     let uid = user.as_ref().map_or("none".to_owned(), |user| format!("uid {}", user.uid));
     let mut findings = vec![
-        Finding::new("user", format!("a user {USER}"), uid, user.is_some())
+        SetupFinding::new("user", format!("a user {USER}"), uid, user.is_some())
             .remedy("install the package, or: systemd-sysusers udev/rtec.sysusers"),
         tree.group(),
     ];
@@ -82,7 +82,7 @@ pub fn card(system: &System, devices: &[Device], events: bool, cpu: usize) -> Ve
 
 /// The system's files about permissions and interrupts.
 struct Tree<'a> {
-    system: &'a System,
+    system: &'a SystemRoot,
 }
 
 impl Tree<'_> {
@@ -103,14 +103,14 @@ impl Tree<'_> {
     }
 
     /// Whether the caller may connect to the daemon.
-    fn group(&self) -> Finding {
+    fn group(&self) -> SetupFinding {
         let wanted = format!("root, or in the group {USER}");
         let remedy = format!("usermod -aG {USER} YOU, and log in again");
         let mut own = self.table("group").into_iter().filter(|f| f[0] == USER);
         let gid = own.find_map(|f| f.get(2)?.parse::<u32>().ok());
         let status = match self.system.read("proc/self/status") {
             Ok(text) => text,
-            Err(error) => return Finding::unknown("group", wanted, error).remedy(remedy),
+            Err(error) => return SetupFinding::unknown("group", wanted, error).remedy(remedy),
         };
         let numbers = |key: &str| -> Vec<u32> {
             let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default();
@@ -124,16 +124,16 @@ impl Tree<'_> {
             Some(gid) if groups.contains(&gid) => ("in the group", true),
             Some(_) => ("neither", false),
         };
-        Finding::new("group", wanted, got, ok).remedy(remedy)
+        SetupFinding::new("group", wanted, got, ok).remedy(remedy)
     }
 
     /// Whether the daemon's user may read and write the device.
-    fn card_access(&self, device: &Device, user: Option<&User>) -> Finding {
+    fn card_access(&self, device: &Device, user: Option<&User>) -> SetupFinding {
         let found = self.place(device);
         let (file, line, missing) = match &found {
             Ok(place) => place,
             Err(id) => {
-                return Finding::new("card_access", format!("PCI card {id}"), "not on the bus", false)
+                return SetupFinding::new("card_access", format!("PCI card {id}"), "not on the bus", false)
                     .needed()
                     .remedy("is it plugged in? `lspci -n` lists what is");
             }
@@ -155,11 +155,11 @@ impl Tree<'_> {
                 };
                 let got =
                     format!("{}:{} {mode:04o}", self.name_of("passwd", uid), self.name_of("group", gid));
-                Finding::new("card_access", wanted, got, bits & 0o6 == 0o6)
+                SetupFinding::new("card_access", wanted, got, bits & 0o6 == 0o6)
             }
             Err(e) => {
                 let error = OsError::of(format!("stat /{}", file.display()), &e);
-                let finding = Finding::unknown("card_access", wanted, error);
+                let finding = SetupFinding::unknown("card_access", wanted, error);
                 return finding
                     .needed()
                     .remedy(missing.map_or("no such file".into(), |d| format!("no such device: {d}")));
@@ -215,14 +215,14 @@ impl Tree<'_> {
         self.table(table).into_iter().find(is).map_or_else(|| id.to_string(), |mut f| f.swap_remove(0))
     }
 
-    fn io_ports(&self) -> Finding {
+    fn io_ports(&self) -> SetupFinding {
         let files = entries_of(&self.system.path(DROP_INS));
         let given = files.filter(|f| f.extension().is_some_and(|x| x == "conf")).any(|file| {
             let text = std::fs::read_to_string(file).unwrap_or_default();
             text.lines()
                 .any(|line| line.starts_with("AmbientCapabilities=") && line.contains("CAP_SYS_RAWIO"))
         });
-        Finding::new(
+        SetupFinding::new(
             "io_ports",
             "CAP_SYS_RAWIO in the service",
             if given { "there" } else { "not there" },
@@ -235,7 +235,7 @@ impl Tree<'_> {
     }
 
     /// Whether the card's interrupts land on the right CPUs.
-    fn card_irq(&self, devices: &[Device], events: bool, cpu: usize) -> Finding {
+    fn card_irq(&self, devices: &[Device], events: bool, cpu: usize) -> SetupFinding {
         let wanted = format!("{} CPU {cpu}", if events { "on" } else { "not on" });
         let mut numbers: Vec<u32> = devices.iter().flat_map(|device| self.interrupts(device)).collect();
         numbers.sort_unstable();
@@ -252,7 +252,7 @@ impl Tree<'_> {
         let wrong: Vec<_> =
             lists.iter().filter(|(_, cpus)| !right(cpus)).map(|(n, _)| n.to_string()).collect();
         let target = if events { cpu.to_string() } else { self.system.housekeeping(cpu) };
-        Finding::new("card_irq", wanted, got, ok).remedy(if wrong.is_empty() {
+        SetupFinding::new("card_irq", wanted, got, ok).remedy(if wrong.is_empty() {
             "shown while rtecd runs; a chip whose lines share another interrupt has it in /proc/interrupts"
                 .into()
         } else {

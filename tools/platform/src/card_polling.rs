@@ -4,12 +4,12 @@
 //! Nothing moves the machine here. Reads are timed as the engine makes them. Writes are insertions at rest, without an
 //! edge. As many counts are added as are removed, so the outputs end as they were found.
 
-use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions, tid_of};
+use crate::measurement::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults, tid_of};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{Mode, Request};
-use rtec_rt::thread::{Ended, Running, ThreadOptions, spawn};
+use rtec_rt::link_messages::{Mode, Request};
+use rtec_rt::thread::{RunningThread, ThreadEnd, ThreadOptions, spawn};
 use std::time::{Duration, Instant};
 
 /// Rest of an axis between two insertions, ns.
@@ -45,7 +45,7 @@ pub(crate) fn reads<C: Card + Send + 'static>(
     axes: &[AxisConfig],
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
-) -> Result<(Polling, C), SelftestError> {
+) -> Result<(PollingResults, C), SelftestError> {
     let (running, tid) = start(HeldOutputs(card), axes, options)?;
     let start = Instant::now();
     let third = options.run / 3;
@@ -67,7 +67,7 @@ pub(crate) fn writes<C: Card + Send + 'static>(
     axes: &[AxisConfig],
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
-) -> Result<Driven, SelftestError> {
+) -> Result<WriteResults, SelftestError> {
     let before = card.outputs()?;
     let at_rest =
         axes.iter().map(|axis| AxisConfig { rest: RestPolicy::Insert { after_ns: REST_NS }, ..idle(axis) });
@@ -126,7 +126,7 @@ pub(crate) fn writes<C: Card + Send + 'static>(
         }
     }
     let restored = ended.card.outputs()? == before;
-    Ok(Driven { polling, ended_by, restored })
+    Ok(WriteResults { polling, ended_by, restored })
 }
 
 /// An axis without limits other than its separation.
@@ -144,7 +144,7 @@ pub(crate) fn start<C: Card + Send + 'static>(
     mut card: C,
     axes: &[AxisConfig],
     options: SelftestOptions,
-) -> Result<(Running<C>, i32), SelftestError> {
+) -> Result<(RunningThread<C>, i32), SelftestError> {
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: false };
     let engine = Engine::new(&mut card, axes, machine, &[])?;
     let thread = ThreadOptions { wanted: Some(options.wanted()), real: false, stale_after_ns: u64::MAX };
@@ -152,7 +152,10 @@ pub(crate) fn start<C: Card + Send + 'static>(
 }
 
 /// Stops it; returns what it measured.
-pub(crate) fn stopped<C: Card>(running: Running<C>, tid: i32) -> Result<(Polling, Ended<C>), SelftestError> {
+pub(crate) fn stopped<C: Card>(
+    running: RunningThread<C>,
+    tid: i32,
+) -> Result<(PollingResults, ThreadEnd<C>), SelftestError> {
     let timing = running.timing.clone();
     let (ended, _) = running.stop();
     if let Some(error) = ended.error {
@@ -160,12 +163,12 @@ pub(crate) fn stopped<C: Card>(running: Running<C>, tid: i32) -> Result<(Polling
     }
     let (poll_gap, done) = (timing.poll_gap_ns.snapshot(), timing.edge_to_done_ns.snapshot());
     let axes = ended.status.axes();
-    let polling = Polling {
+    let polling = PollingResults {
         poll_gap: Latency { last_ns: poll_gap.p50(), ns: poll_gap, tid },
         seen_to_done: done,
         completed: axes.iter().map(|a| a.in_effect).sum(),
         insertions: axes.iter().map(|a| a.insertions).sum(),
-        ..Polling::default()
+        ..PollingResults::default()
     };
     Ok((polling, ended))
 }

@@ -8,9 +8,9 @@ use rtec_driver::mapped::Registers;
 use rtec_driver::mock::SharedWires;
 use rtec_driver::profile::Width;
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_rt::event::{Mode, Request};
 use rtec_rt::histogram::Recorder;
 use rtec_rt::link::ControlEnd;
+use rtec_rt::link_messages::{Mode, Request};
 use serde::Serialize;
 use std::sync::atomic::Ordering::{Acquire, Release};
 use std::time::Duration;
@@ -35,7 +35,7 @@ const WITHOUT_END: Request = Request::Correct { axis: 0, total_counts: i64::MAX 
 
 /// Counts of the far side.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
-pub struct FarSide {
+pub struct SelftestCounts {
     /// Number of edges given to the scale's lines.
     pub edges: u64,
     /// Edges that no insertion followed: the first one, and those seen too late.
@@ -193,7 +193,7 @@ struct Player<'a, 'c, F> {
     mtc: Decoder,
     /// The inverters at the last look.
     inverters: u8,
-    seen: FarSide,
+    seen: SelftestCounts,
     last_done_ns: Option<u64>,
 }
 
@@ -204,11 +204,11 @@ pub(crate) fn play(
     control: &mut Control,
     done: &mut Recorder,
     random: &mut impl RngCore,
-) -> (FarSide, u64) {
+) -> (SelftestCounts, u64) {
     let inverters = LINES.inverters(far.outputs());
     let scale = Decoder::new(LINES.scale(0));
     let mtc = Decoder::new(scale.state().inverted(inverters));
-    let (clock, seen) = (Monotonic, FarSide::default());
+    let (clock, seen) = (Monotonic, SelftestCounts::default());
     let mut player = Player { far, control, done, clock, scale, mtc, inverters, seen, last_done_ns: None };
     loop {
         let now_ns = player.clock.now_ns();

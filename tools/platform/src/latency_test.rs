@@ -16,10 +16,10 @@
 //! rest, if the caller allows them ([`run_on_card`]).
 
 use crate::card_polling;
-pub use crate::far_side::FarSide;
+pub use crate::far_side::SelftestCounts;
 use crate::far_side::{Control, FarSideWires, play};
 use crate::measurement::tid;
-pub use crate::measurement::{Driven, Latency, Polling, SelftestError, SelftestOptions};
+pub use crate::measurement::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults};
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
 use rtec_driver::card::Card;
@@ -28,9 +28,9 @@ use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
 use rtec_driver::profile::Profile;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
-use rtec_rt::event::Fault;
-use rtec_rt::histogram::{Recorder, Snapshot, histogram};
-use rtec_rt::setup::{self, Report, System, apply};
+use rtec_rt::histogram::{HistogramSnapshot, Recorder, histogram};
+use rtec_rt::link_messages::Fault;
+use rtec_rt::setup::{self, SetupReport, SystemRoot, apply};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -52,9 +52,9 @@ pub enum Backend {
 
 /// The measured latencies, and their conditions.
 #[derive(Debug, Clone)]
-pub struct Measured {
+pub struct LatencyTestResult {
     /// The set-up under which it was measured.
-    pub setup: Report,
+    pub setup: SetupReport,
     /// Lateness of a sleeping thread's wake-ups.
     pub wakeup: Latency,
     /// Configuration of the axis in the test.
@@ -62,10 +62,10 @@ pub struct Measured {
     /// The polling loop without requests.
     ///
     /// Empty with one CPU only, because nothing could end the polling there.
-    pub quiet: Polling,
+    pub quiet: PollingResults,
     /// The polling loop with requests as fast as the link takes them.
     /// On the card that will do the work it is the loop with insertions. Empty with one CPU only.
-    pub with_requests: Polling,
+    pub with_requests: PollingResults,
     /// How the card was measured.
     pub how: MeasuredOn,
 }
@@ -87,8 +87,8 @@ pub enum MeasuredOn {
     },
 }
 
-impl Measured {
-    fn both(&self) -> [&Polling; 2] {
+impl LatencyTestResult {
+    fn both(&self) -> [&PollingResults; 2] {
         [&self.quiet, &self.with_requests]
     }
 
@@ -110,9 +110,9 @@ impl Measured {
     }
 
     /// Sums of the far side's counts; `None` with one CPU only.
-    pub fn far(&self) -> Option<FarSide> {
+    pub fn far(&self) -> Option<SelftestCounts> {
         let [a, b] = self.both().map(|p| &p.far);
-        (a.edges > 0).then(|| FarSide {
+        (a.edges > 0).then(|| SelftestCounts {
             edges: a.edges + b.edges,
             without_insertion: a.without_insertion + b.without_insertion,
             unresolved: a.unresolved + b.unresolved,
@@ -147,15 +147,15 @@ impl Measured {
     /// apart from one look in ten thousand.
     pub fn detect_ns(&self) -> (u64, u64) {
         let separations = self.separations_ns();
-        let of = |figure: fn(&Snapshot) -> u64| {
-            let late = |p: &Polling| {
+        let of = |figure: fn(&HistogramSnapshot) -> u64| {
+            let late = |p: &PollingResults| {
                 figure(&p.poll_gap.ns).max(figure(&p.edge_to_done.ns).saturating_sub(separations))
             };
             let late = late(&self.quiet).max(late(&self.with_requests));
             // Without a far side, an edge right after its line was read is seen at the end of the next look.
             if self.how == MeasuredOn::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
         };
-        (of(Snapshot::max), of(Snapshot::p9999))
+        (of(HistogramSnapshot::max), of(HistogramSnapshot::p9999))
     }
 
     /// Time from one write until the next look, ns.
@@ -194,7 +194,7 @@ pub fn run(
     options: SelftestOptions,
     backend: Backend,
     progress: impl FnMut(&str, u64),
-) -> Result<Measured, SelftestError> {
+) -> Result<LatencyTestResult, SelftestError> {
     match backend {
         Backend::Mock => measure(options, progress, || {
             let wires = SharedWires::default();
@@ -226,12 +226,13 @@ pub fn run_on_card<C: Card + Send + 'static>(
     axes: &[AxisConfig],
     drive: bool,
     mut progress: impl FnMut(&str, u64),
-) -> Result<Measured, SelftestError> {
+) -> Result<LatencyTestResult, SelftestError> {
     let left = setup::leave(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     let axis = axes.iter().max_by_key(|a| a.min_separation_ns).copied().unwrap_or_default();
-    let (quiet, with_requests) = (Polling::default(), Polling::default());
-    let mut measured = Measured { setup, wakeup, axis, quiet, with_requests, how: MeasuredOn::Reads };
+    let (quiet, with_requests) = (PollingResults::default(), PollingResults::default());
+    let mut measured =
+        LatencyTestResult { setup, wakeup, axis, quiet, with_requests, how: MeasuredOn::Reads };
     if left.is_some() {
         let (quiet, card) = card_polling::reads(card, axes, options, &mut progress)?;
         measured.quiet = quiet;
@@ -239,7 +240,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
             // All axes get the longest separation, so that it can be subtracted from every insertion alike.
             let axes: Vec<_> =
                 axes.iter().map(|a| AxisConfig { min_separation_ns: axis.min_separation_ns, ..*a }).collect();
-            let Driven { polling, ended_by, restored } =
+            let WriteResults { polling, ended_by, restored } =
                 card_polling::writes(card, &axes, options, &mut progress)?;
             measured.with_requests = polling;
             measured.how = MeasuredOn::ReadsAndWrites { ended_by, restored };
@@ -254,19 +255,19 @@ fn measure<C: Card + Send + 'static, F: FarSideWires>(
     options: SelftestOptions,
     mut progress: impl FnMut(&str, u64),
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
-) -> Result<Measured, SelftestError> {
+) -> Result<LatencyTestResult, SelftestError> {
     // All threads but the real-time one leave its CPU. Threads started from here inherit that.
     let left = setup::leave(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     // The far side waits for each insertion and keeps its dwell time. So the gate uses the last period alone.
     let axis =
         AxisConfig { max_correction_counts: i64::MAX, max_accel_counts_s2: 0.0, ..AxisConfig::default() };
-    let mut measured = Measured {
+    let mut measured = LatencyTestResult {
         setup,
         wakeup,
         axis,
-        quiet: Polling::default(),
-        with_requests: Polling::default(),
+        quiet: PollingResults::default(),
+        with_requests: PollingResults::default(),
         how: MeasuredOn::Simulated,
     };
     if left.is_some() {
@@ -286,7 +287,7 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
     (card, mut far): (C, F),
     requests: bool,
     progress: &mut impl FnMut(&str, u64),
-) -> Result<Polling, SelftestError> {
+) -> Result<PollingResults, SelftestError> {
     let (mut running, loop_tid) = card_polling::start(card, &[axis], options)?;
     let (mut done, done_reader) = histogram();
     let what =
@@ -298,7 +299,7 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
     let (faults, requests) = (control.faults, control.requests);
 
     let (polling, _) = card_polling::stopped(running, loop_tid)?;
-    Ok(Polling {
+    Ok(PollingResults {
         edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
         far,
         // The axis's own total starts at zero after every homing, so insertions are counted instead.
@@ -313,10 +314,10 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
 fn measure_wake_ups(
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
-) -> Result<(Latency, Report), SelftestError> {
+) -> Result<(Latency, SetupReport), SelftestError> {
     let third = options.run / 3;
     let thread = std::thread::Builder::new().name("rtec-wakeup".into()).spawn(move || {
-        let (_held, report) = apply(&System::live(), options.wanted());
+        let (_held, report) = apply(&SystemRoot::live(), options.wanted());
         let (mut recorder, reader) = histogram();
         let last_ns = wake_ups(third.as_nanos() as u64, &mut recorder);
         (Latency { ns: reader.snapshot(), last_ns, tid: tid() }, report)

@@ -1,12 +1,12 @@
 //! Options of the self-test, and results of its parts.
 //! They are the same for a simulated card and for the card that will do the work.
 
-use crate::far_side::FarSide;
+use crate::far_side::SelftestCounts;
 use rtec_driver::card::CardError;
 use rtec_driver::mapped::MapError;
 use rtec_rt::engine::StartError;
-use rtec_rt::event::Fault;
-use rtec_rt::histogram::Snapshot;
+use rtec_rt::histogram::HistogramSnapshot;
+use rtec_rt::link_messages::Fault;
 use rtec_rt::setup::RtSettings;
 use rtec_rt::thread::SpawnError;
 use serde::Serialize;
@@ -56,7 +56,7 @@ pub enum SelftestError {
 pub struct Latency {
     /// Distribution of the measured times, ns.
     #[serde(flatten)]
-    pub ns: Snapshot,
+    pub ns: HistogramSnapshot,
     /// The last value, ns. The poll gap keeps none, so it has the median.
     #[serde(skip)]
     pub last_ns: u64,
@@ -68,16 +68,16 @@ pub struct Latency {
 /// Results of the polling loop.
 /// Meanwhile the far side makes edges and counts as the MTC.
 #[derive(Debug, Clone, Default)]
-pub struct Polling {
+pub struct PollingResults {
     /// Time between two looks of the loop.
     pub poll_gap: Latency,
     /// The engine's own part of edge to done.
     /// It lasts from the look that saw the edge to the look that ordered the second inversion.
-    pub seen_to_done: Snapshot,
+    pub seen_to_done: HistogramSnapshot,
     /// From an edge to the second inversion, both separations included.
     pub edge_to_done: Latency,
     /// Counts of the far side.
-    pub far: FarSide,
+    pub far: SelftestCounts,
     /// Counts inserted according to the engine.
     pub completed: i64,
     /// Number of faults latched after a gap in the polling loop.
@@ -88,7 +88,7 @@ pub struct Polling {
     pub insertions: u64,
 }
 
-impl Polling {
+impl PollingResults {
     /// Whether the MTC's counts minus the scale's equal the completed counts.
     /// The far side counted them, without an illegal state.
     pub(crate) fn balanced(&self) -> bool {
@@ -98,10 +98,10 @@ impl Polling {
 
 /// Results of the writes.
 #[derive(Debug, Clone, Default)]
-pub struct Driven {
+pub struct WriteResults {
     /// The loop during the writes.
     /// `seen_to_done` lasts from the look at which an insertion began to the look that ordered its second inversion.
-    pub polling: Polling,
+    pub polling: PollingResults,
     /// The fault that ended it early, if any.
     pub ended_by: Option<Fault>,
     /// Whether the outputs are as they were before.

@@ -1,12 +1,12 @@
 //! Edge rates that the measured latency allows, and the verdict of a self-test.
 
-use crate::far_side::FarSide;
-use crate::latency_test::{Measured, MeasuredOn};
+use crate::far_side::SelftestCounts;
+use crate::latency_test::{LatencyTestResult, MeasuredOn};
 use crate::measurement::{Latency, SelftestOptions};
 use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance, floors_ns};
-use rtec_control::protocol::{Rates, explain_fault, word};
+use rtec_control::protocol::{SpeedLimits, explain_fault, word};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::histogram::Snapshot;
+use rtec_rt::histogram::HistogramSnapshot;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -21,24 +21,24 @@ pub struct AxisRate {
     /// The same without the worst delay in ten thousand.
     pub usual_hz: Option<f64>,
     /// The same as speeds.
-    pub rates: Rates,
+    pub rates: SpeedLimits,
     /// Why its rapid is too fast for the card, if it is.
     outruns: Option<String>,
 }
 
 /// Whether this machine may correct, and how fast each axis may move.
 #[derive(Debug)]
-pub struct Verdict {
+pub struct SelftestVerdict {
     /// The axes, in order.
     pub axes: Vec<AxisRate>,
     /// Findings that forbid corrections; empty if it passes.
     pub reasons: Vec<String>,
 }
 
-impl Verdict {
+impl SelftestVerdict {
     /// Judges a measurement for the axes of a configuration.
     /// Without a configuration it takes one axis of 1 µm a count with default limits.
-    pub fn new(measured: &Measured, config: Option<&Config>) -> Self {
+    pub fn new(measured: &LatencyTestResult, config: Option<&Config>) -> Self {
         let axes = match config {
             Some(config) => config.axes.clone(),
             None => Config::embedded().axes.iter().take(1).map(default_axis).collect(),
@@ -52,14 +52,14 @@ impl Verdict {
     /// The JSON document of a self-test.
     pub fn document<'a>(
         &'a self,
-        measured: &'a Measured,
+        measured: &'a LatencyTestResult,
         options: &SelftestOptions,
         provenance: &'a LatencyProvenance,
         backend: &'a str,
-    ) -> Document<'a> {
+    ) -> SelftestDocument<'a> {
         let of_axes =
             |hz: fn(&AxisRate) -> Option<f64>| self.axes.iter().map(|r| (&*r.name, hz(r))).collect();
-        Document {
+        SelftestDocument {
             wakeup_ns: &measured.wakeup,
             poll_gap_ns: &measured.quiet.poll_gap,
             edge_to_done_ns: &measured.quiet.edge_to_done,
@@ -96,16 +96,16 @@ impl Verdict {
 
 /// The JSON document of a self-test.
 #[derive(Debug, Serialize)]
-pub struct Document<'a> {
+pub struct SelftestDocument<'a> {
     wakeup_ns: &'a Latency,
     poll_gap_ns: &'a Latency,
     edge_to_done_ns: &'a Latency,
     /// Time from the look that saw the edge to the order of the second inversion.
-    seen_to_done_ns: &'a Snapshot,
+    seen_to_done_ns: &'a HistogramSnapshot,
     /// The same three with requests as fast as the link takes them.
     poll_gap_with_requests_ns: &'a Latency,
     edge_to_done_with_requests_ns: &'a Latency,
-    seen_to_done_with_requests_ns: &'a Snapshot,
+    seen_to_done_with_requests_ns: &'a HistogramSnapshot,
     /// Number of requests sent.
     requests: u64,
     /// Highest safe edge rate for each axis, by the worst delay.
@@ -114,7 +114,7 @@ pub struct Document<'a> {
     /// The same without the worst look in ten thousand.
     edge_rate_at_p9999_hz: BTreeMap<&'a str, Option<f64>>,
     /// The same as speeds, mm/min, and the speed up to which every count is seen.
-    rates: BTreeMap<&'a str, Rates>,
+    rates: BTreeMap<&'a str, SpeedLimits>,
     /// The keys for `[rt]` of the configuration.
     rt: RtKeys<'a>,
     backend: &'a str,
@@ -131,7 +131,7 @@ pub struct Document<'a> {
     emulated: Option<&'a str>,
     ledger_balanced: bool,
     poll_gap_faults: u64,
-    far_side: Option<FarSide>,
+    far_side: Option<SelftestCounts>,
     missing_to_arm: Vec<&'static str>,
 }
 
@@ -156,18 +156,19 @@ fn default_axis(axis: &ConfiguredAxis) -> ConfiguredAxis {
 }
 
 /// Edge rates of an axis under the measured latency.
-fn axis_rate(axis: ConfiguredAxis, measured: &Measured) -> AxisRate {
+fn axis_rate(axis: ConfiguredAxis, measured: &LatencyTestResult) -> AxisRate {
     let (worst, usual) = measured.detect_ns();
     let (safe_hz, usual_hz) =
         (edge_rate_hz(axis.engine, measured, worst), edge_rate_hz(axis.engine, measured, usual));
     let mut as_measured = axis;
     (as_measured.engine.detect_ns, as_measured.engine.write_ns) = (worst, measured.write_ns());
-    let rates = Rates { corrected_mm_min: safe_hz.map(|hz| as_measured.mm_min(hz)), ..as_measured.rates() };
+    let rates =
+        SpeedLimits { corrected_mm_min: safe_hz.map(|hz| as_measured.mm_min(hz)), ..as_measured.rates() };
     AxisRate { outruns: as_measured.outruns(), name: as_measured.name, safe_hz, usual_hz, rates }
 }
 
 /// Highest edge rate at which an insertion has time on an axis, Hz.
-fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option<f64> {
+fn edge_rate_hz(axis: AxisConfig, measured: &LatencyTestResult, detect_ns: u64) -> Option<f64> {
     if !measured.timed() {
         return None; // nothing was measured
     }
@@ -176,7 +177,11 @@ fn edge_rate_hz(axis: AxisConfig, measured: &Measured, detect_ns: u64) -> Option
 }
 
 /// The findings that forbid corrections on this machine.
-fn reasons(measured: &Measured, rates: &[AxisRate], floors: Option<(u64, u64, &'static str)>) -> Vec<String> {
+fn reasons(
+    measured: &LatencyTestResult,
+    rates: &[AxisRate],
+    floors: Option<(u64, u64, &'static str)>,
+) -> Vec<String> {
     let mut reasons = Vec::new();
     if let Some(emulator) = &measured.setup.emulated {
         reasons.push(format!("emulated by {emulator}: emulated time is no evidence for any machine"));

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)] // a test may
 use rtec_driver::pci::PciId;
 use rtec_platform::access::{Device, card};
-use rtec_rt::setup::{Finding, System};
+use rtec_rt::setup::{SetupFinding, SystemRoot};
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::Path;
@@ -46,11 +46,11 @@ fn installed() -> tempfile::TempDir {
     tree
 }
 
-fn find(root: &Path, device: &Device, events: bool) -> Vec<Finding> {
-    card(&System::at(root), std::slice::from_ref(device), events, 1)
+fn find(root: &Path, device: &Device, events: bool) -> Vec<SetupFinding> {
+    card(&SystemRoot::at(root), std::slice::from_ref(device), events, 1)
 }
 
-fn not_ok(findings: &[Finding]) -> Vec<&str> {
+fn not_ok(findings: &[SetupFinding]) -> Vec<&str> {
     findings.iter().filter(|f| !f.ok).map(|f| f.name).collect()
 }
 
@@ -157,9 +157,12 @@ fn a_polled_card_s_interrupts_stay_off_the_cpu_and_a_waking_one_s_are_on_it() {
 fn the_lines_of_a_card_that_wakes_the_thread_are_no_strangers_on_its_cpu() {
     let tree = installed();
     put(tree.path(), "proc/irq/30/effective_affinity_list", "1\n");
-    assert!(System::at(tree.path()).inspect(1, 80).finding("irq_affinity").unwrap().ok);
+    assert!(SystemRoot::at(tree.path()).inspect(1, 80).finding("irq_affinity").unwrap().ok);
     put(tree.path(), "proc/irq/20/effective_affinity_list", "1\n");
-    assert_eq!(System::at(tree.path()).inspect(1, 80).finding("irq_affinity").unwrap().got, "1: 20 my-card");
+    assert_eq!(
+        SystemRoot::at(tree.path()).inspect(1, 80).finding("irq_affinity").unwrap().got,
+        "1: 20 my-card"
+    );
 }
 
 #[test]
@@ -177,7 +180,7 @@ fn who_may_speak_to_the_daemon() {
     let tree = installed();
     put(tree.path(), "proc/self/status", "Uid:\t7\t7\t7\t7\nGid:\t7\t7\t7\t7\nGroups:\t\n");
     let none: [Device; 0] = [];
-    let findings = |root| card(&System::at(root), &none, false, 1);
+    let findings = |root| card(&SystemRoot::at(root), &none, false, 1);
     // Where root runs the test, the tree's user has group 0. So group 7 is never the right one.
     assert_eq!(not_ok(&findings(tree.path())), ["group"]);
     put(tree.path(), "proc/self/status", "Uid:\t7\t0\t0\t0\nGroups:\t\n");

@@ -5,9 +5,9 @@
 //! the messages. Rust works without the interpreter's lock.
 
 mod border;
+mod library_calls;
 mod machine;
 mod record;
-mod work;
 
 use pyo3::prelude::*;
 
@@ -17,18 +17,18 @@ mod _rtec {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
-        module.add("__version__", rtec_files::stamp::VERSION)
+        rtec_files::format_stamp::built_from(env!("RTEC_COMMIT"));
+        module.add("__version__", rtec_files::format_stamp::VERSION)
     }
 
     #[pymodule_export]
-    use super::machine::Machine;
-    #[pymodule_export]
-    use super::record::Record;
-    #[pymodule_export]
-    use super::work::{
+    use super::library_calls::{
         designs, evaluate, example, export_table, fit, fit_chain, fit_named, history, import_record,
         part_errors, plan, prediction_picture, reconcile, regression, replay, simulate, validate,
         where_they_disagree,
     };
+    #[pymodule_export]
+    use super::machine::Machine;
+    #[pymodule_export]
+    use super::record::Record;
 }

@@ -82,7 +82,9 @@ impl Machine {
 
     fn to_json(&self, py: Python<'_>) -> PyResult<String> {
         let inner = self.inner.clone();
-        quietly(py, move || Ok(rtec_files::stamp::signed(serde_json::to_string_pretty(&inner.to_json())?)))
+        quietly(py, move || {
+            Ok(rtec_files::format_stamp::signed(serde_json::to_string_pretty(&inner.to_json())?))
+        })
     }
 
     /// Predicted response of every row, by the response's column name.

@@ -8,7 +8,7 @@ use rtec_files::InputError;
 use rtec_files::date;
 use rtec_measure::plausible;
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::record::{Axis, Column, Kind, Role};
+use rtec_model::record::{Axis, Column, Role, RunKind};
 use std::path::{Path, PathBuf};
 
 type Inner = rtec_model::record::Record;
@@ -22,9 +22,9 @@ pub(crate) struct Record {
 
 /// A column from Python: name, role, unit, values.
 /// Without a unit it has the role's own.
-type Given<'py> = (String, String, Option<String>, PyReadonlyArray1<'py, f64>);
+type ColumnInput<'py> = (String, String, Option<String>, PyReadonlyArray1<'py, f64>);
 
-struct About {
+struct RecordProperties {
     count_um: Option<f64>,
     date: Option<String>,
     note: Option<String>,
@@ -37,13 +37,13 @@ fn made(
     path: &Path,
     kind: &str,
     columns: Vec<(String, String, Option<String>, Vec<f64>)>,
-    about: About,
+    about: RecordProperties,
     log: bool,
 ) -> Result<Inner, Failure> {
     let bad = |found: String, expected: &str| InputError::whole(path, found, expected);
-    let kinds = || Kind::ALL.map(|k| k.0).join(", ");
+    let kinds = || RunKind::ALL.map(|k| k.0).join(", ");
     let kind =
-        Kind::parse(kind).ok_or_else(|| bad(format!("kind `{kind}`"), &format!("one of {}", kinds())))?;
+        RunKind::parse(kind).ok_or_else(|| bad(format!("kind `{kind}`"), &format!("one of {}", kinds())))?;
     let named = |(name, role, unit, data): (String, String, Option<String>, Vec<f64>)| {
         let own = Role::parse(&role)
             .ok_or_else(|| bad(format!("role `{role}` of `{name}`"), rtec_measure::record::ROLES))?;
@@ -89,7 +89,7 @@ impl Record {
         py: Python<'_>,
         path: PathBuf,
         kind: String,
-        columns: Vec<Given<'_>>,
+        columns: Vec<ColumnInput<'_>>,
         count_um: Option<f64>,
         date: Option<String>,
         note: Option<String>,
@@ -100,7 +100,7 @@ impl Record {
     ) -> PyResult<Self> {
         let columns: Vec<_> =
             columns.into_iter().map(|(n, r, u, data)| (n, r, u, data.as_array().to_vec())).collect();
-        let about = About { count_um, date, note, zero, circle, sha256 };
+        let about = RecordProperties { count_um, date, note, zero, circle, sha256 };
         quietly(py, move || made(&path, &kind, columns, about, log)).map(|inner| Self { inner })
     }
 

@@ -1,6 +1,6 @@
 //! Names the effect that a model lacks: backlash is found and added.
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, reconcile};
 use std::path::Path;
 
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Column::new("dir", Role::Direction(y.clone()), steps().map(direction).collect()),
         Column::new("e", Role::Error(y), steps().enumerate().map(error).collect()),
     ];
-    let run = Record::new(Path::new("y_axis.run.toml"), Kind::Positioning, columns)?;
+    let run = Record::new(Path::new("y_axis.run.toml"), RunKind::Positioning, columns)?;
     let answer = reconcile(&[run], &[], &model, &Options::default())?;
     println!("{:#}\n{}", answer.to_json(), answer.model.to_text());
     assert!(answer.model.effects().any(|e| e.name() == "reversal.y"));

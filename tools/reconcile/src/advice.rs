@@ -1,6 +1,6 @@
 //! Advises the experiment that would separate what these data cannot.
 
-use crate::answer::Finding;
+use crate::analysis::Finding;
 use crate::grid_aliases::{self, GRID_SHARE};
 use crate::verdict::Verdict;
 use rtec_estimate::Shape;
@@ -170,7 +170,7 @@ mod tests {
     use crate::testing::axis;
     use rtec_estimate::Rival;
     use rtec_model::effect::Difference;
-    use rtec_model::record::Kind;
+    use rtec_model::record::RunKind;
     use std::path::Path;
 
     #[test]
@@ -212,7 +212,7 @@ mod tests {
             Column::new("p", Role::Position(axis()), p.clone()),
             Column::new("e", Role::Error(axis()), vec![0.0; p.len()]),
         ];
-        let train = [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()];
+        let train = [Record::new(Path::new("r.run.toml"), RunKind::Positioning, columns).unwrap()];
         let mut wave = Dictionary::default().effect("screw_periodic.x").unwrap();
         wave.set("period_mm", &[12.0]).unwrap();
         let text = other_periods(&wave, &train).unwrap();
@@ -227,7 +227,7 @@ mod tests {
             let p: Vec<f64> = (0..60).map(|i| pitch * f64::from(i % 30) + off * f64::from(i % 7)).collect();
             let e = Column::new("e", Role::Error(axis()), vec![2.0; p.len()]);
             let columns = vec![Column::new("p", Role::Position(axis()), p), e];
-            [Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap()]
+            [Record::new(Path::new("r.run.toml"), RunKind::Positioning, columns).unwrap()]
         };
         let dictionary = Dictionary::default();
         let of = |name: &str, pitch: f64, off: f64| {

@@ -3,14 +3,14 @@
 //! agrees with the model only with another sign, unit, direction or sensor. Doubted data is reported and left
 //! out of the analysis. It is never named as an effect.
 
-use crate::answer::stated;
+use crate::analysis::stated;
 use crate::gap::{self, Gap};
-use crate::suspected::{about, is_of_clock, is_one_of_several, is_sensor, whole};
+use crate::suspicion_scope::{about, is_of_clock, is_one_of_several, is_sensor, whole};
 use crate::verdict::SkippedRecord;
 use rtec_estimate::alone;
 use rtec_estimate::problem::Units;
 use rtec_measure::plausible::{self, MistakeKind, Suspicion};
-use rtec_model::effect::{Effect, Heat};
+use rtec_model::effect::{Effect, ThermalDependence};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role};
 
@@ -23,7 +23,7 @@ const FEWEST: usize = 12;
 const OTHER: f64 = 4.0;
 
 /// The suspicions, and the records to analyse.
-pub(crate) struct Doubts {
+pub(crate) struct ScreenedRecords {
     pub(crate) said: Vec<Suspicion>,
     /// The training records without doubted data; empty if all is doubted.
     pub(crate) train: Vec<Record>,
@@ -36,7 +36,7 @@ pub(crate) struct Doubts {
 
 /// Checks all records by themselves and against each other.
 /// A hold-out's findings do not affect the training.
-pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> Doubts {
+pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) -> ScreenedRecords {
     let all: Vec<&Record> = train.iter().chain(holdout).collect();
     let twice = plausible::repeated(&all);
     let again = |(first, k): &(usize, usize)| Suspicion::again(all[*first], all[*k]);
@@ -65,7 +65,7 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
     let left: Vec<Record> = train.iter().filter_map(|r| without(r, &of_train, machine)).collect();
     left_out.extend(lines(&train, &left, &of_train));
-    Doubts { said, train: left, left_out, holdout, of_holdout }
+    ScreenedRecords { said, train: left, left_out, holdout, of_holdout }
 }
 
 /// The mistakes that records show by themselves.
@@ -92,7 +92,7 @@ fn suspicions(records: &[Record], machine: &Machine) -> Vec<Suspicion> {
     found
 }
 
-impl Doubts {
+impl ScreenedRecords {
     /// The hold-outs without doubted columns that the model reads.
     /// Columns that it does not read may be wrong. Also says what was left out.
     pub(crate) fn holdouts(&self, model: &Machine) -> (Vec<Record>, Vec<String>) {
@@ -234,7 +234,7 @@ fn without(record: &Record, said: &[Suspicion], machine: &Machine) -> Option<Rec
 /// Whether an effect depends on the length of the clock's second.
 pub(crate) fn reads_clock(effect: &Effect) -> bool {
     let law = effect.description();
-    law.lag.is_some() || law.heat == Heat::FromStart
+    law.lag.is_some() || law.heat == ThermalDependence::FromStart
 }
 
 /// The indices of hold-outs that may be from another machine.

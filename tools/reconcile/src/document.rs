@@ -1,21 +1,21 @@
 //! The answer as `verdict.json` (guide, "The verdict").
 
 use crate::SEED;
-use crate::answer::Finding;
+use crate::analysis::Finding;
 use crate::gap::Gap;
 use crate::localisation::LEAST_P;
-use crate::verdict::{Reconciliation, Refined, SetUp};
+use crate::verdict::{CorrectedEffect, Reconciliation, RecordSetUp};
 use rtec_estimate::Rival;
-use rtec_model::effect::{Against, Difference, Effect, ParameterSearch};
+use rtec_model::effect::{Difference, DifferenceReference, Effect, ParameterSearch};
 use serde_json::{Map, Value, json};
 
 fn sensor_keys(map: &mut Map<String, Value>, sensor: Option<&Difference>) {
     if let Some(d) = sensor {
         map.insert("sensor".into(), json!(d.sensor));
         match &d.against {
-            Against::Sensor(m) => map.insert("minus".into(), json!(m)),
-            Against::Reference(degc) => map.insert("reference_degC".into(), json!(degc)),
-            Against::Standard => None,
+            DifferenceReference::Sensor(m) => map.insert("minus".into(), json!(m)),
+            DifferenceReference::Reference(degc) => map.insert("reference_degC".into(), json!(degc)),
+            DifferenceReference::Standard => None,
         };
     }
 }
@@ -76,7 +76,7 @@ fn finding((f, half): &(Finding, Vec<f64>)) -> Value {
     Value::Object(map)
 }
 
-fn refined(r: &Refined) -> Value {
+fn refined(r: &CorrectedEffect) -> Value {
     Value::Object(effect(&r.after.0, &r.after.1, Some(&r.before)))
 }
 
@@ -94,8 +94,8 @@ fn gap(g: &Gap) -> Value {
 }
 
 /// Set-ups by record; the two coordinates of a centre are joined.
-fn set_up(all: &[SetUp]) -> Value {
-    let of = |s: &SetUp| {
+fn set_up(all: &[RecordSetUp]) -> Value {
+    let of = |s: &RecordSetUp| {
         let mut map = Map::new();
         let value = |key: &str| s.terms.iter().find(|t| t.0 == key).map(|t| t.1);
         if let (Some(a), Some(b)) = (value("centre_um.0"), value("centre_um.1")) {
@@ -163,8 +163,9 @@ mod tests {
         assert_eq!(beside["knots_mm"], json!([0.0, 50.0, 100.0]));
         assert_eq!(inside["um"]["high"], json!([1.1, -1.8, 1.3]));
         let mut after = dictionary.effect("thermal_growth.z").unwrap();
-        after.delta = Some(Difference { sensor: "T8".into(), against: Against::Reference(21.5) });
-        let entry = refined(&Refined { place: 0, before: after.clone(), after: (after, vec![0.5, 0.0]) });
+        after.delta = Some(Difference { sensor: "T8".into(), against: DifferenceReference::Reference(21.5) });
+        let entry =
+            refined(&CorrectedEffect { place: 0, before: after.clone(), after: (after, vec![0.5, 0.0]) });
         assert_eq!((&entry["sensor"], &entry["reference_degC"]), (&json!("T8"), &json!(21.5)));
         assert_eq!(
             entry["parameters"]["um_per_K"],

@@ -1,13 +1,13 @@
 //! The gap between measured and simulated, before and after, and its floor.
 //! The floor is the repeatability of the data.
 
-use crate::answer::{Answer, stated};
-use rtec_estimate::problem::Problem;
+use crate::analysis::{Analysis, stated};
+use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::refit::{Refit, left};
 use rtec_estimate::rows::Rows;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Kind, Record, Role, span};
+use rtec_model::record::{Axis, Record, Role, RunKind, span};
 
 /// Folds of the blocked cross-validation.
 pub(crate) const FOLDS: usize = 5;
@@ -113,7 +113,7 @@ impl Abscissa {
     /// The abscissa of a trace: angle of a circle, position, or time.
     /// The position is that of an axis that moves, if possible the response's own.
     fn of(record: &Record, response: &Role) -> Self {
-        let in_time = matches!(record.kind, Kind::Drift | Kind::Dynamics);
+        let in_time = matches!(record.kind, RunKind::Drift | RunKind::Dynamics);
         if let Some(angle) = record.data(&Role::Angle).filter(|_| !in_time) {
             let values = angle.iter().map(|a| a.to_degrees()).collect();
             return Self { name: "angle (°)".to_owned(), values, in_order: false, direction: Vec::new() };
@@ -175,7 +175,7 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
 /// Of the model's effects only those move that the better model corrects.
 pub(crate) fn left_of_blocks(
     used: &[Record],
-    answer: &Answer,
+    answer: &Analysis,
     curve: Option<&Effect>,
     machine: &Machine,
 ) -> Option<Vec<f64>> {
@@ -185,7 +185,7 @@ pub(crate) fn left_of_blocks(
     let corrected: Vec<usize> = known.map(|k| k.place).collect();
     (!found.is_empty() || !corrected.is_empty()).then(|| {
         let (rows, model) = (Rows::new(used), machine.effects().cloned().collect::<Vec<_>>());
-        let mut problem = Problem::new(&rows, &model, &stated(machine));
+        let mut problem = EstimationProblem::new(&rows, &model, &stated(machine));
         problem.known.retain(|k| corrected.contains(&k.effect));
         Refit::new(&problem, &found).left_by_others(&answer.estimate.noise, FOLDS)
     })
@@ -193,7 +193,12 @@ pub(crate) fn left_of_blocks(
 
 /// The gap of the responses of each unit.
 /// `used` are the analysed rows; `blocked` is the residual of each ([`left_of_blocks`]).
-pub(crate) fn gaps(used: &[Record], traces: &[Trace], answer: &Answer, blocked: Option<&[f64]>) -> Vec<Gap> {
+pub(crate) fn gaps(
+    used: &[Record],
+    traces: &[Trace],
+    answer: &Analysis,
+    blocked: Option<&[f64]>,
+) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
     units.dedup();

@@ -2,8 +2,8 @@
 //! It has the form in which a fit states it.
 
 use rtec_estimate::rows::Rows;
-use rtec_model::effect::{Effect, Heat};
-use rtec_model::machine::{FitNote, Machine, Source, Validity};
+use rtec_model::effect::{Effect, ThermalDependence};
+use rtec_model::machine::{FitNote, Machine, SourceRecord, Validity};
 use rtec_model::record::{Record, Role, span};
 use std::collections::BTreeMap;
 
@@ -44,7 +44,7 @@ pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &s
             valid: model.effects().filter_map(|e| seen(e, role.axis()?.as_str(), &records)).collect(),
             at_mm: Some(FitNote::places(&records)),
             by_kind_um,
-            from: records.iter().map(|r| Source::of(r)).collect(),
+            from: records.iter().map(|r| SourceRecord::of(r)).collect(),
         };
         if let Some(earlier) = model.fits().iter().find(|f| f.response == note.response) {
             // These rows show the residuals of the whole model. For other kinds of runs the earlier fit is
@@ -65,8 +65,8 @@ pub(crate) fn state(model: &mut Machine, used: &[Record], left: &[f64], date: &s
 fn seen(effect: &Effect, axis: &str, records: &[&Record]) -> Option<Validity> {
     let own = effect.axes().first().filter(|a| a.as_str() == axis)?;
     let um_per_k = match effect.description().heat {
-        Heat::Growth => effect.scalar(0).abs(),
-        Heat::Expansion => {
+        ThermalDependence::Growth => effect.scalar(0).abs(),
+        ThermalDependence::Expansion => {
             let at_mm = records.iter().filter_map(|r| r.data(&Role::Position(own.clone()))).flatten();
             effect.scalar(0).abs() * at_mm.fold(0.0, |most: f64, p| most.max(p.abs())) / 1000.0
         }

@@ -2,16 +2,16 @@
 //! It finds where they disagree and which effect is missing. It returns a better model, and how far the gap
 //! shrank.
 //!
-//! To read the code, follow [`reconcile()`] → `data_screening` → `answer` (which calls `rtec-estimate`) →
+//! To read the code, follow [`reconcile()`] → `data_screening` → `analysis` (which calls `rtec-estimate`) →
 //! [`Reconciliation`].
 //!
 //! | module | what |
 //! |---|---|
 //! | `workflow` | the whole workflow: doubts, the estimate, changes to the model |
-//! | `data_screening`, `suspected` | people's mistakes that records show by themselves: reported and left out |
+//! | `data_screening`, `suspicion_scope` | people's mistakes that records show by themselves: reported and left out |
 //! | `mistakes` | mistakes as hypotheses beside the model |
 //! | `subsample` | a subsample of very many rows |
-//! | `answer` | the estimate as findings |
+//! | `analysis` | the estimate as findings |
 //! | `localisation` | where measured and simulated disagree |
 //! | `sensor_choice` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained` | a curve in place of what no effect explains |
@@ -27,7 +27,7 @@
 //! An example: `cargo run -p rtec-reconcile --example name_what_is_missing`. The tests run it too.
 
 mod advice;
-mod answer;
+mod analysis;
 mod data_screening;
 mod document;
 mod gap;
@@ -40,7 +40,7 @@ mod regression;
 mod report;
 mod sensor_choice;
 mod subsample;
-mod suspected;
+mod suspicion_scope;
 #[cfg(test)]
 mod testing;
 mod unexplained;
@@ -51,15 +51,15 @@ mod workflow;
 /// Seed of all permutations.
 pub const SEED: u64 = 4832;
 
-pub use answer::Finding;
+pub use analysis::Finding;
 pub use gap::{Abscissa, Gap, Trace};
 pub use localisation::ResidualStructure;
 pub use next_run::{ExpectedEvidence, NextRuns, UnresolvedEffect, next_runs};
 pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
 pub use report::{html, pictures};
-pub use rtec_estimate::{Rival, Shape, Tried};
+pub use rtec_estimate::{Rival, Shape, TriedExplanation};
 pub use unexplained::LAWS_FILE;
-pub use verdict::{Reconciliation, Refined, SetUp, SkippedRecord, Verdict};
+pub use verdict::{CorrectedEffect, Reconciliation, RecordSetUp, SkippedRecord, Verdict};
 pub use why::why;
 pub use workflow::{find, reconcile};
 

@@ -6,7 +6,7 @@ use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_estimate::Shape;
-use rtec_estimate::problem::Problem;
+use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_estimate::setup::SetUpKind;
 use rtec_least_squares::dot;
@@ -108,7 +108,7 @@ pub(crate) const LEAST_P: f64 = 1.0 / (PERMUTATIONS as f64 + 1.0);
 pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<ResidualStructure> {
     let stack = Rows::new(records);
     let model: Vec<Effect> = machine.effects().cloned().collect();
-    let mut problem = Problem::new(&stack, &model, &crate::answer::stated(machine));
+    let mut problem = EstimationProblem::new(&stack, &model, &crate::analysis::stated(machine));
     let (sigmas, before) = left_by(&problem);
     let mut out = Vec::new();
     for (response, &sigma) in sigmas.iter().enumerate() {
@@ -206,7 +206,7 @@ pub(crate) fn add_found(places: &mut Vec<ResidualStructure>, found: impl IntoIte
 
 /// Residuals beside set-up and known effects, and the noise of each response.
 /// Each row is divided by its noise.
-fn left_by(problem: &Problem<'_>) -> (Vec<f64>, Vec<f64>) {
+fn left_by(problem: &EstimationProblem<'_>) -> (Vec<f64>, Vec<f64>) {
     let mut noise = problem.first_noise();
     noise.phi.fill(0.0);
     let sigmas = noise.sigma.clone();

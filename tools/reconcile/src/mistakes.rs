@@ -2,7 +2,7 @@
 //! It compares a record with the same record with a mistake corrected, by one likelihood. The likelihood is the
 //! density of the numbers as the file has them.
 
-use crate::answer::{Answer, Finding, analyse, score, stated};
+use crate::analysis::{Analysis, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
 use rtec_estimate::problem::Units;
 use rtec_estimate::{alone, unexplained};
@@ -39,7 +39,7 @@ impl Mistake {
 type JointMistakes = Vec<(usize, Mistake)>;
 
 /// A mistake that is suspected of a record.
-pub(crate) struct Suspected {
+pub(crate) struct SuspectedMistake {
     pub(crate) said: Suspicion,
     /// Log odds of the mistake.
     odds: f64,
@@ -49,7 +49,7 @@ pub(crate) struct Suspected {
     replaced: Vec<usize>,
 }
 
-impl Suspected {
+impl SuspectedMistake {
     /// Whether it is so certain that nothing is learned from the record.
     pub(crate) fn is_certain(&self) -> bool {
         self.odds > CERTAIN.ln()
@@ -66,13 +66,13 @@ impl Suspected {
     }
 
     /// Whether the mistake explains what would else replace a known effect.
-    pub(crate) fn spares(&self, answer: &Answer) -> bool {
+    pub(crate) fn spares(&self, answer: &Analysis) -> bool {
         replaced(answer).iter().any(|place| !self.replaced.contains(place))
     }
 }
 
 /// Indices of the model's effects that are off by far more than the model says.
-fn replaced(answer: &Answer) -> Vec<usize> {
+fn replaced(answer: &Analysis) -> Vec<usize> {
     answer.estimate.found.iter().filter_map(|f| f.replaces).collect()
 }
 
@@ -92,12 +92,12 @@ const EXPLAINED: f64 = 2.0;
 pub(crate) fn of_training(
     records: &[Record],
     machine: &Machine,
-    first: &Answer,
+    first: &Analysis,
     level: f64,
-) -> Vec<Suspected> {
+) -> Vec<SuspectedMistake> {
     let mut out = Vec::new();
     let mut now = records.to_vec();
-    let mut best: Option<Answer> = None;
+    let mut best: Option<Analysis> = None;
     // Log evidence of the present records, by the units that are possible.
     let mut as_they_stand: Vec<(Units, f64)> = Vec::new();
     // Tested beside the original model, because findings may have absorbed the mistake as a change of the
@@ -177,7 +177,7 @@ pub(crate) fn of_training(
         }
         let then = analyse(&now, machine, level);
         let without: Vec<String> = then.findings.iter().map(|(f, _)| f.effect.name()).collect();
-        out.extend(set.into_iter().map(|(_, m)| Suspected {
+        out.extend(set.into_iter().map(|(_, m)| SuspectedMistake {
             said: m.said,
             odds: gain,
             without: without.clone(),
@@ -234,7 +234,7 @@ pub(crate) fn of_hold_out(
 }
 
 /// The model with the findings added, if there are any.
-fn with_findings(model: &[Effect], answer: &Answer) -> Option<Vec<Effect>> {
+fn with_findings(model: &[Effect], answer: &Analysis) -> Option<Vec<Effect>> {
     let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
     let mut new = found.filter(|f| model.iter().all(|e| e.name() != f.name())).peekable();
     new.peek()?;

@@ -8,14 +8,14 @@
 
 use rtec_estimate::Rival;
 use rtec_estimate::priors::HELD;
-use rtec_estimate::problem::Problem;
+use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Noise, Rows};
 use rtec_files::InputError;
 use rtec_least_squares::Factor;
-use rtec_measure::plan::{PlanAxis, Step, TargetRun, target_run};
-use rtec_model::effect::{Against, Dictionary, Difference, Effect, Quantity};
+use rtec_measure::plan::{PlanAxis, PlannedRun, TargetRun, target_run};
+use rtec_model::effect::{Dictionary, Difference, DifferenceReference, Effect, Quantity};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, ReversalPoint, Role};
+use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::path::Path;
@@ -103,9 +103,11 @@ fn is_force(effect: &Effect) -> bool {
 fn difference(map: &Map<String, Value>) -> Option<Difference> {
     let text = |key: &str| map.get(key).and_then(Value::as_str);
     let sensor = text("sensor")?.to_owned();
-    let reference =
-        map.get("reference_degC").and_then(Value::as_f64).map_or(Against::Standard, Against::Reference);
-    let against = text("minus").map_or(reference, |m| Against::Sensor(m.to_owned()));
+    let reference = map
+        .get("reference_degC")
+        .and_then(Value::as_f64)
+        .map_or(DifferenceReference::Standard, DifferenceReference::Reference);
+    let against = text("minus").map_or(reference, |m| DifferenceReference::Sensor(m.to_owned()));
     Some(Difference { sensor, against })
 }
 
@@ -126,7 +128,7 @@ pub struct ExpectedEvidence {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NextRuns {
     /// The runs, in the form of a plan.
-    pub steps: Vec<Step>,
+    pub steps: Vec<PlannedRun>,
     /// One entry for every effect and rival.
     pub tells: Vec<ExpectedEvidence>,
 }
@@ -183,8 +185,9 @@ pub fn next_runs(open: &[UnresolvedEffect], machine: &Machine, axes: &[PlanAxis]
             )
         });
         // A run already in the plan may separate it too.
-        let same =
-            |s: &Step| step.as_ref().is_some_and(|own| (&s.run, &s.columns) == (&own.run, &own.columns));
+        let same = |s: &PlannedRun| {
+            step.as_ref().is_some_and(|own| (&s.run, &s.columns) == (&own.run, &own.columns))
+        };
         let (step, is_new) = match out.steps.iter().find(|s| same(s)) {
             Some(made) => (Some(made.clone()), false),
             None => (step, true),
@@ -292,7 +295,7 @@ impl Simulated {
     /// If `given`, the rival keeps its values.
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
         let rows = Rows::new(&self.records);
-        let problem = Problem::unrounded(&rows, &self.model, &[]);
+        let problem = EstimationProblem::unrounded(&rows, &self.model, &[]);
         let base = problem.base(Noise::white(&rows, self.noise.max(1e-6)));
         let left = |effect: &Effect| {
             let mut factor: Factor = base.factor.clone();
@@ -337,7 +340,7 @@ fn record(run: &TargetRun, axis: &PlanAxis, response: &str, sensors: &[String]) 
     ];
     let warm = |s: &String| Column::new(s, Role::Temperature, k.iter().map(|k| 20.0 + k).collect());
     columns.extend(sensors.iter().map(warm));
-    let mut record = Record::new(Path::new("next.run.toml"), Kind::Positioning, columns).ok()?;
+    let mut record = Record::new(Path::new("next.run.toml"), RunKind::Positioning, columns).ok()?;
     record.turns = Some(ReversalPoint::Overtravel(None));
     Some(record)
 }

@@ -2,7 +2,7 @@
 //! It has the measured and predicted rows, the derivative by each fitted value and the columns of the set-up.
 //! With it others can check the intervals with their own tools.
 
-use crate::answer::stated;
+use crate::analysis::stated;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_estimate::setup::{self, SetUpKind};
 use rtec_model::effect::Effect;
@@ -138,7 +138,7 @@ fn of_set_up(
 }
 
 fn by_hand(rows: &Rows<'_>) -> Vec<RegressionColumn> {
-    let of = |t: setup::Term| {
+    let of = |t: setup::SetUpTerm| {
         let what = match t.what {
             SetUpKind::Zero => "zero",
             SetUpKind::CentreFirst => "centre, first axis",

@@ -5,8 +5,8 @@ use crate::localisation::{LEAST_P, ResidualStructure};
 use crate::verdict::{Reconciliation, Verdict};
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::message_text::escaped;
-use rtec_measure::plot::{Chart, Colour, Picture, Series, Style};
-use rtec_measure::report::{Run, STYLE, signed_line};
+use rtec_measure::plot::{Chart, Colour, PlotSpec, Series, Style};
+use rtec_measure::report::{ReportedRecord, STYLE, signed_line};
 use rtec_model::effect::{Effect, ParameterSearch};
 use rtec_model::machine::NORMAL_95;
 use rtec_model::record::span;
@@ -71,7 +71,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
         h,
         "<p><small>{}, reconcile; false-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. \
          Intervals hold 95 %.</small></p></html>",
-        rtec_files::stamp::by(),
+        rtec_files::format_stamp::by(),
         r.level,
         crate::SEED,
         number(r.phi)
@@ -90,7 +90,7 @@ fn figure(h: &mut String, chart: &Chart) {
 fn facts(h: &mut String, r: &Reconciliation) {
     h.push_str("<table class=\"facts\">");
     for x in &r.records {
-        let run = Run::of(x);
+        let run = ReportedRecord::of(x);
         let date = run.date.map(|d| format!(", {d}")).unwrap_or_default();
         let note = run.note.map(|n| format!(", {n}")).unwrap_or_default();
         let hash = run.sha256.get(..12).map(|s| format!(", SHA-256 {s}…")).unwrap_or_default();
@@ -282,16 +282,16 @@ fn term_of(term: &str) -> (String, &'static str) {
 /// They are the residuals before and after, maps with their bands, means over the variables that matter, and
 /// the names that were tried.
 #[must_use]
-pub fn pictures(r: &Reconciliation) -> Vec<Picture> {
+pub fn pictures(r: &Reconciliation) -> Vec<PlotSpec> {
     let place = |p: &ResidualStructure| {
         let unit = unit_of(&p.response);
         let mean = p.profile.iter().map(|v| (v[0], v[1])).collect();
         let title = format!("{} against {}: {:.1} %", p.response, p.against, 100.0 * p.statistic);
         Chart::new(&title, &p.against, unit).with(Series::new("mean", Style::Line, mean))
     };
-    let mut all: Vec<Picture> = r.traces.iter().map(|t| chart(t, usize::MAX).into()).collect();
-    all.extend(maps(r).into_iter().map(Picture::from));
-    all.extend(found(r).map(|p| Picture::from(place(p))));
+    let mut all: Vec<PlotSpec> = r.traces.iter().map(|t| chart(t, usize::MAX).into()).collect();
+    all.extend(maps(r).into_iter().map(PlotSpec::from));
+    all.extend(found(r).map(|p| PlotSpec::from(place(p))));
     let tried: Vec<_> = r.ranking.iter().take(RANKED).collect();
     if !tried.is_empty() {
         let bars = |accepted: bool| {

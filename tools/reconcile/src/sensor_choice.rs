@@ -1,11 +1,11 @@
 //! Compares the sensors with those that a fit of growth chooses on the same drift.
 //! It returns the reason if they differ.
 
-use crate::answer::Finding;
+use crate::analysis::Finding;
 use rtec_fit::thermal;
-use rtec_model::effect::{Difference, Heat};
+use rtec_model::effect::{Difference, ThermalDependence};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Record, Role, RunKind};
 
 /// The two sensors of a difference, in either order.
 fn pair(d: &Difference) -> [Option<&str>; 2] {
@@ -24,10 +24,11 @@ pub(crate) fn other_sensors(
     train: &[Record],
     machine: &Machine,
 ) -> Option<String> {
-    if !train.iter().all(|r| r.kind == Kind::Drift && r.column(&Role::Time).is_some()) {
+    if !train.iter().all(|r| r.kind == RunKind::Drift && r.column(&Role::Time).is_some()) {
         return None;
     }
-    let growth = |f: &&Finding| f.effect.description().heat == Heat::Growth && f.effect.delta.is_some();
+    let growth =
+        |f: &&Finding| f.effect.description().heat == ThermalDependence::Growth && f.effect.delta.is_some();
     let found: Vec<&Finding> = effects.iter().map(|(f, _)| f).filter(growth).collect();
     let records: Vec<&Record> = train.iter().collect();
     let base = (machine.effects().count() > 0).then(|| machine.clone());

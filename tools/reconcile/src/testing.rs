@@ -1,6 +1,6 @@
 //! Records for tests.
 
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 pub(crate) fn axis() -> Axis {
@@ -15,7 +15,7 @@ pub(crate) fn record(rows: usize, error: impl Fn(f64) -> f64) -> Record {
         Column::new("p", Role::Position(axis()), of(&|i| (i * 61.803_398_875) % 100.0)),
         Column::new("e", Role::Error(axis()), of(&error)),
     ];
-    Record::new(Path::new("run.run.toml"), Kind::Positioning, columns).expect("a sound record")
+    Record::new(Path::new("run.run.toml"), RunKind::Positioning, columns).expect("a sound record")
 }
 
 /// A repeatable sequence of nearly normal numbers.

@@ -3,7 +3,7 @@
 //! project's own file, marked as unexplained.
 
 use rtec_estimate::Shape;
-use rtec_model::effect::{Against, Difference, Effect, STANDARD_DEGC};
+use rtec_model::effect::{Difference, DifferenceReference, Effect, STANDARD_DEGC};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use std::fmt::Write as _;
@@ -143,7 +143,7 @@ pub(crate) fn stand_in(
     let name = format!("unexplained_{}", shape.against.join("_").replace('.', "_"));
     let laws = model.adopt(LAWS_FILE, &along.law(&name, shape, knots, range)).ok()?;
     let mut effect = model.dictionary().effect(&format!("{name}.{}{}", along.axis, along.naming().1)).ok()?;
-    effect.delta = along.sensor.map(|sensor| Difference { sensor, against: Against::Standard });
+    effect.delta = along.sensor.map(|sensor| Difference { sensor, against: DifferenceReference::Standard });
     Some(StandIn { effect, laws })
 }
 

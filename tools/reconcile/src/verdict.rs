@@ -1,11 +1,11 @@
 //! The whole answer of a reconciliation.
 
-use crate::answer::Finding;
+use crate::analysis::Finding;
 use crate::gap::{Gap, Trace, chance, unit_of};
 use crate::localisation::ResidualStructure;
 use rtec_estimate::priors::HELD;
 use rtec_estimate::setup::SetUpKind;
-use rtec_estimate::{Shape, Tried};
+use rtec_estimate::{Shape, TriedExplanation};
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -62,7 +62,7 @@ impl fmt::Display for Verdict {
 
 /// A correction of an effect that the model already has.
 #[derive(Debug, Clone)]
-pub struct Refined {
+pub struct CorrectedEffect {
     /// Its index in the model.
     pub place: usize,
     /// The effect before the correction.
@@ -73,7 +73,7 @@ pub struct Refined {
 
 /// The set-up found for one record: it is not part of any model.
 #[derive(Debug, Clone)]
-pub struct SetUp {
+pub struct RecordSetUp {
     /// The record's sidecar.
     pub record: String,
     /// Term, value and half width of its 95 % interval.
@@ -82,15 +82,15 @@ pub struct SetUp {
     pub terms: Vec<(String, f64, f64)>,
 }
 
-impl SetUp {
+impl RecordSetUp {
     /// The set-ups per record, in the records' order.
-    pub(crate) fn of(records: &[Record], found: &[rtec_estimate::SetUp]) -> Vec<Self> {
-        let timed = |s: &rtec_estimate::SetUp| records[s.record].column(&Role::Time).is_some();
+    pub(crate) fn of(records: &[Record], found: &[rtec_estimate::SetUpEstimate]) -> Vec<Self> {
+        let timed = |s: &rtec_estimate::SetUpEstimate| records[s.record].column(&Role::Time).is_some();
         // The estimator assumes for a run without times the hours that a creep keeps its direction.
-        let runs = |s: &rtec_estimate::SetUp| {
+        let runs = |s: &rtec_estimate::SetUpEstimate| {
             if s.what == SetUpKind::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
         };
-        let name = |s: &rtec_estimate::SetUp| match (s.what, s.response.as_str()) {
+        let name = |s: &rtec_estimate::SetUpEstimate| match (s.what, s.response.as_str()) {
             (SetUpKind::Zero, "error.r") => "bar_um".to_owned(),
             (SetUpKind::Zero, response) => format!("zero_um.{response}"),
             (SetUpKind::CentreFirst, _) => "centre_um.0".to_owned(),
@@ -136,17 +136,17 @@ pub struct Reconciliation {
     /// Why there is no such curve, where one was asked for.
     pub no_curve: Option<String>,
     /// Corrected parameters.
-    pub refined: Vec<Refined>,
+    pub refined: Vec<CorrectedEffect>,
     /// The gap, one per unit.
     pub gap: Vec<Gap>,
     /// Whether the findings make the hold-outs no worse; `None` without a hold-out.
     pub confirmed: Option<bool>,
     /// The set-up found for each record.
-    pub set_up: Vec<SetUp>,
+    pub set_up: Vec<RecordSetUp>,
     /// The experiment that would separate what these data cannot.
     pub advice: String,
     /// Names that were tried.
-    pub ranking: Vec<Tried>,
+    pub ranking: Vec<TriedExplanation>,
     /// The better model.
     pub model: Machine,
     /// The training records as used: without what was left out.

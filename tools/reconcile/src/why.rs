@@ -1,10 +1,10 @@
 //! The evidence for and against one name, as a table for a metrologist.
 
 use crate::advice::separating;
-use crate::answer::Finding;
+use crate::analysis::Finding;
 use crate::verdict::Reconciliation;
-use rtec_estimate::Tried;
-use rtec_estimate::effort::HOPELESS;
+use rtec_estimate::TriedExplanation;
+use rtec_estimate::search_limits::HOPELESS;
 use rtec_model::effect::{Dictionary, Effect};
 use rtec_model::record::Record;
 use std::fmt::Write as _;
@@ -36,7 +36,7 @@ pub fn why(answer: &Reconciliation, effect: &Effect, train: &[Record], dictionar
     let mut table = Table(String::new());
     let found: Vec<&Finding> =
         answer.effects.iter().map(|(f, _)| f).filter(|f| f.effect.name() == name).collect();
-    let tried: Vec<&Tried> =
+    let tried: Vec<&TriedExplanation> =
         answer.ranking.iter().filter(|t| !t.accepted && t.label.split(' ').next() == Some(&name)).collect();
     let known = answer.model.effects().any(|e| e.name() == name) && found.is_empty();
     let _ = match (&found[..], known) {

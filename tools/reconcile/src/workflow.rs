@@ -2,8 +2,8 @@
 
 use crate::Options;
 use crate::advice::advice;
-use crate::answer::{Answer, Finding, analyse, stated};
-use crate::data_screening::{self, Doubts, doubts};
+use crate::analysis::{Analysis, Finding, analyse, stated};
+use crate::data_screening::{self, ScreenedRecords, doubts};
 use crate::gap::{self, Gap, Trace, gaps, traces};
 use crate::interval;
 use crate::localisation::{self, ResidualStructure};
@@ -11,10 +11,10 @@ use crate::mistakes;
 use crate::sensor_choice;
 use crate::subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::unexplained::stand_in;
-use crate::verdict::{Reconciliation, Refined, SetUp, SkippedRecord, Verdict};
+use crate::verdict::{CorrectedEffect, Reconciliation, RecordSetUp, SkippedRecord, Verdict};
 use rtec_estimate::Rival;
 use rtec_estimate::Shape;
-use rtec_estimate::problem::Problem;
+use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::refit::Refit;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::InputError;
@@ -22,9 +22,9 @@ use rtec_fit::denoise;
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::derive::derive;
 use rtec_measure::plausible::Suspicion;
-use rtec_model::effect::{Dictionary, Effect, Heat, Law, ParameterSearch, Refine};
-use rtec_model::machine::{Machine, Provenance, Source};
-use rtec_model::record::{Kind, Record, Role, span};
+use rtec_model::effect::{Dictionary, Effect, Law, ParameterSearch, Refine, ThermalDependence};
+use rtec_model::machine::{Machine, Provenance, SourceRecord};
+use rtec_model::record::{Record, Role, RunKind, span};
 use std::borrow::Cow;
 
 /// Below this number of rows no effect can be distinguished from chance.
@@ -131,7 +131,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     }
     let mut said = doubts.said;
     said.extend(strangers.into_iter().map(|(_, s)| s));
-    let Better { mut model, refined, effects, curve } = better;
+    let ImprovedModel { mut model, refined, effects, curve } = better;
     if let (Some(left), Some(date)) = (&blocked, &options.date) {
         interval::state(&mut model, &used, left, date);
     }
@@ -162,7 +162,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         places,
         advice,
         confirmed,
-        set_up: SetUp::of(&used, &estimate.set_up),
+        set_up: RecordSetUp::of(&used, &estimate.set_up),
         suspicions: said,
         left_out,
         unsaid,
@@ -238,17 +238,17 @@ struct Work<'w> {
 }
 
 /// A better model, and its changes.
-struct Better {
+struct ImprovedModel {
     model: Machine,
-    refined: Vec<Refined>,
+    refined: Vec<CorrectedEffect>,
     effects: Vec<(Finding, Vec<f64>)>,
     curve: Option<(Effect, String)>,
 }
 
-impl Better {
+impl ImprovedModel {
     /// The hold-outs, if the training has only one explanation.
     /// Otherwise a difference in a hold-out may be the part that is not yet explained.
-    fn comparable<'h>(&self, answer: &Answer, held: &'h [Record]) -> &'h [Record] {
+    fn comparable<'h>(&self, answer: &Analysis, held: &'h [Record]) -> &'h [Record] {
         if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
     }
 
@@ -261,7 +261,7 @@ impl Better {
 impl Work<'_> {
     /// Writes the findings into the model.
     /// With `learn` the model's own parameters may be corrected.
-    fn better(&self, answer: &mut Answer, learn: bool) -> Better {
+    fn better(&self, answer: &mut Analysis, learn: bool) -> ImprovedModel {
         let Self { train, machine, .. } = *self;
         let mut model = machine.clone();
         for (f, half) in &mut answer.findings {
@@ -277,15 +277,15 @@ impl Work<'_> {
                 effects.push((f.clone(), half.clone()));
             }
         }
-        Better { model, refined, effects, curve: None }
+        ImprovedModel { model, refined, effects, curve: None }
     }
 
     /// Adds an effect with its provenance, unless the model has its identity.
     fn write(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
         let provenance = Provenance {
-            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::stamp::VERSION)),
+            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::format_stamp::VERSION)),
             date: self.options.date.clone(),
-            from: self.train.iter().map(Source::of).collect(),
+            from: self.train.iter().map(SourceRecord::of).collect(),
             interval: intervals(effect, half).into_iter().collect(),
             set_up: false,
         };
@@ -294,13 +294,13 @@ impl Work<'_> {
 
     /// Adds a curve for the first shape, or says why there is none.
     /// Rows that it was not fitted to must be better with it.
-    fn add_curve(&self, answer: &Answer, held: &[Record], better: &mut Better) -> Option<String> {
+    fn add_curve(&self, answer: &Analysis, held: &[Record], better: &mut ImprovedModel) -> Option<String> {
         let shape = answer.unexplained.first()?;
         // The curve stands beside the findings as they are written.
         let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
         let (known, rows) =
             (self.machine.effects().cloned().chain(found).collect::<Vec<_>>(), Rows::new(self.used));
-        let problem = Problem::new(&rows, &known, &stated(self.machine)).by_hand();
+        let problem = EstimationProblem::new(&rows, &known, &stated(self.machine)).by_hand();
         let mut why = format!("no law runs along {}", shape.against.join(" and "));
         for knots in CURVE_KNOTS {
             let mut model = better.model.clone();
@@ -364,13 +364,13 @@ impl Work<'_> {
 }
 
 /// Corrects the model's parameters that are off beyond chance.
-fn correct(model: &mut Machine, machine: &Machine, answer: &Answer) -> Vec<Refined> {
+fn correct(model: &mut Machine, machine: &Machine, answer: &Analysis) -> Vec<CorrectedEffect> {
     let before: Vec<Effect> = machine.effects().cloned().collect();
     let mut out = Vec::new();
     for k in answer.estimate.known.iter().filter(|k| k.beyond_chance) {
         write_values(model, k.place, &k.after, &k.half);
         let after = (k.after.clone(), k.half.clone());
-        out.push(Refined { place: k.place, before: before[k.place].clone(), after });
+        out.push(CorrectedEffect { place: k.place, before: before[k.place].clone(), after });
     }
     out
 }
@@ -411,7 +411,7 @@ fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]
 struct Analysed {
     /// All their rows, as measured.
     train: Vec<Record>,
-    answer: Answer,
+    answer: Analysis,
     /// The analysed rows: temperatures without noise, one row of every `every`.
     used: Vec<Record>,
     every: usize,
@@ -420,7 +420,7 @@ struct Analysed {
 impl Analysed {
     /// Analyses the training records without those in doubt; all if all are in doubt.
     /// Doubts may be known before or follow from the analysis.
-    fn without_doubts(train: &[Record], doubts: &mut Doubts, machine: &Machine, level: f64) -> Self {
+    fn without_doubts(train: &[Record], doubts: &mut ScreenedRecords, machine: &Machine, level: f64) -> Self {
         if doubts.train.is_empty() {
             return Self::of(train, machine, level);
         }
@@ -434,7 +434,7 @@ impl Analysed {
         }
         let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
         let (certain, open): (Vec<_>, Vec<_>) =
-            suspected.into_iter().partition(mistakes::Suspected::is_certain);
+            suspected.into_iter().partition(mistakes::SuspectedMistake::is_certain);
         // An uncertain mistake is reported if it explains a named effect, or an effect of the model that is
         // far off.
         for s in open {
@@ -478,13 +478,15 @@ impl Analysed {
 /// Reports a plate that may not be at 20 °C.
 /// Its temperature was not logged, and the scales of all its axes are wrong by the same amount.
 fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary: &Dictionary) {
-    let Some(expansion) = dictionary.laws().map(Law::describe).find(|l| l.heat == Heat::Expansion) else {
+    let Some(expansion) =
+        dictionary.laws().map(Law::describe).find(|l| l.heat == ThermalDependence::Expansion)
+    else {
         return;
     };
     let scale = |f: &Finding| expansion.companion == Some(f.effect.description().name.as_str());
     let silent = train
         .iter()
-        .all(|r| matches!(r.kind, Kind::Plate | Kind::Part) && r.column(&Role::Temperature).is_none());
+        .all(|r| matches!(r.kind, RunKind::Plate | RunKind::Part) && r.column(&Role::Temperature).is_none());
     let ppm: Vec<f64> =
         findings.iter().map(|(f, _)| f).filter(|f| scale(f)).map(|f| f.effect.scalar(0)).collect();
     let [lo, hi] = span(&ppm);
@@ -557,7 +559,7 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
 mod tests {
     use super::*;
     use crate::testing::{axis, noise, record};
-    use rtec_model::effect::Against;
+    use rtec_model::effect::DifferenceReference;
     use rtec_model::record::Column;
     use std::path::Path;
 
@@ -690,8 +692,10 @@ mod tests {
         let growth = |scale: f64| {
             let mut effect = Dictionary::default().effect("thermal_growth.x").unwrap();
             effect.set_values(&[-0.6 * scale, -0.05 * scale]).unwrap();
-            effect.delta =
-                Some(rtec_model::effect::Difference { sensor: "T".to_owned(), against: Against::Standard });
+            effect.delta = Some(rtec_model::effect::Difference {
+                sensor: "T".to_owned(),
+                against: DifferenceReference::Standard,
+            });
             effect
         };
         let mut run = record(145, |i| dice[i as usize] * 0.09);

@@ -4,13 +4,15 @@
 use rtec_files::clock::{self, absolute_ns, of_day_ns};
 use rtec_files::csv::{self, Reader, Style};
 use rtec_files::date;
-use rtec_files::stamp;
+use rtec_files::format_stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
-use rtec_files::{InputError, Numbers, TableMarks, units};
+use rtec_files::{DecimalMarks, InputError, TableMarks, units};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::file_kind::FileKind;
-use rtec_model::record::{Axis, Column, Kind, LINEAR, Record, ReversalPoint, Role, check, hex, range_alone};
+use rtec_model::record::{
+    Axis, Column, LINEAR, Record, ReversalPoint, Role, RunKind, check, hex, range_alone,
+};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -132,7 +134,7 @@ impl RecordPieceReader {
     }
 
     /// Kind of the run.
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> RunKind {
         self.sidecar.kind
     }
 
@@ -284,8 +286,8 @@ pub fn to_sidecar(record: &Record) -> String {
     };
     let text = |of: &Option<String>| of.as_ref().map(Into::into);
     let circle = record.circle();
-    put("format", Some(i64::from(stamp::FORMAT).into()));
-    put("by", Some(stamp::by().into()));
+    put("format", Some(i64::from(format_stamp::FORMAT).into()));
+    put("by", Some(format_stamp::by().into()));
     put("file", Some((&record.file).into()));
     put("kind", Some(record.kind.name().into()));
     put("count_um", record.count_um.map(Into::into));
@@ -502,7 +504,7 @@ impl<R: Read> RowReader<R> {
                 let column = &mut self.columns[slot];
                 let v = match marks {
                     // In any table a blank may separate thousands.
-                    None => cell.finite().or_else(|e| Numbers::written('.').parse(cell.text()).ok_or(e)),
+                    None => cell.finite().or_else(|e| DecimalMarks::written('.').parse(cell.text()).ok_or(e)),
                     Some(marks) => {
                         let numbers = marks.numbers(place);
                         let expected = || cell.finding(numbers.expected(cell.text()));
@@ -575,7 +577,7 @@ struct DeclaredColumn {
 struct Sidecar {
     file: String,
     file_error: SidecarLocation,
-    kind: Kind,
+    kind: RunKind,
     count_um: Option<f64>,
     /// The circle of a ballbar run, and its place in the sidecar.
     circle: Option<(Circle, SidecarLocation)>,
@@ -623,11 +625,11 @@ impl Sidecar {
         let doc = Document::parse(path, text).map_err(mistaken)?;
         let root = doc.root();
         root.only(&KEYS).map_err(mistaken)?;
-        stamp::check(&root)?;
+        format_stamp::check(&root)?;
         let file = root.required("file", "the CSV's name, as file = \"NAME.csv\"")?;
         let kind = root.required("kind", "the kind of run, as kind = \"positioning\"")?;
-        let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
-        let parsed_kind = Kind::parse(kind.str("a kind of run")?)
+        let kinds = RunKind::ALL.map(|(name, _)| name).join(", ");
+        let parsed_kind = RunKind::parse(kind.str("a kind of run")?)
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
         let count_um = root.get("count_um").map(|v| v.positive("µm per count, above zero")).transpose()?;
         let circle = read_circle(&root)?;
@@ -713,7 +715,7 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, SidecarLocation)>, In
 }
 
 /// Reads where a positioning run turned back: at the end targets or beyond.
-fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<ReversalPoint>, InputError> {
+fn read_turns(root: &Table<'_>, kind: RunKind) -> Result<Option<ReversalPoint>, InputError> {
     const TURNS: &str =
         "turns = \"overtravel\" (the axis turned back beyond the end targets) or \"at_target\"";
     let over = root.get("over_mm");
@@ -723,7 +725,7 @@ fn read_turns(root: &Table<'_>, kind: Kind) -> Result<Option<ReversalPoint>, Inp
             None => Ok(None),
         };
     };
-    if kind != Kind::Positioning {
+    if kind != RunKind::Positioning {
         return Err(
             turns.error(format!("`turns` in a run of kind {}", kind.name()), "kind = \"positioning\"")
         );
@@ -830,7 +832,7 @@ mod tests {
             let mut columns = vec![Vec::new(); 5];
             while let Some(row) = reader.row()? {
                 header.each(row, |n, cell| {
-                    let v = Numbers::written('.')
+                    let v = DecimalMarks::written('.')
                         .parse(cell.text())
                         .ok_or_else(|| header.named(n, cell.finding("a finite number")))?;
                     let checked = check(&Role::parse(roles[n]).unwrap(), v, columns[n].last().copied());
@@ -1005,7 +1007,7 @@ mod tests {
             column("bar", Role::Channel, "bar", &[1e-9, 2.0, 3.0]),
             column("e", Role::Error(y), "um", &[0.1, -0.2, 1e8]),
         ];
-        let mut r = Record::new(&path, Kind::Drift, columns).unwrap();
+        let mut r = Record::new(&path, RunKind::Drift, columns).unwrap();
         r.count_um = Some(0.5);
         r.date = Some("2026-05-01".into());
         r.note = Some("simulated".into());

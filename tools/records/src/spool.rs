@@ -97,7 +97,7 @@ impl ShippingResult {
         if json {
             let kept: Vec<String> = self.kept.iter().map(ToString::to_string).collect();
             let document = serde_json::json!({"sent": self.sent, "kept": kept}).to_string();
-            return rtec_files::stamp::signed(document) + "\n";
+            return rtec_files::format_stamp::signed(document) + "\n";
         }
         let places = self.sent.iter().fold(String::new(), |all, place| all + place + "\n");
         format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())

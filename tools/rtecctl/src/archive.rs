@@ -1,6 +1,6 @@
 //! Archives: tar files, with the size of each member, readable only by this user.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
@@ -18,8 +18,9 @@ impl<'p> Archive<'p> {
     /// Creates it. It never overwrites a file and never follows a symbolic link.
     pub(crate) fn create(path: &'p Path) -> anyhow::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
-        let file =
-            file.map_err(|e| Outcome::Bad(format!("{}: {e}; expected a name that is free", path.display())))?;
+        let file = file.map_err(|e| {
+            CommandFailure::Bad(format!("{}: {e}; expected a name that is free", path.display()))
+        })?;
         Ok(Self { path, tar: Some(tar::Builder::new(file)), now_s: now_s() })
     }
 

@@ -1,18 +1,18 @@
 //! Connection of verbs to the daemon, and its answers as exit codes.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::line;
 use crate::say;
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, ControlConfig, INSTALLED};
-use rtec_control::protocol::{ClientRequest, DaemonSnapshot, DaemonStatus, Explained, Jump, Response};
+use rtec_control::protocol::{AxisExplanation, ClientRequest, DaemonSnapshot, DaemonStatus, Jump, Response};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Which daemon, and in which form its answer is printed.
 #[derive(Debug, Clone, clap::Args)]
-pub(crate) struct Daemon {
+pub(crate) struct DaemonArgs {
     /// The daemon's control socket [default: the configuration's]
     #[arg(long, value_name = "PATH", global = true)]
     socket: Option<PathBuf>,
@@ -24,7 +24,7 @@ pub(crate) struct Daemon {
     pub json: bool,
 }
 
-impl Daemon {
+impl DaemonArgs {
     /// The daemon at this socket, for verbs that have their own `--json`.
     pub(crate) fn at(socket: Option<PathBuf>) -> Self {
         Self { socket, config: None, json: false }
@@ -116,7 +116,7 @@ pub(crate) fn ask(client: &mut Client, request: &ClientRequest) -> anyhow::Resul
 /// Error for an answer that does not belong to the request.
 pub(crate) fn unexpected(answer: &Response) -> anyhow::Error {
     let text = format!("rtecd answered {answer:?}; are rtecctl and rtecd of the same version?");
-    Outcome::Unreachable(text).into()
+    CommandFailure::Unreachable(text).into()
 }
 
 /// Everything that the daemon shows, with the events after a known one.
@@ -128,7 +128,7 @@ pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow:
 }
 
 /// The parts of every axis's total.
-pub(crate) fn explained(client: &mut Client) -> anyhow::Result<Vec<Explained>> {
+pub(crate) fn explained(client: &mut Client) -> anyhow::Result<Vec<AxisExplanation>> {
     match ask(client, &ClientRequest::Explain { axis: None })? {
         Response::Explained { axes } => Ok(axes),
         other => Err(unexpected(&other)),
@@ -161,10 +161,10 @@ pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     let outcome = match response {
         Response::Refused { text, jumps, .. } => {
             let lines: Vec<String> = std::iter::once(text).chain(jumps.iter().map(describe)).collect();
-            Outcome::No(lines.join("\n  "))
+            CommandFailure::No(lines.join("\n  "))
         }
-        Response::Fault { text } => Outcome::Fault(text),
-        Response::Bad { text } => Outcome::Bad(text),
+        Response::Fault { text } => CommandFailure::Fault(text),
+        Response::Bad { text } => CommandFailure::Bad(text),
         good => return Ok(good),
     };
     Err(outcome.into())
@@ -178,6 +178,10 @@ pub(crate) fn describe(jump: &Jump) -> String {
 
 #[allow(clippy::needless_pass_by_value)] // As `map_err` gives it.
 pub(crate) fn unreachable(error: ClientError) -> anyhow::Error {
-    let outcome = if let ClientError::TooLong { .. } = error { Outcome::Bad } else { Outcome::Unreachable };
+    let outcome = if let ClientError::TooLong { .. } = error {
+        CommandFailure::Bad
+    } else {
+        CommandFailure::Unreachable
+    };
     outcome(error.to_string()).into()
 }

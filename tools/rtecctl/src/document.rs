@@ -2,7 +2,7 @@
 //! Each ends with its format and the program that wrote it; a list has neither.
 
 use anyhow::Context;
-use rtec_files::stamp::signed;
+use rtec_files::format_stamp::signed;
 use serde::Serialize;
 use std::path::Path;
 

@@ -134,7 +134,7 @@ impl Server {
     /// # Errors
     /// The listening socket failed.
     pub(crate) fn serve<H: Handler + 'static>(&self, handler: &Arc<H>, done: &AtomicBool) -> io::Result<()> {
-        let seats = Arc::<Seats>::default();
+        let seats = Arc::<ConnectionSlots>::default();
         while !done.load(Ordering::Acquire) {
             let fd = match &self.0 {
                 Listener::Tcp(listener) => listener.as_fd(),
@@ -158,7 +158,7 @@ impl Server {
             };
             let Ok(other) = stream.try_clone() else { continue };
             let close = Box::new(move || drop(other.shutdown(Shutdown::Both)));
-            let Some(seat) = Seats::take(&seats, close) else { continue };
+            let Some(seat) = ConnectionSlots::take(&seats, close) else { continue };
             let handler = Arc::clone(handler);
             let started = std::thread::Builder::new().name("http".into()).spawn(move || {
                 // A client may close early; that needs no report.
@@ -176,18 +176,18 @@ type CloseConnection = Box<dyn Fn() + Send>;
 
 /// Open connections, and how to close incomplete ones, the oldest first.
 #[derive(Default)]
-struct Seats(Mutex<(u64, usize, BTreeMap<u64, CloseConnection>)>);
+struct ConnectionSlots(Mutex<(u64, usize, BTreeMap<u64, CloseConnection>)>);
 
 /// A connection's slot, until it is dropped.
-struct Seat {
-    of: Arc<Seats>,
+struct ConnectionSlot {
+    of: Arc<ConnectionSlots>,
     number: u64,
 }
 
-impl Seats {
+impl ConnectionSlots {
     /// Takes a slot; if none is free, closes the oldest with an incomplete request.
     /// None if the requests of all are complete.
-    fn take(of: &Arc<Self>, hand: CloseConnection) -> Option<Seat> {
+    fn take(of: &Arc<Self>, hand: CloseConnection) -> Option<ConnectionSlot> {
         let mut seats = of.lock();
         let (next, taken, silent) = &mut *seats;
         if *taken >= AT_ONCE {
@@ -197,7 +197,7 @@ impl Seats {
         *next += 1;
         *taken += 1;
         silent.insert(*next, hand);
-        Some(Seat { of: Arc::clone(of), number: *next })
+        Some(ConnectionSlot { of: Arc::clone(of), number: *next })
     }
 
     fn lock(&self) -> MutexGuard<'_, (u64, usize, BTreeMap<u64, CloseConnection>)> {
@@ -205,14 +205,14 @@ impl Seats {
     }
 }
 
-impl Seat {
+impl ConnectionSlot {
     /// Marks the request as complete, so that it will be answered.
     fn has_asked(&self) {
         self.of.lock().2.remove(&self.number);
     }
 }
 
-impl Drop for Seat {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
         let mut seats = self.of.lock();
         seats.1 -= 1;
@@ -229,7 +229,7 @@ fn limit(stream: &UnixStream, time: Duration) -> io::Result<()> {
 }
 
 /// Handles one request and its answer.
-fn converse(mut stream: UnixStream, handler: &dyn Handler, seat: &Seat) -> io::Result<()> {
+fn converse(mut stream: UnixStream, handler: &dyn Handler, seat: &ConnectionSlot) -> io::Result<()> {
     let mut bytes = Vec::new();
     let answer =
         |request: &mut Request, stream: &mut UnixStream, bytes: &mut Vec<u8>| -> io::Result<Answer> {
@@ -359,24 +359,25 @@ mod tests {
 
     #[test]
     fn whoever_is_silent_longest_gives_way() {
-        let seats = Arc::<Seats>::default();
+        let seats = Arc::<ConnectionSlots>::default();
         let ended = Arc::<Mutex<Vec<usize>>>::default();
         let hand = |n: usize| -> CloseConnection {
             let ended = Arc::clone(&ended);
             Box::new(move || ended.lock().unwrap().push(n))
         };
-        let mut all: Vec<Seat> = (0..AT_ONCE).filter_map(|n| Seats::take(&seats, hand(n))).collect();
+        let mut all: Vec<ConnectionSlot> =
+            (0..AT_ONCE).filter_map(|n| ConnectionSlots::take(&seats, hand(n))).collect();
         assert_eq!(all.len(), AT_ONCE);
         // The first request is complete, so it is answered.
         all[0].has_asked();
         for n in 0..3 {
-            all.push(Seats::take(&seats, hand(AT_ONCE + n)).unwrap());
+            all.push(ConnectionSlots::take(&seats, hand(AT_ONCE + n)).unwrap());
         }
         assert_eq!(*ended.lock().unwrap(), [1, 2, 3]);
         // If all requests are complete, no connection is closed.
-        all.iter().for_each(Seat::has_asked);
-        assert!(Seats::take(&seats, hand(0)).is_none());
+        all.iter().for_each(ConnectionSlot::has_asked);
+        assert!(ConnectionSlots::take(&seats, hand(0)).is_none());
         all.truncate(AT_ONCE - 1);
-        assert!(Seats::take(&seats, hand(0)).is_some());
+        assert!(ConnectionSlots::take(&seats, hand(0)).is_some());
     }
 }

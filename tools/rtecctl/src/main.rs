@@ -141,7 +141,7 @@ verbs! {
 /// Reasons why a command ends without success.
 /// They are the exit codes of the command contract, except usage errors.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum Outcome {
+pub(crate) enum CommandFailure {
     /// Exit 1: the run finished and the answer is no.
     #[error("{0}")]
     No(String),
@@ -184,12 +184,12 @@ fn asked(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
 }
 
 fn main() -> ExitCode {
-    rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
+    rtec_files::format_stamp::built_from(env!("RTEC_COMMIT"));
     let words: Vec<OsString> = std::env::args_os().collect();
     if let [_, version] = &words[..]
         && (version == "--version" || version == "-V")
     {
-        println!("rtecctl {}", rtec_files::stamp::VERSION);
+        println!("rtecctl {}", rtec_files::format_stamp::VERSION);
         return ExitCode::SUCCESS;
     }
     let cli = match asked(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
@@ -263,12 +263,12 @@ pub(crate) fn exit_code(error: &anyhow::Error) -> u8 {
         if matches!(cause.downcast_ref(), Some(rtec_demo::DemoError::Fault(_))) {
             return 4;
         }
-        if let Some(outcome) = cause.downcast_ref::<Outcome>() {
+        if let Some(outcome) = cause.downcast_ref::<CommandFailure>() {
             return match outcome {
-                Outcome::No(_) => 1,
-                Outcome::Bad(_) => 2,
-                Outcome::Unreachable(_) => 3,
-                Outcome::Fault(_) => 4,
+                CommandFailure::No(_) => 1,
+                CommandFailure::Bad(_) => 2,
+                CommandFailure::Unreachable(_) => 3,
+                CommandFailure::Fault(_) => 4,
             };
         }
     }
@@ -349,7 +349,7 @@ mod tests {
         }
         let version =
             command().try_get_matches_from(["rtecctl", "--version"]).unwrap_err().render().to_string();
-        assert_eq!(version, format!("rtecctl {}\n", rtec_files::stamp::VERSION));
+        assert_eq!(version, format!("rtecctl {}\n", rtec_files::format_stamp::VERSION));
     }
 
     fn for_all(c: &clap::Command, path: &mut Vec<String>, each: &mut dyn FnMut(&[String], &clap::Arg)) {

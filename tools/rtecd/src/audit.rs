@@ -396,7 +396,7 @@ fn write_batch(writers: &mut Writers, batch: Vec<Entry>, so_far: &mut Lost) -> s
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::audit::{Line, read, verify};
+    use rtec_control::audit::{ChainLine, read, verify};
     use std::path::PathBuf;
 
     fn command(pid: i32, result: &'static str) -> Command {
@@ -439,7 +439,7 @@ mod tests {
     fn ended(audit: Audit, path: &Path) -> Vec<Entry> {
         audit.end(Duration::from_secs(30));
         let mut all = Vec::new();
-        read(path, &mut |line: Line| all.push(line.entry.unwrap())).unwrap();
+        read(path, &mut |line: ChainLine| all.push(line.entry.unwrap())).unwrap();
         all
     }
 

@@ -2,7 +2,7 @@
 //! It counts how often each fault was latched, and keeps the changes of each axis's ledger since homing.
 
 use rtec_control::protocol::{LedgerPage, LedgerRow, word};
-use rtec_rt::event::{AxisStatus, Event, EventKind, Status};
+use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Status};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Number of changes of an axis's ledger that are kept.

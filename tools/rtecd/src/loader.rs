@@ -1,13 +1,13 @@
 //! A thread that reads and prepares the files of a request.
 //! It reads one at a time, regular files only, within limits of size and time. The control side continues meanwhile.
 
-use crate::record_spool::{Kept, Spool, take_over};
+use crate::record_spool::{Spool, SpoolResult, take_over};
 use rtec_control::protocol::PartTable;
-use rtec_correct::corrector::{Prepared, Preparer};
+use rtec_correct::corrector::{PreparedModel, Preparer};
 use rtec_files::{InputError, text};
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
-use rtec_part::cor::FeatureErrors;
+use rtec_part::error_cor_file::FeatureErrors;
 use rtec_records::spool::LONGEST_SIDECAR;
 use rtec_sensors::log::history;
 use std::cell::{Cell, RefCell};
@@ -41,7 +41,7 @@ const SHARE: f64 = 0.25;
 
 /// Source of a request's files.
 #[derive(Debug)]
-pub(crate) enum Source {
+pub(crate) enum FileSource {
     /// The named paths, which the daemon may open for its caller.
     Named,
     /// The caller's own descriptors, by path.
@@ -51,33 +51,33 @@ pub(crate) enum Source {
 }
 
 /// Result of a load.
-type LoadResult = (Ticket, Result<Loaded, InputError>);
+type LoadResult = (Ticket, Result<LoadedFiles, InputError>);
 
 /// A load that is requested.
-pub(crate) enum Job {
+pub(crate) enum LoadRequest {
     /// A machine model, to be prepared.
     Model {
         file: PathBuf,
-        source: Source,
+        source: FileSource,
         preparer: Box<Preparer>,
         /// The directory of the temperatures' log.
         log: PathBuf,
         period: Duration,
     },
     /// A part's errors.
-    Table { table: PartTable, source: Source },
+    Table { table: PartTable, source: FileSource },
     /// A finished record with sidecar and CSV, for the spool folder.
-    Keep { files: [PathBuf; 2], source: Source, spool: Spool },
+    Keep { files: [PathBuf; 2], source: FileSource, spool: Spool },
 }
 
 /// The loaded files.
-pub(crate) enum Loaded {
+pub(crate) enum LoadedFiles {
     /// A model, its warnings, and its files as they were read.
-    Model { prepared: Box<Prepared>, warnings: Vec<String>, files: BTreeMap<PathBuf, String> },
+    Model { prepared: Box<PreparedModel>, warnings: Vec<String>, files: BTreeMap<PathBuf, String> },
     /// A part's errors.
     Table { table: PartTable, errors: FeatureErrors },
     /// The result of a record.
-    Kept(Kept),
+    Kept(SpoolResult),
 }
 
 /// Number of a load.
@@ -135,7 +135,7 @@ impl Loader {
     ///
     /// # Errors
     /// When the system gives no thread.
-    pub(crate) fn start(&mut self, job: Job) -> std::io::Result<Ticket> {
+    pub(crate) fn start(&mut self, job: LoadRequest) -> std::io::Result<Ticket> {
         let (ticket, done) = (self.next, self.results.0.clone());
         let told = Arc::<LoadFlags>::default();
         let own = Arc::clone(&told);
@@ -170,16 +170,16 @@ impl Loader {
 }
 
 /// Does a load on the calling thread.
-pub(crate) fn work(job: Job, told: &LoadFlags) -> Result<Loaded, InputError> {
+pub(crate) fn work(job: LoadRequest, told: &LoadFlags) -> Result<LoadedFiles, InputError> {
     match job {
-        Job::Model { file, source, preparer, log, period } => {
+        LoadRequest::Model { file, source, preparer, log, period } => {
             let reader = Reader::new(&source, LONGEST_MODEL, told);
             let text = reader.read(&file)?;
             let machine =
                 Machine::parse_from(&file, &text, Dictionary::default(), &|beside| reader.read(beside))?;
             // Records named by a model that was handed over are the caller's own business.
             let warnings =
-                if matches!(source, Source::Named) { machine.changed_sources() } else { Vec::new() };
+                if matches!(source, FileSource::Named) { machine.changed_sources() } else { Vec::new() };
             let past = |names: &[String]| history(&log, names, preparer.sensed_s());
             let prepared = preparer.prepare(machine, &past)?;
             let (takes, may) = (prepared.evaluation_time(&preparer), period.mul_f64(SHARE));
@@ -189,9 +189,9 @@ pub(crate) fn work(job: Job, told: &LoadFlags) -> Result<Loaded, InputError> {
                 return Err(InputError::whole(&file, found, expected));
             }
             let files = reader.taken.into_inner();
-            Ok(Loaded::Model { prepared: Box::new(prepared), warnings, files })
+            Ok(LoadedFiles::Model { prepared: Box::new(prepared), warnings, files })
         }
-        Job::Table { table, source } => {
+        LoadRequest::Table { table, source } => {
             let file = PathBuf::from(&table.errors);
             let bytes = Reader::new(&source, LONGEST_ERRORS, told).bytes(&file)?;
             let errors = FeatureErrors::parse(&file, &text::decode_western(&file, &bytes)?.0)?;
@@ -199,19 +199,19 @@ pub(crate) fn work(job: Job, told: &LoadFlags) -> Result<Loaded, InputError> {
                 let found = format!("{} points", errors.len());
                 return Err(InputError::whole(&file, found, format!("at most {POINTS}")));
             }
-            Ok(Loaded::Table { table, errors })
+            Ok(LoadedFiles::Table { table, errors })
         }
-        Job::Keep { files: [sidecar, csv], source, spool } => {
+        LoadRequest::Keep { files: [sidecar, csv], source, spool } => {
             let text = Reader::new(&source, LONGEST_SIDECAR, told).read(&sidecar)?;
             let rows = Reader::new(&source, LONGEST_CSV, told).bytes(&csv)?;
-            Ok(Loaded::Kept(take_over(&sidecar, &text, &rows, &spool, &|| told.go_on())?))
+            Ok(LoadedFiles::Kept(take_over(&sidecar, &text, &rows, &spool, &|| told.go_on())?))
         }
     }
 }
 
 /// Reads the files of one load, and keeps their texts.
 struct Reader<'s> {
-    source: &'s Source,
+    source: &'s FileSource,
     longest: u64,
     /// Number of bytes that may still be read.
     left: Cell<u64>,
@@ -220,13 +220,13 @@ struct Reader<'s> {
 }
 
 impl<'s> Reader<'s> {
-    fn new(source: &'s Source, longest: u64, told: &'s LoadFlags) -> Self {
+    fn new(source: &'s FileSource, longest: u64, told: &'s LoadFlags) -> Self {
         Self { source, longest, left: Cell::new(longest), told, taken: RefCell::default() }
     }
 
     fn read(&self, path: &Path) -> Result<String, InputError> {
         let content = match self.source {
-            Source::Kept(files) => files.get(path).cloned().ok_or_else(|| missing(path))?,
+            FileSource::Kept(files) => files.get(path).cloned().ok_or_else(|| missing(path))?,
             _ => text::decode(path, &self.bytes(path)?)?,
         };
         self.taken.borrow_mut().insert(path.to_owned(), content.clone());
@@ -243,13 +243,13 @@ impl<'s> Reader<'s> {
     fn bytes_of(&self, path: &Path) -> Result<Vec<u8>, InputError> {
         let unreadable = |e: std::io::Error| text::unreadable(path, &e);
         let file = match self.source {
-            Source::Handed(files) => {
+            FileSource::Handed(files) => {
                 let fd = files.get(path).ok_or_else(|| missing(path))?;
                 File::from(fd.try_clone().map_err(unreadable)?)
             }
             // Opened without waiting and not as a pipe, as every file that a person names.
-            Source::Named => text::open_regular(path)?,
-            Source::Kept(_) => return Err(missing(path)),
+            FileSource::Named => text::open_regular(path)?,
+            FileSource::Kept(_) => return Err(missing(path)),
         };
         let found = file.metadata().map_err(unreadable)?;
         if !found.is_file() {
@@ -307,7 +307,10 @@ mod tests {
     }
 
     fn refused(file: &Path) -> String {
-        match work(Job::Table { table: table(file), source: Source::Named }, &LoadFlags::default()) {
+        match work(
+            LoadRequest::Table { table: table(file), source: FileSource::Named },
+            &LoadFlags::default(),
+        ) {
             Ok(_) => panic!("{} was read", file.display()),
             Err(error) => error.to_string(),
         }
@@ -339,12 +342,14 @@ mod tests {
         let open = File::open(&file).unwrap();
         std::fs::remove_file(&file).unwrap();
         let files = BTreeMap::from([(file.clone(), OwnedFd::from(open))]);
-        let job = Job::Table { table: table(&file), source: Source::Handed(files) };
+        let job = LoadRequest::Table { table: table(&file), source: FileSource::Handed(files) };
         assert!(
-            matches!(work(job, &LoadFlags::default()), Ok(Loaded::Table { errors, .. }) if errors.len() == 2)
+            matches!(work(job, &LoadFlags::default()), Ok(LoadedFiles::Table { errors, .. }) if errors.len() == 2)
         );
-        let job =
-            Job::Table { table: table(Path::new("/etc/passwd")), source: Source::Handed(BTreeMap::new()) };
+        let job = LoadRequest::Table {
+            table: table(Path::new("/etc/passwd")),
+            source: FileSource::Handed(BTreeMap::new()),
+        };
         let Err(error) = work(job, &LoadFlags::default()) else { panic!("read") };
         assert!(error.to_string().contains("did not come with the request"), "{error}");
     }
@@ -364,7 +369,7 @@ mod tests {
                 file.set_len(bytes).unwrap();
             }
             let files = [at("a.run.toml"), at("a.csv")];
-            let job = Job::Keep { files, source: Source::Named, spool: spool.clone() };
+            let job = LoadRequest::Keep { files, source: FileSource::Named, spool: spool.clone() };
             let Err(error) = work(job, &LoadFlags::default()) else { panic!("kept") };
             assert!(error.to_string().contains(&format!("more than {bound} bytes")), "{error}");
         }
@@ -391,7 +396,7 @@ mod tests {
         assert!(loader.busy().unwrap().contains("another file is being loaded"));
         // A load that is given up ends without reading anything.
         let Err(error) = work(
-            Job::Table { table: table(&file), source: Source::Named },
+            LoadRequest::Table { table: table(&file), source: FileSource::Named },
             &LoadFlags { given_up: true.into(), ..LoadFlags::default() },
         ) else {
             panic!("read")

@@ -2,7 +2,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `cards` | builds the card that the configuration names |
+//! | `mock_cards` | builds the card that the configuration names |
 //! | `history` | every change of the axes' ledgers, and how often each fault was latched |
 //! | `record_spool` | writes finished records into the spool folder |
 //! | `start` | the engine in the state that the last process left |
@@ -19,12 +19,12 @@
 //! Elsewhere are the control law (`rtec-correct`), effects (`rtec-model`) and the step between two edges (`rtec-rt`).
 
 mod audit;
-mod cards;
 mod client;
 mod edited_files;
 mod history;
 mod loader;
 mod log;
+mod mock_cards;
 mod record_spool;
 mod server;
 mod service_manager;
@@ -39,15 +39,15 @@ use edited_files::EditedFiles;
 use log::Level;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use rtec_control::card::{self, Access, Found, OpenError};
+use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::lock::{self, LockError};
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_files::InputError;
-use rtec_rt::event::Fault;
 use rtec_rt::journal::JournalError;
-use rtec_rt::setup::{Finding, Report, RtSettings, System};
+use rtec_rt::link_messages::Fault;
+use rtec_rt::setup::{RtSettings, SetupFinding, SetupReport, SystemRoot};
 use rtec_rt::thread::{ThreadOptions, spawn};
 use rtec_sensors::buses::{Buses, Clock};
 use server::ServingEnd;
@@ -184,18 +184,18 @@ fn run(args: &Args) -> anyhow::Result<()> {
     match config.card.clone() {
         CardConfig::Mock if args.lathe.is_some() => {
             let file = args.lathe.as_deref().unwrap_or(Path::new(""));
-            let (card, cuts) = cards::lathe(&config, file)?;
-            let done = work(card, config, Kind::Harmless, outside);
+            let (card, cuts) = mock_cards::lathe(&config, file)?;
+            let done = work(card, config, MachineKind::Harmless, outside);
             cuts.write().with_context(|| format!("writing the workpiece of {}", file.display()))?;
             done
         }
         CardConfig::Mock => {
-            let (card, stand) = cards::mock(&config);
-            work(card, config, Kind::Simulated(stand), outside)
+            let (card, stand) = mock_cards::mock(&config);
+            work(card, config, MachineKind::Simulated(stand), outside)
         }
         CardConfig::Replay { traces } => {
-            let card = cards::replay(&config, &traces)?;
-            work(card, config, Kind::Harmless, outside)
+            let card = mock_cards::replay(&config, &traces)?;
+            work(card, config, MachineKind::Harmless, outside)
         }
         CardConfig::Gpio(setup) => {
             let copies = || kept.iter().map(OwnedFd::try_clone).collect::<std::io::Result<Vec<_>>>();
@@ -211,25 +211,27 @@ fn run(args: &Args) -> anyhow::Result<()> {
                     log::say(Level::Warning, &text);
                 }
             }
-            work(card, config, Kind::Real, outside)
+            work(card, config, MachineKind::Real, outside)
         }
         CardConfig::Registers { place, profile } => {
             // Found again at each try: meanwhile another driver may have taken the card, or it was reset.
-            let open = || match card::find(&place, &profile, Access::Drive)? {
-                Found::Parport(file) => card::parport(&file, &profile).map(Opened::Parport),
-                Found::Ports(base) => card::ports(base, &profile).map(Opened::Ports),
+            let open = || match card::find(&place, &profile, CardAccess::Drive)? {
+                LocatedRegisters::Parport(file) => card::parport(&file, &profile).map(Opened::Parport),
+                LocatedRegisters::Ports(base) => card::ports(base, &profile).map(Opened::Ports),
                 // Opened once before it is locked, because a missing file is waited for.
-                Found::Map(file, map) => card::mapped(&file, map, &profile).map(|_| Opened::Map(file, map)),
+                LocatedRegisters::Map(file, map) => {
+                    card::mapped(&file, map, &profile).map(|_| Opened::Map(file, map))
+                }
             };
             let Some(opened) = patience.open(open)? else { return Ok(()) };
             match opened {
-                Opened::Parport(card) => work(card, config, Kind::Real, outside),
-                Opened::Ports(card) => work(card, config, Kind::Real, outside),
+                Opened::Parport(card) => work(card, config, MachineKind::Real, outside),
+                Opened::Ports(card) => work(card, config, MachineKind::Real, outside),
                 Opened::Map(file, map) => {
                     let _card_lock = lock::card(&file).map_err(Failure::from)?;
                     let card = card::mapped(&file, map, &profile)?;
-                    let real = cards::drives_a_machine(&file)?;
-                    work(card, config, if real { Kind::Real } else { Kind::Harmless }, outside)
+                    let real = mock_cards::drives_a_machine(&file)?;
+                    work(card, config, if real { MachineKind::Real } else { MachineKind::Harmless }, outside)
                 }
             }
         }
@@ -273,13 +275,13 @@ impl Patience<'_> {
 }
 
 /// Kind of machine behind a card.
-enum Kind {
+enum MachineKind {
     /// A machine tool.
     Real,
     /// Another program, or a recording.
     Harmless,
     /// A simulated machine, with the person who operates it.
-    Simulated(cards::SimulatedOperator),
+    Simulated(mock_cards::SimulatedOperator),
 }
 
 /// The daemon's outside: clients, signals and the service manager.
@@ -294,10 +296,10 @@ struct Outside<'a> {
 fn work<C: Card + Send + 'static>(
     mut card: C,
     config: Config,
-    kind: Kind,
+    kind: MachineKind,
     mut outside: Outside<'_>,
 ) -> anyhow::Result<()> {
-    let real = matches!(kind, Kind::Real);
+    let real = matches!(kind, MachineKind::Real);
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
     let clock = Clock::start();
@@ -308,7 +310,7 @@ fn work<C: Card + Send + 'static>(
         file.outlive_truncation().context("a handler for a state file that is cut short")?;
     }
     // A mock needs no real time. With `cpu` it gets a set-up all the same, so that it can be tried without a machine.
-    let system = System::live();
+    let system = SystemRoot::live();
     let wanted = (real || config.rt.cpu.is_some()).then(|| RtSettings {
         cpu: config.rt.cpu.unwrap_or_else(|| system.default_cpu()),
         priority: config.rt.priority,
@@ -319,7 +321,8 @@ fn work<C: Card + Send + 'static>(
     let socket = config.control.socket.display();
     let text = format!("machine \"{machine}\": card {backend}, {axes} axes, socket {socket}");
     log::say(Level::Notice, &text);
-    for Finding { name, wanted, got, remedy, .. } in running.report.iter().flat_map(Report::missing) {
+    for SetupFinding { name, wanted, got, remedy, .. } in running.report.iter().flat_map(SetupReport::missing)
+    {
         log::say(Level::Warning, &format!("{name}: wanted {wanted}, found {got}: {remedy}"));
     }
     let set_up = session::RtStartupReport {
@@ -338,7 +341,7 @@ fn work<C: Card + Send + 'static>(
     if let Some(trouble) = session.spool_trouble() {
         log::say(Level::Warning, &trouble);
     }
-    if let Kind::Simulated(stand) = kind {
+    if let MachineKind::Simulated(stand) = kind {
         session.stand_at(stand);
     }
     // The link's first status is older than the first look.
@@ -346,7 +349,7 @@ fn work<C: Card + Send + 'static>(
         running.control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
-    let started = format!("rtecd {} at {}", rtec_files::stamp::VERSION, session.identity());
+    let started = format!("rtecd {} at {}", rtec_files::format_stamp::VERSION, session.identity());
     audit.note("start", started, session.totals(&mut running.control));
     for happened in session.found_at_start(&running.control.status()) {
         audit.happened(&happened, session.totals(&mut running.control));
@@ -425,7 +428,7 @@ mod tests {
         config.control.state_file = Some(directory.path().join("state"));
         config.control.log_file = Some(directory.path().join("audit.log"));
         let hold = 1 << config.lines.hold.unwrap();
-        let (card, _) = cards::mock(&config);
+        let (card, _) = mock_cards::mock(&config);
         let (planted, outputs) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
         let card = Panics { card, planted: Arc::clone(&planted), outputs: Arc::clone(&outputs) };
         let sockets = sockets::listen(&config.control).unwrap();
@@ -442,7 +445,7 @@ mod tests {
             planted.store(true, Ordering::Release);
             (outputs, log_file)
         });
-        let ended = work(card, config, Kind::Harmless, outside).unwrap_err();
+        let ended = work(card, config, MachineKind::Harmless, outside).unwrap_err();
         let (outputs, log_file) = served.join().unwrap();
         assert_eq!((exit_code(&ended), ended.to_string()), (1, LOST.to_owned()));
         assert_eq!(outputs.load(Ordering::Acquire) & hold, hold);

@@ -14,7 +14,7 @@ use rtec_control::protocol::ProbeTripReport;
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::message_text::{quoted, unseen};
-use rtec_model::record::{Column, Kind, Record, Role, check};
+use rtec_model::record::{Column, Record, Role, RunKind, check};
 use rtec_records::record::{parse_log, to_csv, to_sidecar};
 use rtec_records::spool::{self, SpoolLimits};
 use std::io;
@@ -38,7 +38,7 @@ struct ProbeTrip {
 }
 
 /// A probing run under way.
-struct Run {
+struct ProbingRun {
     /// Time of its begin: on the card's clock, ns, and in seconds since 1970.
     began_ns: u64,
     began_s: f64,
@@ -46,7 +46,7 @@ struct Run {
 }
 
 /// Result of a record: its file, or why it was not kept.
-pub(crate) type Kept = Result<PathBuf, String>;
+pub(crate) type SpoolResult = Result<PathBuf, String>;
 
 /// A spool folder with its limits.
 #[derive(Debug, Clone)]
@@ -75,8 +75,8 @@ pub(crate) struct RecordSpool {
     spool: Option<Spool>,
     /// Names of the temperature sensors, with their indices among all sensors.
     sensors: Vec<(usize, String)>,
-    run: Option<Run>,
-    results: (Sender<Kept>, Receiver<Kept>),
+    run: Option<ProbingRun>,
+    results: (Sender<SpoolResult>, Receiver<SpoolResult>),
     writing: usize,
 }
 
@@ -102,7 +102,7 @@ impl RecordSpool {
 
     /// Begins a probing run.
     pub(crate) fn begin(&mut self, began_ns: u64, began_s: f64) {
-        self.run = self.spool.is_some().then(|| Run { began_ns, began_s, trips: Vec::new() });
+        self.run = self.spool.is_some().then(|| ProbingRun { began_ns, began_s, trips: Vec::new() });
     }
 
     /// Adds one axis at a trip; the axes of one trip come one after the other.
@@ -110,7 +110,7 @@ impl RecordSpool {
         let Some(run) = &mut self.run else { return };
         if run.trips.last().is_none_or(|t| t.at_ns != trip.at_ns || t.position_mm[axis].is_some()) {
             if run.trips.len() == TRIPS {
-                let next = Run { began_ns: trip.at_ns[0], began_s: now_s, trips: Vec::new() };
+                let next = ProbingRun { began_ns: trip.at_ns[0], began_s: now_s, trips: Vec::new() };
                 let full = std::mem::replace(run, next);
                 self.write(&full, axes);
                 return self.trip(axis, axes, trip, now_s);
@@ -130,7 +130,7 @@ impl RecordSpool {
         }
     }
 
-    fn write(&mut self, run: &Run, axes: &[ConfiguredAxis]) {
+    fn write(&mut self, run: &ProbingRun, axes: &[ConfiguredAxis]) {
         let Some(spool) = self.spool.clone() else { return };
         let trips = run.trips.len();
         let lost = move |why: &str| format!("a probing run of {trips} trips is not kept: {why}");
@@ -159,7 +159,7 @@ impl RecordSpool {
     }
 
     /// The next finished record, if any.
-    pub(crate) fn done(&mut self) -> Option<Kept> {
+    pub(crate) fn done(&mut self) -> Option<SpoolResult> {
         let done = self.results.1.try_recv().ok()?;
         self.writing -= 1;
         Some(done)
@@ -167,7 +167,7 @@ impl RecordSpool {
 
     /// The next finished record at the daemon's end.
     /// It waits for the disk, but at most `patience`.
-    pub(crate) fn last(&mut self, patience: Duration) -> Option<Kept> {
+    pub(crate) fn last(&mut self, patience: Duration) -> Option<SpoolResult> {
         if self.writing == 0 {
             return None;
         }
@@ -187,7 +187,7 @@ pub(crate) fn take_over(
     csv: &[u8],
     spool: &Spool,
     go_on: &dyn Fn() -> bool,
-) -> Result<Kept, InputError> {
+) -> Result<SpoolResult, InputError> {
     // The record must be valid in its new place too. Only one of the two is in memory at a time.
     let words = to_sidecar(&parse_log(name, sidecar, Until { bytes: io::Cursor::new(csv), go_on })?);
     let record = parse_log(name, &words, Until { bytes: io::Cursor::new(csv), go_on })?;
@@ -228,7 +228,7 @@ fn no_folder(folder: &Path) -> String {
 
 /// A probing run as a record with one row for each trip.
 /// An axis or a sensor that was not known at every trip has no column.
-fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Option<Record> {
+fn record(run: &ProbingRun, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Option<Record> {
     let seconds =
         |t: &ProbeTrip| u64::midpoint(t.at_ns[0], t.at_ns[1]).saturating_sub(run.began_ns) as f64 / 1e9;
     let good = |role: &Role, data: &[f64]| data.iter().all(|v| check(role, *v, None).is_ok());
@@ -260,7 +260,7 @@ fn record(run: &Run, axes: &[ConfiguredAxis], sensors: &[(usize, String)]) -> Op
     let day = date::format(day);
     let time = format!("{:02}{:02}{:02}", of_day / 3600, of_day / 60 % 60, of_day % 60);
     let name = format!("probing-{}-{time}.run.toml", day.replace('-', ""));
-    let mut record = Record::of_checked(Path::new(&name), Kind::Probing, columns);
+    let mut record = Record::of_checked(Path::new(&name), RunKind::Probing, columns);
     record.date = Some(day);
     // One value for all axes, or none. The values are configured and not computed, so they compare exactly.
     counts_um.dedup_by(|a, b| a.to_bits() == b.to_bits());

@@ -15,7 +15,7 @@ use crate::client::{Client, Stage, Urgency};
 use crate::loader::Ticket;
 use crate::log::{self, Level};
 use crate::service_manager::ServiceManager;
-use crate::session::{Answer, RequestContext, Session};
+use crate::session::{RequestAnswer, RequestContext, Session};
 use crate::sockets::{ListeningSocket, ListeningSockets};
 use anyhow::Context;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -24,8 +24,8 @@ use nix::sys::signalfd::SignalFd;
 use nix::unistd::Uid;
 use rtec_control::protocol::{Caller, ClientRequest, ConnectedClients, Response};
 use rtec_control::role::Role;
-use rtec_rt::event::Fault;
 use rtec_rt::link::ControlEnd;
+use rtec_rt::link_messages::Fault;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -293,12 +293,12 @@ impl ServingContext<'_> {
                 self.session.observed(*events_after, self.audit.state(), connected, self.control)
             }
             request => match self.session.answer(request, beside, self.control) {
-                Answer::Again(_) if since.elapsed() < BUSY => {
+                RequestAnswer::Again(_) if since.elapsed() < BUSY => {
                     client.pending = Some(crate::client::Pending { request: Ok(request.clone()), since });
                     return;
                 }
-                Answer::Now(response) | Answer::Again(response) => response,
-                Answer::Later(ticket) => {
+                RequestAnswer::Now(response) | RequestAnswer::Again(response) => response,
+                RequestAnswer::Later(ticket) => {
                     client.waits = true;
                     let (caller, request) = (client.caller.clone(), json(request));
                     let waiting = Waiting { client: client.id, caller, request, before };

@@ -3,36 +3,36 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `orders` | requests that go to the real-time thread |
+//! | `rt_requests` | requests that go to the real-time thread |
 //! | `loads` | loads and unloads models and part tables |
 //! | `report` | the status and all other reports |
 
 mod loads;
-mod orders;
 mod report;
+mod rt_requests;
 #[cfg(test)]
 mod tests;
 
 use crate::audit::Totals;
-use crate::cards::SimulatedOperator;
 use crate::client::user_name;
 use crate::edited_files::EditedFiles;
 use crate::history::FaultLedgerHistory;
 use crate::loader::{Loader, Ticket};
 use crate::log::{self, Level};
-use crate::record_spool::{Kept, RecordSpool, Spool};
+use crate::mock_cards::SimulatedOperator;
+use crate::record_spool::{RecordSpool, Spool, SpoolResult};
 use loads::LoadPurpose;
 use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance};
 use rtec_control::protocol::{ClientRequest, EventReport, NumberedEvent, Response, word};
 use rtec_correct::Corrector;
 use rtec_files::date;
 use rtec_model::record::Role;
-use rtec_rt::engine::Timing;
-use rtec_rt::event::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};
+use rtec_rt::engine::LoopHistograms;
 use rtec_rt::journal::StateAtOpen;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::setup::{Report, RtSettings, System};
-use rtec_rt::state_file_watch::{Lost, StateFileWatch};
+use rtec_rt::link_messages::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};
+use rtec_rt::setup::{RtSettings, SetupReport, SystemRoot};
+use rtec_rt::state_file_watch::{StateFileLoss, StateFileWatch};
 use rtec_sensors::buses::{Buses, Clock};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::collections::{BTreeMap, VecDeque};
@@ -56,7 +56,7 @@ const STATE_FILE_EVERY: Duration = Duration::from_secs(1);
 const EVENTS: usize = 1000;
 
 /// Outcome of a request.
-pub(crate) enum Answer {
+pub(crate) enum RequestAnswer {
     /// It is answered.
     Now(Response),
     /// An insertion is under way, so the request must be repeated.
@@ -66,7 +66,7 @@ pub(crate) enum Answer {
     Later(Ticket),
 }
 
-impl Answer {
+impl RequestAnswer {
     fn of(answer: Result<Response, Response>) -> Self {
         match answer.unwrap_or_else(|e| e) {
             Response::Refused { why, text, jumps } if why == word(Refusal::Busy) => {
@@ -93,15 +93,15 @@ pub(crate) struct RtStartupReport {
     /// The card drives a real machine.
     pub real: bool,
     pub wanted: Option<RtSettings>,
-    pub missing: Option<Report>,
-    pub timing: Timing,
+    pub missing: Option<SetupReport>,
+    pub timing: LoopHistograms,
     /// Content of the state file at the start.
     /// It tells when faults were latched, and in which boot of the computer.
     pub before: StateAtOpen,
 }
 
 /// Clock of the control side. A simulation has its own.
-pub(crate) trait Time {
+pub(crate) trait ControlClock {
     fn now(&self) -> Instant;
     /// Seconds since 1970, without steps.
     fn now_s(&self) -> f64;
@@ -111,7 +111,7 @@ pub(crate) trait Time {
 /// The system's clock.
 struct SystemClock(Clock);
 
-impl Time for SystemClock {
+impl ControlClock for SystemClock {
     fn now(&self) -> Instant {
         Instant::now()
     }
@@ -128,7 +128,7 @@ impl Time for SystemClock {
 pub(crate) struct Session {
     config: Config,
     set_up: RtStartupReport,
-    time: Rc<dyn Time>,
+    time: Rc<dyn ControlClock>,
     started: Instant,
     patience: Duration,
     /// The sensors' threads; each tick passes their readings to the corrector.
@@ -184,7 +184,7 @@ impl Session {
         Self { edited_files, ..Self::by(Rc::new(SystemClock(clock)), config, set_up, sensors) }
     }
 
-    fn by(time: Rc<dyn Time>, config: Config, set_up: RtStartupReport, mut sensors: Buses) -> Self {
+    fn by(time: Rc<dyn ControlClock>, config: Config, set_up: RtStartupReport, mut sensors: Buses) -> Self {
         let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let (model, axes) = (&config.model, config.axes.len());
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
@@ -199,7 +199,7 @@ impl Session {
             .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.before.times.latched_ns(axis, f)?)))
             .collect();
         let cpu = set_up.wanted.map_or(0, |w| w.cpu);
-        let here = || LatencyProvenance::here(&config.card, cpu, &System::live());
+        let here = || LatencyProvenance::here(&config.card, cpu, &SystemRoot::live());
         let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
             latched_ns,
@@ -329,10 +329,10 @@ impl Session {
         let noted = noted.map_err(|_| "the real-time thread does not answer".to_owned());
         let placed = renewed.and(noted).and_then(|_| file.place().map_err(|error| error.to_string()));
         let what = match lost {
-            Lost::Removed => "removed",
-            Lost::Replaced => "replaced by another",
-            Lost::Resized => "cut short or made longer",
-            Lost::Overwritten => "overwritten",
+            StateFileLoss::Removed => "removed",
+            StateFileLoss::Replaced => "replaced by another",
+            StateFileLoss::Resized => "cut short or made longer",
+            StateFileLoss::Overwritten => "overwritten",
         };
         let path = file.path().display();
         let text = match placed {
@@ -384,7 +384,7 @@ impl Session {
     }
 
     /// Logs the result of a record.
-    fn tell_kept(&mut self, kept: Kept, t_ns: u64) {
+    fn tell_kept(&mut self, kept: SpoolResult, t_ns: u64) {
         let (level, kind, text) = match kept {
             Ok(file) => (Level::Info, "record_kept", format!("record {}", file.display())),
             Err(why) => (Level::Warning, "record_not_kept", why),
@@ -491,13 +491,15 @@ impl Session {
         request: &ClientRequest,
         beside: RequestContext,
         control: &mut ControlEnd,
-    ) -> Answer {
+    ) -> RequestAnswer {
         let done = Response::done();
         let plain = |request| (request, done.clone());
         let (request, done) = match request {
-            ClientRequest::Status {} => return Answer::Now(Response::Status(Box::new(self.status(control)))),
+            ClientRequest::Status {} => {
+                return RequestAnswer::Now(Response::Status(Box::new(self.status(control))));
+            }
             ClientRequest::Home { axis, controller_homed } => {
-                return Answer::of(self.home(axis.as_deref(), *controller_homed, control));
+                return RequestAnswer::of(self.home(axis.as_deref(), *controller_homed, control));
             }
             ClientRequest::Enable { accept_jump } => {
                 let status = control.status();
@@ -505,32 +507,34 @@ impl Session {
                 let already = status.mode == Mode::Run;
                 let jumps = if already { Vec::new() } else { self.jumps(&status) };
                 if let Some(refusal) = self.forbidden(&status, &jumps, *accept_jump) {
-                    return Answer::Now(refusal);
+                    return RequestAnswer::Now(refusal);
                 }
                 let warnings = self.no_model().into_iter().collect();
                 (Request::Enable, Response::Done { jumps, already, warnings })
             }
             ClientRequest::Shadow {} => plain(Request::Shadow),
             ClientRequest::Correct { axis, total_counts, large } => {
-                return Answer::of(self.correct(axis, *total_counts, *large, control));
+                return RequestAnswer::of(self.correct(axis, *total_counts, *large, control));
             }
             ClientRequest::ModelLoad { file, take, expired, files } => {
                 let wanted = loads::ModelLoad { take: take.clone(), expired: *expired };
                 return self.model_load(file.as_deref(), files, wanted, beside);
             }
             ClientRequest::Jog { axis, display_mm, go_on } => {
-                return Answer::of(self.jog(axis, *display_mm, *go_on));
+                return RequestAnswer::of(self.jog(axis, *display_mm, *go_on));
             }
-            ClientRequest::ModelUnload {} => return Answer::Now(self.model_unload()),
+            ClientRequest::ModelUnload {} => return RequestAnswer::Now(self.model_unload()),
             ClientRequest::ModelAgain {} => return self.model_again(),
-            ClientRequest::Explain { axis } => return Answer::of(self.explain(axis.as_deref(), control)),
+            ClientRequest::Explain { axis } => {
+                return RequestAnswer::of(self.explain(axis.as_deref(), control));
+            }
             ClientRequest::Ledger { axis, from } => {
                 let page = self.number(axis).map(|n| Response::Ledger(self.history.ledger(n, *from)));
-                return Answer::of(page);
+                return RequestAnswer::of(page);
             }
             ClientRequest::Keep { files } => return self.keep(files, beside),
             ClientRequest::TableLoad(table) => return self.table_load(table, beside),
-            ClientRequest::TableUnload {} => return Answer::Now(self.table_unload()),
+            ClientRequest::TableUnload {} => return RequestAnswer::Now(self.table_unload()),
             ClientRequest::Disable {} | ClientRequest::Park {} => plain(Request::Disable),
             ClientRequest::Probe { on } => plain(Request::Probe(*on)),
             ClientRequest::Hold { on } => {
@@ -542,14 +546,14 @@ impl Session {
             }
             ClientRequest::Clear {} => plain(Request::Clear),
             ClientRequest::Watch {} | ClientRequest::Whoami {} | ClientRequest::Observe { .. } => {
-                return Answer::Now(done);
+                return RequestAnswer::Now(done);
             }
         };
         let answer = self.carry_out(request, control);
         if request == Request::Enable && answer.is_ok() {
             self.corrector.enabled();
         }
-        Answer::of(answer.map(|_| done))
+        RequestAnswer::of(answer.map(|_| done))
     }
 
     /// Totals of each axis: requested and in effect, counts.

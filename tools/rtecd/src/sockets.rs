@@ -4,7 +4,7 @@ use crate::Failure;
 use anyhow::Context;
 use nix::sys::stat::{Mode, umask};
 use nix::unistd::{Gid, Group, Uid, chown};
-use rtec_control::config::{ControlConfig, LONGEST_SOCKET, SocketAt};
+use rtec_control::config::{ConfiguredSocket, ControlConfig, LONGEST_SOCKET};
 use rtec_control::lock;
 use rtec_control::role::Role;
 use std::fs::{DirBuilder, Permissions};
@@ -56,13 +56,13 @@ pub(crate) fn listen(control: &ControlConfig) -> anyhow::Result<ListeningSockets
     let mut listening = ListeningSockets { all: Vec::new(), viewers: groups[2], _lock: lock };
     for (socket, group) in sockets.into_iter().zip(groups) {
         let listener = bind(&socket, group)?;
-        let SocketAt { role, path, group, .. } = socket;
+        let ConfiguredSocket { role, path, group, .. } = socket;
         listening.all.push(ListeningSocket { role, path, group, listener });
     }
     Ok(listening)
 }
 
-fn group(socket: &SocketAt) -> anyhow::Result<Option<Gid>> {
+fn group(socket: &ConfiguredSocket) -> anyhow::Result<Option<Gid>> {
     let Some(name) = &socket.group else { return Ok(None) };
     let found = Group::from_name(name).with_context(|| format!("looking up group {name}"))?;
     let key = if socket.role == Role::SetUp { "group" } else { socket.role.word() };
@@ -99,7 +99,7 @@ fn directory(socket: &Path, open: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn bind(socket: &SocketAt, group: Option<Gid>) -> anyhow::Result<UnixListener> {
+fn bind(socket: &ConfiguredSocket, group: Option<Gid>) -> anyhow::Result<UnixListener> {
     let path = &socket.path;
     clear_stale(path)?;
     // Created without access for others. The group gets access before the first client can be served.

@@ -7,8 +7,8 @@ use rtec_control::config::Config;
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{Fault, HeldBy};
 use rtec_rt::journal::{Journal, JournalError, StateAtOpen, resume};
+use rtec_rt::link_messages::{Fault, HeldBy};
 use rtec_rt::state_file_watch::StateFileWatch;
 
 /// The engine on `card`, the content of its state file, and the file's watch.

@@ -8,7 +8,7 @@
 //! | `csv` | a recorded CSV, replayed by its `t` column (s) |
 //! | `line` | lines `NAME VALUE` or `NAME=VALUE` from `host:port` (TCP) or a serial device that is set up already |
 
-use crate::feed::Feed;
+use crate::sensor_line_feed::SensorLineFeed;
 use crate::{SensorConfig, SensorMonitor, SensorSource};
 use rtec_files::InputError;
 use rtec_model::record::Record;
@@ -18,17 +18,17 @@ use std::path::{Path, PathBuf};
 
 /// All sensors of a machine.
 #[derive(Debug)]
-pub struct Bank {
+pub struct SensorBank {
     root: PathBuf,
     sensors: Vec<SensorMonitor>,
     /// Time of each sensor's next reading, s.
     due: Vec<f64>,
-    feeds: Vec<Feed>,
+    feeds: Vec<SensorLineFeed>,
     replays: BTreeMap<PathBuf, Record>,
     replay_start: Option<f64>,
 }
 
-impl Bank {
+impl SensorBank {
     /// Sensors under a root (`/`; tests use their own tree).
     /// `recording` reads a recording that is to be replayed.
     ///
@@ -39,7 +39,7 @@ impl Bank {
         root: &Path,
         recording: impl Fn(&Path) -> Result<Record, InputError>,
     ) -> Result<Self, InputError> {
-        let mut feeds: Vec<Feed> = Vec::new();
+        let mut feeds: Vec<SensorLineFeed> = Vec::new();
         let mut replays = BTreeMap::new();
         for c in &configs {
             match &c.source {
@@ -53,7 +53,7 @@ impl Bank {
                     let (keys, timeouts): (Vec<String>, Vec<f64>) = of_feed.unzip();
                     // By then one of its sensors is silent, and the feed has sent nothing else either.
                     let idle_s = timeouts.into_iter().fold(f64::INFINITY, f64::min);
-                    feeds.push(Feed::of(from, keys).idle_after(idle_s));
+                    feeds.push(SensorLineFeed::of(from, keys).idle_after(idle_s));
                 }
                 SensorSource::Csv { record, .. } if !replays.contains_key(record) => {
                     replays.insert(record.clone(), recording(record)?);
@@ -194,7 +194,7 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 mod tests {
     use super::*;
     use crate::SensorFault;
-    use crate::Use;
+    use crate::SensorUse;
     use crate::config::for_test as config;
     use std::io::Write;
     use std::net::{TcpListener, TcpStream};
@@ -232,7 +232,7 @@ mod tests {
         for bad in [one_wire(root, "28-00b"), iio(root, "nothing", 0), hwmon(root, "k10temp", 1)] {
             assert!(bad.is_err());
         }
-        let mut bank = Bank::new(
+        let mut bank = SensorBank::new(
             vec![
                 config("T1", SensorSource::Hwmon { chip: "tmp102".into(), input: 1 }),
                 config("T2", SensorSource::OneWire { id: "28-00b".into() }),
@@ -243,8 +243,8 @@ mod tests {
         .unwrap();
         bank.poll(0.0);
         bank.poll(5.0);
-        let states: Vec<Use> = bank.sensors().iter().map(|w| w.usable(5.0)).collect();
-        assert_eq!(states, [Use::Good, Use::Hold]);
+        let states: Vec<SensorUse> = bank.sensors().iter().map(|w| w.usable(5.0)).collect();
+        assert_eq!(states, [SensorUse::Good, SensorUse::Hold]);
     }
 
     #[test]
@@ -252,9 +252,12 @@ mod tests {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
         let from = server.local_addr().unwrap().to_string();
         let line = |key: &str| SensorSource::Line { from: from.clone(), key: key.into() };
-        let mut bank =
-            Bank::new(vec![config("T1", line("T1")), config("T2", line("b"))], Path::new("/"), no_recording)
-                .unwrap();
+        let mut bank = SensorBank::new(
+            vec![config("T1", line("T1")), config("T2", line("b"))],
+            Path::new("/"),
+            no_recording,
+        )
+        .unwrap();
         bank.poll(0.0);
         let (mut peer, _) = server.accept().unwrap();
         peer.write_all(b"T1 21.5\nb=22.25\nnonsense\nT1 21.5").unwrap();
@@ -276,7 +279,7 @@ mod tests {
             "{:?}",
             bank.sensors()[0].fault()
         );
-        assert_eq!(bank.sensors()[0].usable(20.0), Use::Hold);
+        assert_eq!(bank.sensors()[0].usable(20.0), SensorUse::Hold);
     }
 
     /// A gateway that loses power leaves its connection open and sends no more lines.
@@ -286,11 +289,11 @@ mod tests {
         let from = server.local_addr().unwrap().to_string();
         let line = |key: &str| SensorSource::Line { from: from.clone(), key: key.into() };
         let all = vec![config("a", line("a")), config("b", line("b"))];
-        let mut bank = Bank::new(all, Path::new("/"), no_recording).unwrap();
+        let mut bank = SensorBank::new(all, Path::new("/"), no_recording).unwrap();
         bank.poll(0.0);
         let (mut peer, _) = server.accept().unwrap();
-        let why = |bank: &Bank, n: usize| bank.sensors()[n].fault().map(ToString::to_string);
-        let comes = |bank: &mut Bank, peer: &mut TcpStream, text: &str, now_s: f64| {
+        let why = |bank: &SensorBank, n: usize| bank.sensors()[n].fault().map(ToString::to_string);
+        let comes = |bank: &mut SensorBank, peer: &mut TcpStream, text: &str, now_s: f64| {
             peer.write_all(text.as_bytes()).unwrap();
             let before = bank.sensors()[0].age_s(now_s);
             for _ in 0..20_000 {

@@ -1,8 +1,8 @@
 //! One thread per bus reads its sensors, and one thread logs them.
 //! A slow sensor thus delays only those of its own bus.
 
-use crate::bank::Bank;
-use crate::{SensorConfig, SensorMonitor, SensorSource, Use, log};
+use crate::bank::SensorBank;
+use crate::{SensorConfig, SensorMonitor, SensorSource, SensorUse, log};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -75,7 +75,7 @@ impl Buses {
                 latest.places[*n] = (latest.buses.len(), k);
             }
             let own = members.iter().map(|n| configs[*n].clone()).collect();
-            let bank = Bank::new(own, Path::new("/"), &recording)?;
+            let bank = SensorBank::new(own, Path::new("/"), &recording)?;
             let shared = Arc::new(Mutex::new(bank.sensors().to_vec()));
             latest.buses.push(Arc::clone(&shared));
             // The thread may hang in a driver. Nothing waits for it; its sensors age and are reported as
@@ -111,7 +111,7 @@ fn lock(shared: &Mutex<Vec<SensorMonitor>>) -> MutexGuard<'_, Vec<SensorMonitor>
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn listen(mut bank: Bank, shared: &Mutex<Vec<SensorMonitor>>, clock: Clock) {
+fn listen(mut bank: SensorBank, shared: &Mutex<Vec<SensorMonitor>>, clock: Clock) {
     let pause = Duration::from_secs_f64(bank.pause_s());
     loop {
         bank.poll(clock.now_s());
@@ -128,7 +128,7 @@ fn keep_log(latest: &Latest, names: &[String], directory: &Path, clock: Clock, e
         let now_s = clock.now_s();
         let good = |(bus, place): &(usize, usize)| {
             let watch = &lock(&latest.buses[*bus])[*place];
-            watch.value_degc().filter(|_| watch.usable(now_s) == Use::Good)
+            watch.value_degc().filter(|_| watch.usable(now_s) == SensorUse::Good)
         };
         let values: Vec<Option<f64>> = latest.places.iter().map(good).collect();
         if let Err(error) = log::append(directory, names, now_s, &values)

@@ -1,8 +1,8 @@
 //! `[[sensor]]` of a configuration: its keys, their bounds and defaults.
 
 use rtec_files::keys;
-use rtec_files::keys::Takes::{Choice, Name, Number, Own, Range, Text, Whole, Word};
-use rtec_files::keys::{At, REQUIRED, Section, SourceFile};
+use rtec_files::keys::AcceptedValue::{Choice, Name, Number, Own, Range, Text, Whole, Word};
+use rtec_files::keys::{LocatedValue, REQUIRED, Section, SourceFile};
 use rtec_model::record::Role;
 use std::path::{Path, PathBuf};
 
@@ -124,7 +124,7 @@ impl SensorConfig {
     fn source(
         source: &mut SourceFile<'_>,
         s: &mut Section<'_>,
-        name: Option<At<&str>>,
+        name: Option<LocatedValue<&str>>,
     ) -> Option<SensorSource> {
         let kind = s.pick(source, "source", &["iio", "hwmon", "one_wire", "csv", "line"])?.value;
         let name = name.map_or(String::new(), |at| at.value.to_owned());

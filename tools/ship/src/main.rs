@@ -53,7 +53,7 @@ enum Failure {
 }
 
 fn main() -> ExitCode {
-    rtec_files::stamp::built_from(env!("RTEC_COMMIT"));
+    rtec_files::format_stamp::built_from(env!("RTEC_COMMIT"));
     let (code, said) = match run(&Args::parse()) {
         Ok(()) => return ExitCode::SUCCESS,
         Err(Failure::Kept(said)) => (1, said),

@@ -4,7 +4,7 @@ use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_driver::{card::AxisLines, card::MachineLines, clock::Monotonic, mock::MockCard};
 use rtec_model::machine::Machine;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::{EventKind, Mode, Request};
+use rtec_rt::link_messages::{EventKind, Mode, Request};
 use rtec_rt::{axis::AxisConfig, thread::ThreadOptions, thread::spawn};
 use rtec_sim::strokes::{StrokeMotion, moving_axes};
 use std::path::Path;

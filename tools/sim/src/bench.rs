@@ -13,7 +13,7 @@ use rtec_driver::replay::{DirectOutputs, Gates, Listener, Xor};
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
-use rtec_rt::event::{Event, EventKind};
+use rtec_rt::link_messages::{Event, EventKind};
 use serde::{Deserialize, Serialize};
 
 /// Every insertion design of the sources.

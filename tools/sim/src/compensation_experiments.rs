@@ -17,7 +17,7 @@ mod runs;
 
 pub use insertion::{one_metre, over_a_part};
 
-use crate::described::SourceFiles;
+use crate::described_machines::MachineDescriptions;
 use crate::sim::{MachineSpec, SimError};
 use crate::turning::TurningError;
 use heat::{Start, drift, drilling, production, tool_change, wet_runs};
@@ -32,7 +32,7 @@ use std::path::Path;
 
 /// Inputs of an experiment.
 #[derive(Debug, Clone, Copy)]
-pub struct Setting<'a> {
+pub struct ExperimentInputs<'a> {
     /// The machine's construction.
     /// Experiments with a fixed machine, and the nose, build their own.
     pub spec: &'a MachineSpec,
@@ -48,13 +48,13 @@ pub struct Setting<'a> {
 
 /// Results of an experiment.
 #[derive(Debug, Default)]
-pub struct Findings {
+pub struct ExperimentResults {
     /// Run records, not yet written, without and with compensation (`…-compensated`).
     pub records: Vec<Record>,
     /// Plots and tables of the records: file name and text.
     pub plots: Vec<(String, String)>,
     /// Readings of gauges on a mandrel by record name, one per row.
-    pub gauges: Vec<(String, Vec<Gauged>)>,
+    pub gauges: Vec<(String, Vec<GaugeReadings>)>,
     /// The experiment's figures, by name with unit.
     pub summary: Map<String, Value>,
 }
@@ -71,7 +71,7 @@ pub const GAUGE_SPACING_MM: f64 = 100.0;
 /// Readings of five gauges at a mandrel in the spindle (WO 97/43703, figure 7).
 /// 2 and 5 are in X, 1 and 4 in Y, near and far, and 3 in Z.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Gauged {
+pub struct GaugeReadings {
     /// Time of the simulation, s.
     pub t_s: f64,
     /// Gauges 1 to 5, µm.
@@ -100,7 +100,7 @@ pub enum ExperimentError {
 /// What an experiment runs.
 #[derive(Debug, Clone, Copy)]
 enum Run {
-    Own(fn(&Setting<'_>, &mut Findings) -> Result<(), ExperimentError>),
+    Own(fn(&ExperimentInputs<'_>, &mut ExperimentResults) -> Result<(), ExperimentError>),
     /// The drilling test of WO 97/43703 from this thermal state.
     Drilling(Start),
 }
@@ -137,18 +137,18 @@ impl Experiment {
     ///
     /// # Errors
     /// The machine's effects read what the simulation does not have, or the controller gave up.
-    pub fn run(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
+    pub fn run(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResults, ExperimentError> {
         match self.own {
             Some(own) if own.fixed => {
-                let machine = SourceFiles::default().machine(own.file)?;
-                self.run_as_set(&Setting { truth: &machine, known: Some(&machine), ..*setting })
+                let machine = MachineDescriptions::default().machine(own.file)?;
+                self.run_as_set(&ExperimentInputs { truth: &machine, known: Some(&machine), ..*setting })
             }
             _ => self.run_as_set(setting),
         }
     }
 
-    fn run_as_set(&self, setting: &Setting<'_>) -> Result<Findings, ExperimentError> {
-        let mut findings = Findings::default();
+    fn run_as_set(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResults, ExperimentError> {
+        let mut findings = ExperimentResults::default();
         match &self.run {
             Run::Own(run) => run(setting, &mut findings)?,
             Run::Drilling(start) => drilling(setting, self.name, start, &mut findings)?,
@@ -166,7 +166,7 @@ impl Experiment {
     /// # Errors
     /// Never: the files are within the program, and a test reads them.
     pub fn own_machine(&self) -> Result<Option<Machine>, InputError> {
-        self.own.map(|own| SourceFiles::default().machine(own.file)).transpose()
+        self.own.map(|own| MachineDescriptions::default().machine(own.file)).transpose()
     }
 
     /// The experiment of this name.

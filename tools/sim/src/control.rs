@@ -2,15 +2,15 @@
 //! It has sensors with plausibility checks, and the daemon's control law.
 
 use crate::heat::SENSORS;
-use crate::path::{AXES, AXIS_NAMES};
+use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_correct::part_table::PartTable;
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
-use rtec_part::cor::FeatureErrors;
-use rtec_part::cor::PointError;
-use rtec_rt::event::{Request, Status};
+use rtec_part::error_cor_file::FeatureErrors;
+use rtec_part::error_cor_file::PointError;
+use rtec_rt::link_messages::{Request, Status};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 
 /// Time between two computations of totals, ns.
@@ -117,7 +117,7 @@ impl Control {
 mod tests {
     use super::*;
     use rtec_files::csv::{Cell, Reader};
-    use rtec_rt::event::Mode;
+    use rtec_rt::link_messages::Mode;
     use std::path::Path;
 
     /// The recorded shift of `rtec-correct`'s tests gives the same totals here.

@@ -1,11 +1,11 @@
 //! The corrected axes of a simulated machine, by engine or full-cycle design.
 
 use crate::full_cycle::FullCycle;
-use crate::insertion::{CardResult, CorrectedAxis as _, GateDesign, Report};
+use crate::insertion::{CardResult, CorrectedAxis as _, EventSink, GateDesign};
 use rtec_driver::card::{Card, MachineLines};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{Request, Status};
+use rtec_rt::link_messages::{Request, Status};
 
 /// The corrected axes of a simulated machine, for any gate design.
 #[derive(Debug)]
@@ -23,7 +23,7 @@ impl CorrectedMachine {
         configs: &[AxisConfig],
         lines: MachineLines,
         origins: &[i64],
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> Result<Self, StartError> {
         if design != GateDesign::C {
             return FullCycle::new(design, card, configs, lines, |n| origins[n]).map(Self::FullCycle);
@@ -33,7 +33,12 @@ impl CorrectedMachine {
         Ok(Self::C(Box::new(engine)))
     }
 
-    pub(crate) fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
+    pub(crate) fn poll<C: Card>(
+        &mut self,
+        card: &mut C,
+        by_ns: u64,
+        report: &mut impl EventSink,
+    ) -> CardResult {
         match self {
             Self::C(engine) => engine.poll(card, by_ns, report),
             Self::FullCycle(axes) => axes.poll(card, by_ns, report),
@@ -44,7 +49,7 @@ impl CorrectedMachine {
         &mut self,
         request: Request,
         card: &mut C,
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> CardResult {
         match self {
             Self::C(engine) => engine.take(request, card, report),

@@ -5,18 +5,18 @@
 //! edges and inserted steps are sent one after another, each with the MTC's separation before it. Edges that
 //! the computer sees too late are lost. When the computer stops, the MTC sees an axis at rest.
 
-use crate::insertion::{CardResult, CorrectedAxis, Report};
+use crate::insertion::{CardResult, CorrectedAxis, EventSink};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
-use rtec_rt::event::{AxisStatus, Event, EventKind, Fault, GateState, Refusal};
-use rtec_rt::gate::{Gate, GateInput};
+use rtec_rt::gate::{GateInput, SpeedGate};
+use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Fault, InsertionStatus, Refusal};
 
 /// One axis whose signals pass through the computer, homed to zero at its position.
 #[derive(Debug)]
 pub struct DesignB {
     config: AxisConfig,
-    gate: Gate,
+    gate: SpeedGate,
     scale: Decoder,
     /// State of A' and B' and its count.
     out: Decoder,
@@ -61,9 +61,9 @@ impl DesignB {
     }
 
     /// The speed gate: time for edge, separation, step and its separation.
-    pub fn gate(config: &AxisConfig) -> Option<Gate> {
+    pub fn gate(config: &AxisConfig) -> Option<SpeedGate> {
         let step_ns = config.write_ns + config.min_separation_ns;
-        Gate::new(GateInput {
+        SpeedGate::new(GateInput {
             max_accel_counts_s2: config.max_accel_counts_s2,
             hysteresis_counts: config.hysteresis_counts,
             need_ns: (config.detect_ns + 2 * step_ns + config.guard_ns).max(1),
@@ -80,7 +80,7 @@ impl DesignB {
         Ok(())
     }
 
-    fn fault(&mut self, fault: Fault, report: &mut impl Report) {
+    fn fault(&mut self, fault: Fault, report: &mut impl EventSink) {
         if self.status.faults.latch(fault) {
             report(Event { t_ns: self.look_ns, axis: Some(0), kind: EventKind::Fault(fault) });
         }
@@ -120,7 +120,7 @@ impl DesignB {
 }
 
 impl CorrectedAxis for DesignB {
-    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult {
         let waits = self.out.count() == self.due() && !(self.pending() && self.open_until_ns.is_some());
         let mut wake_ns = if waits { u64::MAX } else { self.free_ns };
         if let RestPolicy::Insert { after_ns } = self.config.rest
@@ -160,7 +160,7 @@ impl CorrectedAxis for DesignB {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> CardResult {
         if total_counts.unsigned_abs() > self.config.max_correction_counts.unsigned_abs() {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };
@@ -177,7 +177,11 @@ impl CorrectedAxis for DesignB {
             mtc_minus_scale: self.out.count() - self.scale.count(),
             in_effect: self.status.completed,
             homed: !self.status.faults.any(),
-            gate: if self.status.faults.any() { GateState::Fault } else { GateState::WaitingForEdge },
+            gate: if self.status.faults.any() {
+                InsertionStatus::Fault
+            } else {
+                InsertionStatus::WaitingForEdge
+            },
             illegal: self.scale.illegal(),
             ..self.status
         }

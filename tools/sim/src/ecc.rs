@@ -14,11 +14,11 @@
 //!
 //! The PLL is a behavioural model of the paper's measurements, not of its parts.
 
-use crate::insertion::{CardResult, CorrectedAxis, Report};
+use crate::insertion::{CardResult, CorrectedAxis, EventSink};
 use crate::noise::NoiseGenerator;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_rt::event::{AxisStatus, Event, EventKind, Refusal};
+use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Refusal};
 use serde::{Deserialize, Serialize};
 
 /// The paper's measurements of its PLL.
@@ -432,7 +432,7 @@ impl Ecc {
 }
 
 impl CorrectedAxis for Ecc {
-    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, _report: &mut impl Report) -> CardResult {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, _report: &mut impl EventSink) -> CardResult {
         let splitting = matches!(self.passing, Passing::Split { .. });
         // If the input falls below the lock range, the VCO runs at its lowest frequency.
         let loses_ns = self.last_edge_ns.map_or(u64::MAX, |t| t + (0.5e9 / self.pll.lock_from_hz) as u64);
@@ -467,7 +467,7 @@ impl CorrectedAxis for Ecc {
         total_counts: i64,
         _large: bool,
         _card: &mut C,
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> CardResult {
         if total_counts.abs() > 1000 {
             let kind = EventKind::Refused { total_counts, why: Refusal::AboveMaximum };

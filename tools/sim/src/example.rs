@@ -3,8 +3,8 @@
 //! drawings. Texts are in `machines/`. The runs are simulated from fixed seeds.
 
 use crate::axis::AxisSpec;
-use crate::compensation_experiments::{Experiment, ExperimentError, Setting};
-use crate::described::{self, wo97_of};
+use crate::compensation_experiments::{Experiment, ExperimentError, ExperimentInputs};
+use crate::described_machines::{self, wo97_of};
 use crate::sim::MachineSpec;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
@@ -66,8 +66,8 @@ pub const EXAMPLES: [Example; 7] = [
         files: &[
             ("README.md", include_str!("../machines/wo97/README.md")),
             ("machine.toml", include_str!("../machines/wo97/machine.toml")),
-            ("true.toml", described::WO97_MACHINE),
-            ("wo97-chain.toml", described::WO97_CHAIN),
+            ("true.toml", described_machines::WO97_MACHINE),
+            ("wo97-chain.toml", described_machines::WO97_CHAIN),
             ("wo97.toml", wo97_of!("true.toml")),
             ("rtec.toml", include_str!("../machines/wo97/rtec.toml")),
         ],
@@ -182,7 +182,7 @@ impl Example {
         let mut records = Vec::new();
         for ((runs, seed), name) in self.runs.into_iter().zip(SEEDS).zip(FOLDERS) {
             let out = folder.join(name);
-            let setting = Setting { spec: &spec, truth: &truth, known: None, seed, out: &out };
+            let setting = ExperimentInputs { spec: &spec, truth: &truth, known: None, seed, out: &out };
             for experiment in runs.iter().filter_map(|name| Experiment::find(name)) {
                 records.append(&mut experiment.run(&setting)?.records);
             }

@@ -6,15 +6,16 @@
 //! twice as many inversions. The simulated cards show every edge and confirm every write at once, so no code
 //! here guards against missed counts.
 
-use crate::insertion::{CardResult, CorrectedAxis, GateDesign, Report};
+use crate::insertion::{CardResult, CorrectedAxis, EventSink, GateDesign};
 use rtec_driver::card::{Card, MachineLines};
 use rtec_driver::quadrature::{Decoder, Signal, State};
-use rtec_rt::axis::{Answer, AxisConfig, RestPolicy};
+use rtec_rt::axis::{AxisConfig, RestPolicy, TotalRequestResult};
 use rtec_rt::engine::StartError;
-use rtec_rt::event::{
-    AxisStatus, Capture, Event, EventKind, Fault, GateState, HeldBy, MAX_AXES, Mode, Refusal, Request, Status,
+use rtec_rt::gate::{GateInput, SpeedGate};
+use rtec_rt::link_messages::{
+    AxisStatus, Event, EventKind, Fault, HeldBy, InsertionStatus, MAX_AXES, Mode, ProbeCapture, Refusal,
+    Request, Status,
 };
-use rtec_rt::gate::{Gate, GateInput};
 
 /// Inversions of one insertion, which are also its counts.
 const INCREMENT_COUNTS: i64 = GateDesign::A.increment_counts();
@@ -24,8 +25,8 @@ const CAPTURE_LIMIT_NS: u64 = 100_000_000;
 
 /// The speed gate for four inversions.
 /// `None` if no speed leaves time for an insertion.
-pub fn gate(config: &AxisConfig) -> Option<Gate> {
-    Gate::new(GateInput {
+pub fn gate(config: &AxisConfig) -> Option<SpeedGate> {
+    SpeedGate::new(GateInput {
         max_accel_counts_s2: config.max_accel_counts_s2,
         hysteresis_counts: config.hysteresis_counts,
         need_ns: (config.detect_ns + config.min_separation_ns + busy_ns(config)).max(1),
@@ -91,7 +92,7 @@ struct LastInversion {
 #[derive(Debug)]
 struct FullCycleAxis {
     config: AxisConfig,
-    gate: Gate,
+    gate: SpeedGate,
     only_at_low: bool,
     scale: Decoder,
     home_counts: i64,
@@ -112,7 +113,7 @@ struct FullCycleAxis {
     /// Lower bound of the last period, ns; `None` before the second edge.
     period_ns: Option<u64>,
     next_allowed_ns: u64,
-    capture: Option<Capture>,
+    capture: Option<ProbeCapture>,
     /// The mode has changed since the last poll or total.
     look_at_once: bool,
 }
@@ -181,23 +182,28 @@ impl FullCycle {
     ///
     /// # Errors
     /// When the hold line cannot be written.
-    pub fn take<C: Card>(&mut self, request: Request, card: &mut C, report: &mut impl Report) -> CardResult {
+    pub fn take<C: Card>(
+        &mut self,
+        request: Request,
+        card: &mut C,
+        report: &mut impl EventSink,
+    ) -> CardResult {
         match request {
             Request::Correct { axis, total_counts, large } => {
                 let (n, why_not) = (usize::from(axis), self.why_not());
                 let answer = match (self.axes.get_mut(n), why_not) {
-                    (None, _) => Answer::Refused(Refusal::NoSuchAxis),
-                    (_, Some(why)) => Answer::Refused(why),
+                    (None, _) => TotalRequestResult::Refused(Refusal::NoSuchAxis),
+                    (_, Some(why)) => TotalRequestResult::Refused(why),
                     (Some(a), None) => a.request(total_counts, large),
                 };
                 self.look_at_once = self.axes.iter().any(|a| a.look_at_once);
                 let kind = match answer {
-                    Answer::AcceptedWithWarning => EventKind::Warning { total_counts },
-                    Answer::Refused(why) => EventKind::Refused { total_counts, why },
-                    Answer::Fault(fault) if self.axes[n].status.faults.latch(fault) => {
+                    TotalRequestResult::AcceptedWithWarning => EventKind::Warning { total_counts },
+                    TotalRequestResult::Refused(why) => EventKind::Refused { total_counts, why },
+                    TotalRequestResult::Fault(fault) if self.axes[n].status.faults.latch(fault) => {
                         EventKind::Fault(fault)
                     }
-                    Answer::Accepted | Answer::Fault(_) => return Ok(()),
+                    TotalRequestResult::Accepted | TotalRequestResult::Fault(_) => return Ok(()),
                 };
                 report(Event { t_ns: self.look_ns, axis: Some(axis), kind });
             }
@@ -269,7 +275,7 @@ impl FullCycle {
 }
 
 impl CorrectedAxis for FullCycle {
-    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult {
         let due_ns = self.axes.iter().map(FullCycleAxis::wake_ns).min().unwrap_or(u64::MAX);
         let wake_ns = if std::mem::replace(&mut self.look_at_once, false) { 0 } else { due_ns };
         let sample = card.sample(wake_ns.min(by_ns))?;
@@ -319,7 +325,7 @@ impl CorrectedAxis for FullCycle {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> CardResult {
         self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
     }
@@ -352,9 +358,9 @@ impl FullCycleAxis {
         !self.only_at_low || self.scale.state() == State::default()
     }
 
-    fn request(&mut self, total: i64, large: bool) -> Answer {
+    fn request(&mut self, total: i64, large: bool) -> TotalRequestResult {
         let answer = self.config.judge(total, self.status.requested, large, &mut self.not_believed);
-        if matches!(answer, Answer::Accepted | Answer::AcceptedWithWarning) {
+        if matches!(answer, TotalRequestResult::Accepted | TotalRequestResult::AcceptedWithWarning) {
             (self.status.requested, self.look_at_once) = (total, false);
         }
         answer
@@ -366,7 +372,7 @@ impl FullCycleAxis {
             return false;
         }
         let before = (self.last_boundary(), self.last_edge.map(|(_, t)| t));
-        self.capture = Some(Capture { trip_ns, before, after: None });
+        self.capture = Some(ProbeCapture { trip_ns, before, after: None });
         true
     }
 
@@ -602,7 +608,7 @@ impl FullCycleAxis {
             inverted: self.inverters == 3,
             homed: !faulted,
             mtc_known: !faulted,
-            gate: if faulted { GateState::Fault } else { GateState::WaitingForEdge },
+            gate: if faulted { InsertionStatus::Fault } else { InsertionStatus::WaitingForEdge },
             illegal: self.scale.illegal(),
             ..self.status
         }

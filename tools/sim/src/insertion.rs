@@ -11,7 +11,7 @@ use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{self, AxisConfig};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::event::{AxisStatus, Event, Request};
+use rtec_rt::link_messages::{AxisStatus, Event, Request};
 
 /// The MTC's decoder, with the time of each change.
 /// Changes at one instant are one change to it: A and B at once are an illegal transition, in either order.
@@ -56,9 +56,9 @@ impl MtcDecoder {
 pub type CardResult = Result<(), CardError>;
 
 /// Takes the events of a corrector, and returns whether it kept them.
-pub trait Report: FnMut(Event) -> bool {}
+pub trait EventSink: FnMut(Event) -> bool {}
 
-impl<F: FnMut(Event) -> bool> Report for F {}
+impl<F: FnMut(Event) -> bool> EventSink for F {}
 
 /// One corrected and homed axis, for a replay or a comparison of designs.
 pub trait CorrectedAxis {
@@ -66,7 +66,7 @@ pub trait CorrectedAxis {
     ///
     /// # Errors
     /// When the card fails.
-    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult;
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult;
 
     /// Takes a new total, counts.
     ///
@@ -77,7 +77,7 @@ pub trait CorrectedAxis {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> CardResult;
 
     /// The present state of the axis.
@@ -88,7 +88,7 @@ pub trait CorrectedAxis {
 }
 
 impl CorrectedAxis for Engine {
-    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl Report) -> CardResult {
+    fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult {
         Engine::poll(self, card, by_ns, report)
     }
 
@@ -97,7 +97,7 @@ impl CorrectedAxis for Engine {
         total_counts: i64,
         large: bool,
         card: &mut C,
-        report: &mut impl Report,
+        report: &mut impl EventSink,
     ) -> CardResult {
         self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
     }
@@ -118,7 +118,7 @@ impl CorrectedAxis for Engine {
 pub fn homed_engine<C: Card>(
     config: AxisConfig,
     card: &mut C,
-    report: &mut impl Report,
+    report: &mut impl EventSink,
 ) -> Result<Engine, StartError> {
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     let machine = MachineConfig { lines: MachineLines::default(), may_arm: true };

@@ -66,7 +66,7 @@ impl TestMotion {
 
 /// Effects at the MTC when the computer stops at a moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Death {
+pub struct ComputerStopEffects {
     /// Best moment: MTC counts per scale count after the stop.
     pub best_follows: f64,
     /// Worst moment: MTC counts per scale count after the stop.
@@ -107,7 +107,7 @@ pub struct DesignRow {
     /// Effects of a stopped computer in words, from the runs.
     pub when_computer_dies: String,
     /// Effects of a stopped computer in figures.
-    pub death: Death,
+    pub death: ComputerStopEffects,
 }
 
 /// The comparison, as `rtecctl designs --json` prints it.
@@ -250,9 +250,13 @@ pub fn served_at_rest(
 }
 
 /// Stops the computer at many moments, including every stage of the insertions.
-fn death(run: &BenchSetup<'_>) -> Death {
-    let mut death =
-        Death { best_follows: 0.0, worst_follows: 0.0, worst_count_error: 0, share_harmless: 0.0 };
+fn death(run: &BenchSetup<'_>) -> ComputerStopEffects {
+    let mut death = ComputerStopEffects {
+        best_follows: 0.0,
+        worst_follows: 0.0,
+        worst_count_error: 0,
+        share_harmless: 0.0,
+    };
     let Some(whole) = (BenchSetup { keep_log: true, ..run.clone() }).run() else { return death };
     death.worst_follows = 1.0;
     // Just after changes of A' and B', and moments spread over the motion.
@@ -293,7 +297,7 @@ fn death(run: &BenchSetup<'_>) -> Death {
     death
 }
 
-impl Death {
+impl ComputerStopEffects {
     /// The same in words, for the table.
     pub fn in_words(&self) -> String {
         let after = |follows: f64| {

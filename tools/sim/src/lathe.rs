@@ -2,22 +2,22 @@
 //! It has two axes, a worn tool or a touch probe in its turret, and a workpiece. The machine's errors move
 //! tool and probe alike.
 
-use crate::attended::Attended;
+use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
 use crate::control::Readings;
-use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::heat::{Heat, SENSORS};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::AXES;
+use crate::trajectory::AXES;
+use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
 use crate::workpiece::{Nose, Workpiece};
-use rtec_model::effect::Missing;
-use rtec_model::live::Live;
+use rtec_model::effect::MissingInput;
+use rtec_model::live::LiveModel;
 use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
-use rtec_part::fit::Zx;
+use rtec_part::geometric_fit::Zx;
 use rtec_part::path::{PathPoint, PathRole};
 use rtec_part::table::AxisCounts;
 use serde::Deserialize;
@@ -27,7 +27,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// The machine, its tool and its probe.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Bench {
+pub struct LatheSpec {
     /// Size of one count of either axis, µm.
     pub count_um: f64,
     /// Radius of the tool's nose, mm.
@@ -56,7 +56,7 @@ pub struct Bench {
     pub control_ms: f64,
 }
 
-impl Default for Bench {
+impl Default for LatheSpec {
     /// Like the machine of NISTIR 4854, with 1 µm counts.
     /// 25 µm are ground off a 1/32 in nose just above the centre line.
     fn default() -> Self {
@@ -78,7 +78,7 @@ impl Default for Bench {
     }
 }
 
-impl Bench {
+impl LatheSpec {
     /// Checks that every value is possible for a machine.
     ///
     /// # Errors
@@ -149,7 +149,7 @@ const JERK_MM_S3: f64 = 100_000.0;
 #[derive(Debug, Clone, Copy)]
 pub struct LatheState<'a> {
     /// Machine, tool and probe.
-    pub bench: &'a Bench,
+    pub bench: &'a LatheSpec,
     /// The machine's errors.
     /// They are effects of Z and X by position and temperature, and of the probe.
     pub machine: &'a Machine,
@@ -218,7 +218,7 @@ fn zx(p: [f64; AXES]) -> Zx {
 /// The moves as an NC program, each with an exact stop.
 /// Also returns the range of its cutting blocks, counted from 1.
 fn program(
-    bench: &Bench,
+    bench: &LatheSpec,
     moves: &[Move],
     origin: Zx,
     rpm: f64,
@@ -256,8 +256,8 @@ pub(crate) type Cut = (Zx, f64);
 #[derive(Debug)]
 pub struct Lathe {
     machine: SimMachine,
-    errors: Errors,
-    bench: Bench,
+    errors: TrueErrors,
+    bench: LatheSpec,
     origin: Zx,
     centre: Zx,
     /// Radius of the probe's tip; `None` with a tool in the turret.
@@ -289,7 +289,7 @@ impl Lathe {
         moves: &[Move],
         tip_mm: Option<f64>,
         part: &Workpiece,
-    ) -> Result<Self, Missing> {
+    ) -> Result<Self, MissingInput> {
         let bench = stand.bench;
         let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
         let mut machine = SimMachine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
@@ -302,8 +302,8 @@ impl Lathe {
         // The spindle is at rest while the machine probes.
         let rpm = if tip_mm.is_some() { 0.0 } else { bench.rpm };
         let (blocks, cutting) = program(bench, moves, origin, rpm);
-        let truth = Live::of(stand.machine, layout(Vec::new()))?;
-        let errors = Errors::new(truth, Heat::cold(bench.ambient_degc, 0.0, stand.seed), stand.seed);
+        let truth = LiveModel::of(stand.machine, layout(Vec::new()))?;
+        let errors = TrueErrors::new(truth, Heat::cold(bench.ambient_degc, 0.0, stand.seed), stand.seed);
         let mut lathe = Self {
             machine,
             errors,
@@ -381,7 +381,7 @@ impl Lathe {
     }
 }
 
-impl Attended for Lathe {
+impl AttendedMachine for Lathe {
     fn machine(&self) -> &SimMachine {
         &self.machine
     }
@@ -412,7 +412,7 @@ impl Attended for Lathe {
 }
 
 /// Removes the tool's cuts from a part, including roughness.
-pub(crate) fn cut_away(part: &mut Workpiece, bench: &Bench, cuts: &[Cut], seed: u64) {
+pub(crate) fn cut_away(part: &mut Workpiece, bench: &LatheSpec, cuts: &[Cut], seed: u64) {
     let mut noise = NoiseGenerator::new(seed, 0xC07);
     for &(place, form_um) in cuts {
         part.cut(bench.nose(), place, bench.cut_sd_um * noise.normal() - form_um);
@@ -430,6 +430,6 @@ pub fn design(name: &str) -> Option<GateDesign> {
 }
 
 /// Counts of Z and of X on this bench, for a design's increment.
-pub fn axes(bench: &Bench, design: GateDesign) -> [AxisCounts; 2] {
+pub fn axes(bench: &LatheSpec, design: GateDesign) -> [AxisCounts; 2] {
     [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]
 }

@@ -13,26 +13,26 @@
 //! | [`design_b`] | Design B: the signals pass through the computer |
 //! | [`replay`] | the engine on a recording, and the resulting count of the MTC |
 //! | [`insertion_designs`] | the designs compared: increments, times, highest safe frequency, death of the computer; waveforms |
-//! | [`described`] | the machines described in the sources, as files within the program |
-//! | [`path`], [`nc_block`] | the controller's trajectories and programs |
+//! | [`described_machines`] | the machines described in the sources, as files within the program |
+//! | [`trajectory`], [`nc_block`] | the controller's trajectories and programs |
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports the tool's position |
-//! | [`attended`], `polled` | events at the machine in every period; the card that polls it |
-//! | [`wires`], [`strokes`], [`machining_task`] | machines at a mock card's wires in real time: strokes, the lathe's task |
-//! | [`workpiece`], [`lathe`], [`job`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
+//! | [`attended_machine`], `polled` | events at the machine in every period; the card that polls it |
+//! | [`wired_machines`], [`strokes`], [`machining_task`] | machines at a mock card's wires in real time: strokes, the lathe's task |
+//! | [`workpiece`], [`lathe`], [`lathe_program`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
 //! | [`example`] | example machines: models, runs, hold-outs, configuration, drawings |
 //! | [`compensation_experiments`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
-//! | `control`, `errors` | the control side above the engine; the true machine's errors and friction |
+//! | `control`, `true_errors` | the control side above the engine; the true machine's errors and friction |
 //!
 //! A part's shape belongs to `rtec-part`, a machine's errors to `rtec-model`, another control law to
 //! `rtec-correct`; the daemon is not here either.
 //!
 //! Example: `cargo run -p rtec-sim --example corrected_move`, which the tests run too.
 
-pub mod attended;
+pub mod attended_machine;
 pub mod axis;
 pub mod bench;
 #[cfg(feature = "experiments")]
@@ -40,27 +40,27 @@ pub mod compensation_experiments;
 pub mod computer_timing;
 mod control;
 mod corrected;
-pub mod described;
+pub mod described_machines;
 pub mod design_b;
 pub mod ecc;
-mod errors;
 #[cfg(feature = "experiments")]
 pub mod example;
 pub mod full_cycle;
 pub mod heat;
 pub mod insertion;
 pub mod insertion_designs;
-pub mod job;
 pub mod lathe;
+pub mod lathe_program;
 pub mod machine;
 pub mod machining_task;
 pub mod nc_block;
 pub mod noise;
-pub mod path;
 mod polled;
 pub mod replay;
 pub mod sim;
 pub mod strokes;
+pub mod trajectory;
+mod true_errors;
 pub mod turning;
-pub mod wires;
+pub mod wired_machines;
 pub mod workpiece;

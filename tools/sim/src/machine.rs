@@ -7,9 +7,9 @@
 
 use crate::axis::{AxisSim, AxisSpec};
 use crate::nc_block::Block;
-use crate::path::{AXES, Along, Command, FeedProfile, Limits, MoveShape};
+use crate::trajectory::{AXES, FeedProfile, Limits, MoveShape, PathState, Setpoint};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::event::MAX_AXES;
+use rtec_rt::link_messages::MAX_AXES;
 
 /// Time step of the axes, ns.
 pub const STEP_NS: u64 = 250_000;
@@ -60,7 +60,7 @@ pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
 
 /// A move under way.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-enum Job {
+enum ActiveMove {
     #[default]
     Idle,
     Move {
@@ -97,8 +97,8 @@ pub struct SimMachine {
     controller: ControllerSpec,
     min_separation_ns: u64,
     program: std::collections::VecDeque<Block>,
-    job: Job,
-    command: Command,
+    job: ActiveMove,
+    command: Setpoint,
     /// Share of the programmed speed at which the path is run.
     /// Feed hold reduces it to zero and back.
     pace: f64,
@@ -159,7 +159,7 @@ impl SimMachine {
             controller,
             min_separation_ns,
             program: std::collections::VecDeque::with_capacity(8),
-            command: Command { p_mm: at_mm, ..Command::default() },
+            command: Setpoint { p_mm: at_mm, ..Setpoint::default() },
             pace: 1.0,
             due: [u64::MAX; MAX_AXES],
             next: u64::MAX,
@@ -202,7 +202,7 @@ impl SimMachine {
 
     /// Whether no block is under way or waiting.
     pub fn finished(&self) -> bool {
-        self.program.is_empty() && self.jog.is_none() && self.job == Job::Idle
+        self.program.is_empty() && self.jog.is_none() && self.job == ActiveMove::Idle
     }
 
     /// The controller's axis (0 X, 1 Y, 2 Z) of the machine's n-th axis.
@@ -231,7 +231,7 @@ impl SimMachine {
     }
 
     /// The controller's present command.
-    pub const fn command(&self) -> Command {
+    pub const fn command(&self) -> Setpoint {
         self.command
     }
 
@@ -333,18 +333,18 @@ impl SimMachine {
         let rests = self.hold || self.fault.is_some() || self.jog.is_some();
         let target = if rests { 0.0 } else { 1.0 };
         self.pace += (target - self.pace).clamp(-dt / 0.1, dt / 0.1);
-        if (self.pace == 0.0 || self.job == Job::Idle)
+        if (self.pace == 0.0 || self.job == ActiveMove::Idle)
             && let Some(block) = self.jog.take()
         {
             self.program.clear();
             self.program.push_back(block);
-            self.job = Job::Idle;
+            self.job = ActiveMove::Idle;
         }
         let mut left = dt * self.pace;
         let at_full_pace = self.pace;
-        while left > 0.0 || self.job == Job::Idle {
+        while left > 0.0 || self.job == ActiveMove::Idle {
             match &mut self.job {
-                Job::Idle => {
+                ActiveMove::Idle => {
                     let Some(block) = self.program.pop_front() else {
                         self.command.v_mm_s = [0.0; AXES];
                         self.command.a_mm_s2 = [0.0; AXES];
@@ -352,26 +352,26 @@ impl SimMachine {
                     };
                     self.job = self.begin(block);
                 }
-                Job::Dwell { left_s } => {
+                ActiveMove::Dwell { left_s } => {
                     let used = left.min(*left_s);
                     *left_s -= used;
                     left -= used;
                     if *left_s <= 0.0 {
-                        self.job = Job::Idle;
+                        self.job = ActiveMove::Idle;
                     }
                 }
-                Job::Move { shape, profile, t_s } => {
+                ActiveMove::Move { shape, profile, t_s } => {
                     *t_s += left;
                     left = 0.0;
                     let along = profile.at(*t_s);
-                    let paced = Along {
+                    let paced = PathState {
                         v_mm_s: along.v_mm_s * at_full_pace,
                         a_mm_s2: along.a_mm_s2 * at_full_pace * at_full_pace,
                         ..along
                     };
                     self.command = shape.at(paced);
                     if *t_s >= profile.duration_s() {
-                        self.job = Job::Idle;
+                        self.job = ActiveMove::Idle;
                         break;
                     }
                 }
@@ -390,19 +390,19 @@ impl SimMachine {
         }
     }
 
-    fn begin(&mut self, block: Block) -> Job {
+    fn begin(&mut self, block: Block) -> ActiveMove {
         self.begun += 1;
         let from = self.command.p_mm;
         let (shape, feed) = match block {
             Block::Spindle { rpm } => {
                 self.rpm = rpm;
-                return Job::Idle;
+                return ActiveMove::Idle;
             }
             Block::Coolant { on } => {
                 self.coolant = on;
-                return Job::Idle;
+                return ActiveMove::Idle;
             }
-            Block::Dwell { seconds } => return Job::Dwell { left_s: seconds },
+            Block::Dwell { seconds } => return ActiveMove::Dwell { left_s: seconds },
             Block::Rapid { to } => (MoveShape::Line { from, to }, f64::INFINITY),
             Block::Feed { to, feed_mm_s } => (MoveShape::Line { from, to }, feed_mm_s),
             Block::Arc { to, plane: (i, j), centre, clockwise, feed_mm_s } => {
@@ -423,7 +423,7 @@ impl SimMachine {
         };
         let length = shape.length_mm();
         if length == 0.0 {
-            return Job::Idle;
+            return ActiveMove::Idle;
         }
         // Each axis stays within its own limits along its direction.
         let share = |n: usize| match shape {
@@ -443,7 +443,7 @@ impl SimMachine {
             decel_mm_s2: least(|a| a.decel_mm_s2),
             jerk_mm_s3: least(|a| a.jerk_mm_s3),
         };
-        Job::Move { shape, profile: FeedProfile::new(length, limits), t_s: 0.0 }
+        ActiveMove::Move { shape, profile: FeedProfile::new(length, limits), t_s: 0.0 }
     }
 
     /// Advances everything by one step.
@@ -454,8 +454,9 @@ impl SimMachine {
         if from_ns.is_multiple_of(SERVO_NS) {
             self.servo();
             let periods = wake_ns.saturating_sub(from_ns) / SERVO_NS;
-            let rests =
-                self.job == Job::Idle && self.trip_ns == u64::MAX && self.axes.iter().all(AxisSim::rests);
+            let rests = self.job == ActiveMove::Idle
+                && self.trip_ns == u64::MAX
+                && self.axes.iter().all(AxisSim::rests);
             if rests && periods > 0 && wake_ns < u64::MAX {
                 self.step_end_ns = from_ns + periods * SERVO_NS;
                 for axis in &mut self.axes {

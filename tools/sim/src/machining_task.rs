@@ -3,14 +3,14 @@
 //! hold starts the cycle.
 
 use crate::insertion::GateDesign;
-use crate::lathe::{Bench, Cut, Lathe, LatheState, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
-use crate::wires::MachineWires;
+use crate::lathe::{Cut, Lathe, LatheSpec, LatheState, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
+use crate::wired_machines::WiredMachines;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
-use rtec_part::fit::Zx;
+use rtec_part::geometric_fit::Zx;
 use rtec_part::unit::Unit;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -44,7 +44,7 @@ pub struct MachiningTask {
     pub seed: u64,
     /// Machine, tool and probe.
     #[serde(default)]
-    pub bench: Bench,
+    pub bench: LatheSpec,
 }
 
 /// The cuts of a real-time machine, written to its part at the end.
@@ -52,7 +52,7 @@ pub struct MachiningTask {
 pub struct CutRecorder {
     places: Arc<Mutex<Vec<Cut>>>,
     part: Workpiece,
-    bench: Bench,
+    bench: LatheSpec,
     seed: u64,
     file: PathBuf,
 }
@@ -118,7 +118,7 @@ impl MachiningTask {
         lines: [AxisLines; 2],
         machine_lines: MachineLines,
         home: Zx,
-    ) -> Result<(MachineWires<Lathe>, CutRecorder), InputError> {
+    ) -> Result<(WiredMachines<Lathe>, CutRecorder), InputError> {
         let part = Workpiece::read(&self.workpiece)?;
         let origin = Zx::new(self.origin_mm[0], self.origin_mm[1]);
         let feed_mm_s = self.feed_mm_min / 60.0;
@@ -165,7 +165,7 @@ impl MachiningTask {
             InputError::whole(file, found, "axes z and x, sensors T1 to T20")
         })?;
         let places = Arc::clone(&lathe.cuts);
-        let wires = MachineWires::new([(lathe, lines.to_vec())], machine_lines);
+        let wires = WiredMachines::new([(lathe, lines.to_vec())], machine_lines);
         let file = self.workpiece.clone();
         Ok((wires, CutRecorder { places, part, bench: self.bench.clone(), seed: self.seed, file }))
     }

@@ -1,6 +1,6 @@
 //! Blocks of an NC program, as the simulated controller runs them.
 
-use crate::path::AXES;
+use crate::trajectory::AXES;
 
 /// One block, all positions absolute, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,14 +1,14 @@
 //! A polled card on a virtual clock.
 //! It knows changes only by the times of its polls.
 
-use crate::attended::Attended;
+use crate::attended_machine::AttendedMachine;
 use crate::noise::NoiseGenerator;
 use rtec_driver::card::{Card, CardError, Sample};
 
 /// The card.
 /// Of all its polls, only the one before a change and the one that sees it are made.
 #[derive(Debug)]
-pub(crate) struct Polled<A> {
+pub(crate) struct PolledCard<A> {
     pub attended: A,
     /// Whether the attended machine has finished.
     ended: fn(&A) -> bool,
@@ -18,7 +18,7 @@ pub(crate) struct Polled<A> {
     noise: NoiseGenerator,
 }
 
-impl<A: Attended> Polled<A> {
+impl<A: AttendedMachine> PolledCard<A> {
     pub(crate) fn new(attended: A, ended: fn(&A) -> bool, poll_ns: f64, seed: u64) -> Self {
         let poll_ns = poll_ns.round().max(1.0) as u64;
         let noise = NoiseGenerator::new(seed, 0x900C);
@@ -52,7 +52,7 @@ impl<A: Attended> Polled<A> {
     }
 }
 
-impl<A: Attended> Card for Polled<A> {
+impl<A: AttendedMachine> Card for PolledCard<A> {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         self.look_ns = match self.second_look_ns.take() {
             Some(look_ns) => look_ns,

@@ -7,7 +7,7 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Gates, Listener, ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::StartError;
-use rtec_rt::event::{Event, EventKind, Fault, Refusal};
+use rtec_rt::link_messages::{Event, EventKind, Fault, Refusal};
 use serde::Serialize;
 
 /// Results of a replay.
@@ -37,9 +37,9 @@ pub struct ReplayOutcome {
     #[serde(skip)]
     pub requests: u64,
     /// Requests that were not accepted.
-    pub refused: Vec<Refused>,
+    pub refused: Vec<RefusedRequest>,
     /// Faults that the engine latched, in order.
-    pub faults: Vec<Latched>,
+    pub faults: Vec<ReplayFault>,
     /// Rows of the trace after the first.
     pub edges: u64,
     /// The channel that does not change, if a dead one is latched.
@@ -56,7 +56,7 @@ impl ReplayOutcome {
 
 /// A request that was not accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Refused {
+pub struct RefusedRequest {
     /// Time of the request, ns on the trace's clock.
     pub t_ns: u64,
     /// The total that was requested, counts.
@@ -67,7 +67,7 @@ pub struct Refused {
 
 /// A fault that the engine latched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Latched {
+pub struct ReplayFault {
     /// Time of the fault, ns on the trace's clock.
     pub t_ns: u64,
     /// The fault.
@@ -156,9 +156,9 @@ where
     let mut report = |event: Event| {
         match event.kind {
             EventKind::Refused { total_counts, why } => {
-                outcome.refused.push(Refused { t_ns: event.t_ns, requested: total_counts, why });
+                outcome.refused.push(RefusedRequest { t_ns: event.t_ns, requested: total_counts, why });
             }
-            EventKind::Fault(fault) => outcome.faults.push(Latched { t_ns: event.t_ns, fault }),
+            EventKind::Fault(fault) => outcome.faults.push(ReplayFault { t_ns: event.t_ns, fault }),
             _ => {}
         }
         true

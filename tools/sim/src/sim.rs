@@ -3,21 +3,21 @@
 use crate::axis::AxisSpec;
 use crate::control::{Control, REST_NS, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
-use crate::errors::{Errors, layout, probe_delay_ns, set_friction};
 use crate::heat::{Heat, Network};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, ServoFault, SimMachine};
 use crate::nc_block::Block;
-use crate::path::{AXES, Command};
+use crate::trajectory::{AXES, Setpoint};
+use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
 use rtec_correct::AxisSetup;
 use rtec_driver::card::CardError;
 use rtec_files::InputError;
-use rtec_model::effect::Missing;
-use rtec_model::live::Live;
+use rtec_model::effect::MissingInput;
+use rtec_model::live::LiveModel;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
-use rtec_rt::event::{Event, EventKind, Fault, Request, Status};
+use rtec_rt::link_messages::{Event, EventKind, Fault, Request, Status};
 
 pub use crate::control::CONTROL_NS;
 
@@ -123,7 +123,7 @@ impl MachineSpec {
 pub enum SimError {
     /// An effect reads a sensor or channel that the simulated machine does not have.
     #[error(transparent)]
-    Missing(#[from] Missing),
+    Missing(#[from] MissingInput),
     /// The corrector's model reads something that the simulated machine does not have.
     #[error(transparent)]
     Model(#[from] InputError),
@@ -157,7 +157,7 @@ pub struct Moment {
     /// Time of the simulation, s.
     pub t_s: f64,
     /// The controller's command.
-    pub command: Command,
+    pub command: Setpoint,
     /// Position by the scales, mm.
     pub position_mm: [f64; AXES],
     /// Position by the controller's count, mm.
@@ -196,7 +196,7 @@ pub struct Sim {
     /// The machine under the engine.
     pub machine: SimMachine,
     corrected: CorrectedMachine,
-    errors: Errors,
+    errors: TrueErrors,
     control: Option<Control>,
     control_ns: u64,
     next_control_ns: u64,
@@ -235,7 +235,7 @@ impl Sim {
         let mut sim = Self {
             machine,
             corrected,
-            errors: Errors::new(Live::of(truth, layout(channels))?, heat, seed),
+            errors: TrueErrors::new(LiveModel::of(truth, layout(channels))?, heat, seed),
             control,
             control_ns: CONTROL_NS,
             next_control_ns: CONTROL_NS,

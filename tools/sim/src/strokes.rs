@@ -1,12 +1,12 @@
 //! Axes that move to and fro in real time until they are jogged.
 //! Each is a machine of one axis at the mock card's wires.
 
-use crate::attended::Attended;
+use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
 use crate::machine::{ControllerSpec, SimMachine};
 use crate::nc_block::Block;
-use crate::path::AXES;
-use crate::wires::MachineWires;
+use crate::trajectory::AXES;
+use crate::wired_machines::WiredMachines;
 use rtec_driver::card::{AxisLines, MachineLines};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
@@ -28,7 +28,7 @@ pub struct StrokeMotion {
 /// Data of an axis that can be read at any time.
 /// The card's thread writes it; any thread may read it.
 #[derive(Debug)]
-pub struct Truth {
+pub struct TrueAxisState {
     commanded: AtomicU64,
     /// Deviation of the axis from the command.
     /// It changes slowly, so a command read slightly too early is accurate enough.
@@ -40,7 +40,7 @@ pub struct Truth {
     jog: AtomicU64,
 }
 
-impl Default for Truth {
+impl Default for TrueAxisState {
     fn default() -> Self {
         Self {
             commanded: AtomicU64::default(),
@@ -52,7 +52,7 @@ impl Default for Truth {
     }
 }
 
-impl Truth {
+impl TrueAxisState {
     /// Position that the controller commands, counts.
     pub fn commanded_counts(&self) -> f64 {
         f64::from_bits(self.commanded.load(Ordering::Relaxed))
@@ -74,7 +74,7 @@ impl Truth {
     }
 
     /// Leaves the cycle, moves to a commanded position, counts, at the motion's feed.
-    /// It stays there until [`Truth::go_on`].
+    /// It stays there until [`TrueAxisState::go_on`].
     pub fn jog_to(&self, commanded_counts: f64) {
         self.jog.store(commanded_counts.to_bits(), Ordering::Relaxed);
     }
@@ -94,7 +94,7 @@ impl Truth {
 #[derive(Debug)]
 pub struct Operator {
     /// True state of each axis, in their order.
-    pub truth: Vec<Arc<Truth>>,
+    pub truth: Vec<Arc<TrueAxisState>>,
     go: Arc<AtomicBool>,
 }
 
@@ -112,10 +112,10 @@ impl Operator {
 
 /// An axis and its operator.
 #[derive(Debug)]
-pub struct Stroking {
+pub struct StrokingAxis {
     machine: SimMachine,
     motion: StrokeMotion,
-    truth: Arc<Truth>,
+    truth: Arc<TrueAxisState>,
     /// Cycle start.
     /// The operator writes it; the card's thread reads it.
     go: Arc<AtomicBool>,
@@ -124,7 +124,7 @@ pub struct Stroking {
 }
 
 /// Axes that move to and fro, on one card.
-pub type MovingAxes = MachineWires<Stroking>;
+pub type MovingAxes = WiredMachines<StrokingAxis>;
 
 /// Size of one count, mm.
 /// These machines have only the first of the controller's axes.
@@ -172,16 +172,16 @@ pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (
             let middle_mm = motion.stroke_counts / 2.0 * MM_PER_COUNT;
             machine.set_surface(Some(Box::new(move |p| middle_mm - p[0])), 0);
         }
-        truth.push(Arc::<Truth>::default());
+        truth.push(Arc::<TrueAxisState>::default());
         let (truth, go) = (Arc::clone(&truth[n]), Arc::clone(&go));
         let jogged = f64::NAN.to_bits();
-        (Stroking { machine, motion, truth, go, jogged }, vec![lines])
+        (StrokingAxis { machine, motion, truth, go, jogged }, vec![lines])
     });
-    let wires = MachineWires::new(stroking.collect::<Vec<_>>(), MachineLines { hold: None, ..lines });
+    let wires = WiredMachines::new(stroking.collect::<Vec<_>>(), MachineLines { hold: None, ..lines });
     (wires, Operator { truth, go })
 }
 
-impl Attended for Stroking {
+impl AttendedMachine for StrokingAxis {
     fn machine(&self) -> &SimMachine {
         &self.machine
     }
@@ -224,7 +224,7 @@ mod tests {
     use rtec_driver::mock::{MockCard, Wires};
     use rtec_rt::axis::AxisConfig;
     use rtec_rt::engine::{Engine, MachineConfig};
-    use rtec_rt::event::{Event, EventKind, Request};
+    use rtec_rt::link_messages::{Event, EventKind, Request};
 
     const LINES: AxisLines = AxisLines::standard(0, true);
     const MOTION: StrokeMotion =

@@ -1,31 +1,31 @@
 //! The experiment of NISTIR 4854 (section 2), step by step.
 //! Semi-finish cut, probing, errors, table, finish cut and inspection on the simulated machine.
 
-use crate::errors::{layout, of_the_probe};
 use crate::heat::SENSORS;
 use crate::insertion::GateDesign;
-use crate::job::{Job, Ran, RunError, captured, run};
-use crate::lathe::{self, BEYOND_RAD, Bench, LatheState, Move, arc_moves, probing_moves};
+use crate::lathe::{self, BEYOND_RAD, LatheSpec, LatheState, Move, arc_moves, probing_moves};
+use crate::lathe_program::{ProgramPurpose, ProgramResult, RunError, captured, run};
 use crate::machine::ControllerSpec;
-use crate::path::AXES;
+use crate::trajectory::AXES;
+use crate::true_errors::{layout, of_the_probe};
 use crate::workpiece::Workpiece;
 use rtec_files::InputError;
 use rtec_files::message_text::escaped;
-use rtec_model::effect::{Effect, Need, STANDARD_DEGC};
-use rtec_model::live::{AxisNow, Frame, Live};
+use rtec_model::effect::{Effect, RequiredInput, STANDARD_DEGC};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, span};
-use rtec_part::batch::{self, Batch, Judgement};
+use rtec_part::batch::{self, Batch, SignificanceLimits};
 use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::contour::{Segment, nose};
-use rtec_part::cor::PointError;
-use rtec_part::cor::error_cor;
-use rtec_part::errors::{ErrorReport, Nominal, Probed};
-use rtec_part::fit::{Zx, sd};
-use rtec_part::path::{PathPoint, Plan, ProbeGeometry, ProbingMotion};
+use rtec_part::error_cor_file::PointError;
+use rtec_part::error_cor_file::error_cor;
+use rtec_part::errors::{ErrorReport, NominalShape, ProbedPoints};
+use rtec_part::geometric_fit::{Zx, sd};
+use rtec_part::path::{PathPoint, ProbeGeometry, ProbingMotion, ProbingPlan};
 use rtec_part::probe::{Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::program::{self, Controller, Parameters};
-use rtec_part::table::{FinishCut, FinishTable, csv};
+use rtec_part::table::{FinishArc, FinishTable, csv};
 use rtec_part::unit::Unit;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
@@ -34,9 +34,9 @@ use std::path::Path;
 
 /// Inputs of the experiment.
 #[derive(Debug, Clone)]
-pub struct Setup {
+pub struct TurningExperiment {
     /// Machine, tool and probe.
-    pub bench: Bench,
+    pub bench: LatheSpec,
     /// The machine's errors.
     pub machine: Machine,
     /// The known model of those errors.
@@ -70,10 +70,10 @@ pub struct Setup {
     pub seed: u64,
 }
 
-impl Default for Setup {
+impl Default for TurningExperiment {
     /// NISTIR 4854 with the Original RTEC: 4 µm a correction on 1 µm counts.
     fn default() -> Self {
-        let bench = Bench::default();
+        let bench = LatheSpec::default();
         Self {
             lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
             bench,
@@ -223,14 +223,14 @@ pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
 /// Time between two programs, for tool change, setting and reading, s.
 const PAUSE_S: f64 = 120.0;
 
-impl Setup {
+impl TurningExperiment {
     fn gate_design(&self) -> Result<GateDesign, TurningError> {
         lathe::design(&self.design).ok_or_else(|| TurningError::Design(self.design.clone()))
     }
 
     /// The cut to a radius.
-    pub fn cut(&self, radius_mm: f64) -> FinishCut {
-        FinishCut { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
+    pub fn cut(&self, radius_mm: f64) -> FinishArc {
+        FinishArc { centre: self.centre, radius_mm, nose_mm: self.bench.nose_mm, origin: ORIGIN }
     }
 
     /// A part before the semi-finish cut.
@@ -248,17 +248,17 @@ impl Setup {
         radius_mm: f64,
         table: Option<&FinishTable>,
         seed: u64,
-    ) -> Result<Ran, TurningError> {
+    ) -> Result<ProgramResult, TurningError> {
         let path_mm = radius_mm + self.bench.nose_mm;
         let moves = arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0);
         self.go(part, radius_mm, &moves, self.job(table), seed)
     }
 
     /// A cut with the known errors.
-    fn job<'a>(&'a self, table: Option<&'a FinishTable>) -> Job<'a> {
+    fn job<'a>(&'a self, table: Option<&'a FinishTable>) -> ProgramPurpose<'a> {
         match (table, &self.model) {
-            (None, None) => Job::Cut,
-            (table, model) => Job::Corrected(table, model.as_ref(), self.lead_s),
+            (None, None) => ProgramPurpose::Cut,
+            (table, model) => ProgramPurpose::Corrected(table, model.as_ref(), self.lead_s),
         }
     }
 
@@ -267,9 +267,9 @@ impl Setup {
         part: &mut Workpiece,
         radius_mm: f64,
         moves: &[Move],
-        job: Job,
+        job: ProgramPurpose,
         seed: u64,
-    ) -> Result<Ran, TurningError> {
+    ) -> Result<ProgramResult, TurningError> {
         let (bench, machine, design) = (&self.bench, &self.machine, self.gate_design()?);
         let decoder_hz = ControllerSpec::default().decoder_hz;
         let stand = LatheState { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
@@ -282,9 +282,9 @@ impl Setup {
     }
 
     /// The plan of a probing session on the nose.
-    pub fn plan(&self, radius_mm: f64) -> Plan {
+    pub fn plan(&self, radius_mm: f64) -> ProbingPlan {
         let contour = nose(self.centre, radius_mm);
-        let mut plan = Plan::new(ProbeGeometry {
+        let mut plan = ProbingPlan::new(ProbeGeometry {
             tip_mm: self.tip_mm,
             stand_off_mm: self.motion.stand_off_mm(),
             over_travel_mm: self.motion.over_travel_mm(),
@@ -301,7 +301,7 @@ impl Setup {
     pub fn probe(
         &self,
         part: &Workpiece,
-        plan: &Plan,
+        plan: &ProbingPlan,
         feed_mm_min: f64,
         seed: u64,
     ) -> Result<ProbingSession, TurningError> {
@@ -313,7 +313,7 @@ impl Setup {
     /// `expected` are the tip's centres at the trips, `approach` the directions of the touches.
     ///
     /// # Errors
-    /// As [`Setup::probe`].
+    /// As [`TurningExperiment::probe`].
     pub fn probe_path(
         &self,
         part: &Workpiece,
@@ -325,7 +325,7 @@ impl Setup {
     ) -> Result<ProbingSession, TurningError> {
         let moves = probing_moves(records, feed_mm_min / 60.0);
         let mut part = part.clone();
-        let ran = self.go(&mut part, self.radius_mm, &moves, Job::Probe(self.tip_mm), seed)?;
+        let ran = self.go(&mut part, self.radius_mm, &moves, ProgramPurpose::Probe(self.tip_mm), seed)?;
         // An axis is in the middle of a count; the scale's edges are half a count from there.
         let half_mm = self.bench.count_um * 5e-4;
         let edges = ORIGIN + Zx::new(half_mm, half_mm);
@@ -354,11 +354,11 @@ impl Setup {
     /// # Errors
     /// The points give no circle.
     pub fn errors(&self, session: &ProbingSession, radius_mm: f64) -> Result<ErrorReport, TurningError> {
-        let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
+        let mut probed = ProbedPoints::parse(Path::new("probed.csv"), &session.csv)?;
         if let Some(model) = &self.model {
             probed.correct_geometric_thermal(model, ORIGIN)?;
         }
-        Ok(probed.errors_by_report(Nominal::Circle { radius_mm }, self.tip_mm)?)
+        Ok(probed.errors_by_report(NominalShape::Circle { radius_mm }, self.tip_mm)?)
     }
 
     /// The machine after further seconds.
@@ -378,7 +378,8 @@ impl Setup {
             let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
             t
         });
-        Ok(Probed::parse(Path::new("truth"), &text)?.errors_by_report(Nominal::Circle { radius_mm }, 0.0)?)
+        Ok(ProbedPoints::parse(Path::new("truth"), &text)?
+            .errors_by_report(NominalShape::Circle { radius_mm }, 0.0)?)
     }
 
     fn result(
@@ -434,9 +435,9 @@ impl Setup {
 
     /// Removes the machine's known errors from the session's record.
     /// Probing runs uncorrected, so a correct part shows the machine's errors (NISTIR 4832, probing mode).
-    fn correct_off_line(&self, session: &mut ProbingSession, plan: &Plan) -> Result<(), TurningError> {
+    fn correct_off_line(&self, session: &mut ProbingSession, plan: &ProbingPlan) -> Result<(), TurningError> {
         let (Some(model), Some(record)) = (&self.model, &mut session.record) else { return Ok(()) };
-        let mut probed = Probed::parse(Path::new("probed.csv"), &session.csv)?;
+        let mut probed = ProbedPoints::parse(Path::new("probed.csv"), &session.csv)?;
         let read = probed.tip_centre.clone();
         probed.correct_geometric_thermal(model, ORIGIN)?;
         for column in record.columns.iter_mut().filter(|c| c.role.is_response()) {
@@ -590,7 +591,7 @@ impl Setup {
                 let _ = writeln!(text, "{k},nose,{:.6},{:.4}", nominal.angle_rad, e.error_um);
             }
         }
-        let judgement = Judgement { alpha: 0.01, least_um: 1.0 };
+        let judgement = SignificanceLimits { alpha: 0.01, least_um: 1.0 };
         Ok((batch::evaluate_text(Path::new("batch.csv"), &text, Some(&inspected.errors), judgement)?, text))
     }
 
@@ -622,7 +623,7 @@ impl Setup {
     }
 
     /// The probing program of the report's controller, and its name.
-    fn program(&self, plan: &Plan, segment: &str) -> Result<(String, String), TurningError> {
+    fn program(&self, plan: &ProbingPlan, segment: &str) -> Result<(String, String), TurningError> {
         let template = Path::new("template.prb");
         let bad = |(found, expected)| InputError::whole(template, found, expected);
         let mut parameters = Parameters::default();
@@ -660,19 +661,24 @@ impl Setup {
 fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>, RunError> {
     let form: Vec<&Effect> = model
         .effects()
-        .filter(|e| e.description().needs.contains(&Need::Angle) && !of_the_probe(e))
+        .filter(|e| e.description().needs.contains(&RequiredInput::Angle) && !of_the_probe(e))
         .collect();
     if form.is_empty() {
         return Ok(None);
     }
-    let mut live = Live::new(form, layout(Vec::new()))?;
+    let mut live = LiveModel::new(form, layout(Vec::new()))?;
     // Finer than the probed points, since a bump may lie between two of them.
     let steps = 20 * points;
     let errors = (0..=steps).map(|k| {
         let angle_rad = FRAC_PI_2 * k as f64 / steps as f64;
         let degc = [STANDARD_DEGC; SENSORS.len()];
-        let axes = [AxisNow::default(); AXES];
-        live.evaluate(&Frame { axes: &axes, temperatures_degc: &degc, angle_rad, ..Frame::default() });
+        let axes = [AxisMotionState::default(); AXES];
+        live.evaluate(&MachineState {
+            axes: &axes,
+            temperatures_degc: &degc,
+            angle_rad,
+            ..MachineState::default()
+        });
         PointError { angle_rad, error_um: live.radial_um(), along_mm: None }
     });
     Ok(Some(errors.collect()))

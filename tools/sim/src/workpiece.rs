@@ -2,8 +2,8 @@
 
 use rtec_files::InputError;
 use rtec_files::Sheet;
-use rtec_part::cor::PointError;
-use rtec_part::fit::Zx;
+use rtec_part::error_cor_file::PointError;
+use rtec_part::geometric_fit::Zx;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write as _;
 use std::path::Path;

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_model::machine::Machine;
-use rtec_sim::compensation_experiments::{Experiment, PROMISED, Setting, UNSEEN};
-use rtec_sim::described::SourceFiles;
+use rtec_sim::compensation_experiments::{Experiment, ExperimentInputs, PROMISED, UNSEEN};
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
@@ -17,7 +17,7 @@ fn drills_two_passes_an_inch_apart() {
     if !test_needs::long() {
         return;
     }
-    let truth = SourceFiles::default().machine("wo97-machine.toml").unwrap();
+    let truth = MachineDescriptions::default().machine("wo97-machine.toml").unwrap();
     let spec = MachineSpec::machining_centre();
     // A fit that saw T1 10 K below any hall, and one that saw the present range.
     let fit = |axis: &str, range: &str| {
@@ -30,7 +30,8 @@ fn drills_two_passes_an_inch_apart() {
         "[[effect]]\nname = \"reversal.x\"\num = 10.0\n[[effect]]\nname = \"reversal.z\"\num = -5.0\n";
     let known = format!("name = \"m\"\n{}{}{reversal}", fit("x", "[-11, -10]"), fit("z", "[-50, 50]"));
     let known = Machine::parse(Path::new("m.toml"), &known).unwrap();
-    let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: 1, out: Path::new("") };
+    let setting =
+        ExperimentInputs { spec: &spec, truth: &truth, known: Some(&known), seed: 1, out: Path::new("") };
     let found = Experiment::find("drilling").unwrap().run(&setting).unwrap();
     // A correction at rest may leave the reversal, whichever sign it has.
     assert_eq!(found.summary[PROMISED], serde_json::json!({ "error.x_um": 12.0, "error.z_um": 7.0 }));
@@ -61,7 +62,7 @@ fn drills_two_passes_an_inch_apart() {
 /// The corrector holds and reports it.
 #[test]
 fn holds_and_says_so_on_a_warm_machine_without_a_past() {
-    let truth = SourceFiles::default().machine("wo97-machine.toml").unwrap();
+    let truth = MachineDescriptions::default().machine("wo97-machine.toml").unwrap();
     let spec = MachineSpec::machining_centre();
     let started = |soaked_s: f64| {
         let mut sim = Sim::new(&spec, &truth, None, [0.0; 3], 1).unwrap();

@@ -8,9 +8,9 @@ use rtec_driver::mock::MockCard;
 
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::Request;
 use rtec_rt::journal::Journal;
 use rtec_rt::link::link;
+use rtec_rt::link_messages::Request;
 use rtec_sim::strokes::{StrokeMotion, moving_axes};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

@@ -175,7 +175,7 @@ fn the_same_data_give_the_same_document() {
 
 /// A record of one axis: positions and errors of the rows, and their time.
 fn run(p: Vec<f64>, e: Vec<f64>) -> rtec_model::record::Record {
-    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    use rtec_model::record::{Axis, Column, Record, Role, RunKind};
     let axis = || Axis::new("x").unwrap();
     let column = |name: &str, role: Role, data| {
         let unit = role.unit().unwrap_or("1").to_owned();
@@ -187,7 +187,7 @@ fn run(p: Vec<f64>, e: Vec<f64>) -> rtec_model::record::Record {
         column("p", Role::Position(axis()), p),
         column("e", Role::Error(axis()), e),
     ];
-    Record::new(std::path::Path::new("run.run.toml"), Kind::Positioning, columns).unwrap()
+    Record::new(std::path::Path::new("run.run.toml"), RunKind::Positioning, columns).unwrap()
 }
 
 fn noise(seed: u64, n: usize) -> Vec<f64> {
@@ -304,7 +304,7 @@ fn what_has_no_name_gets_a_marked_curve_when_asked_for() {
 
 #[test]
 fn two_bumps_of_a_part_are_both_added() {
-    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    use rtec_model::record::{Axis, Column, Record, Role, RunKind};
     let n = 720;
     let angle: Vec<f64> = (0..n).map(|i| f64::from(i) * std::f64::consts::TAU / f64::from(n)).collect();
     let bump = |w: f64, um: f64, centre: f64, width: f64| {
@@ -319,7 +319,7 @@ fn two_bumps_of_a_part_are_both_added() {
     };
     let error = Role::Error(Axis::new("r").unwrap());
     let columns = vec![column("w", Role::Angle, angle.clone()), column("e", error, e)];
-    let record = Record::new(std::path::Path::new("part.run.toml"), Kind::Part, columns).unwrap();
+    let record = Record::new(std::path::Path::new("part.run.toml"), RunKind::Part, columns).unwrap();
     let machine = rtec_model::machine::Machine::ideal("m");
     let r = rtec_reconcile::reconcile(&[record], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
     assert_eq!(r.verdict, rtec_reconcile::Verdict::Named);

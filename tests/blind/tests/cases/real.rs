@@ -5,7 +5,7 @@
 
 use rtec_builders::axis;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::{Path, PathBuf};
 use test_needs::repetitions;
@@ -33,7 +33,7 @@ fn plate(text: &str) -> Record {
         Column::new("ex", Role::Error(axis("x")), pick(4, 1000.0)),
         Column::new("ey", Role::Error(axis("y")), pick(5, 1000.0)),
     ];
-    Record::new(&PathBuf::from("plate.run.toml"), Kind::Plate, columns).unwrap()
+    Record::new(&PathBuf::from("plate.run.toml"), RunKind::Plate, columns).unwrap()
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
         Column::new("n", Role::Cycle, n),
         Column::new("e", Role::Error(axis("y")), e),
     ];
-    let record = Record::new(&PathBuf::from("axis.run.toml"), Kind::Positioning, columns).unwrap();
+    let record = Record::new(&PathBuf::from("axis.run.toml"), RunKind::Positioning, columns).unwrap();
     let r = reconcile(&[record], &[], &Machine::ideal("ecmc"), &Options::default()).unwrap();
     // A map, a reversal, and a change over the cycles: a warm-up from a zero that was set on the warm machine.
     assert_eq!(names(&r), ["position_map.y", "reversal.y", "warm_up.y"]);
@@ -136,7 +136,7 @@ fn emps(text: &str, corner_hz: f64, every: usize) -> Record {
         ),
         Column::new("f", Role::Force(axis("x")), pick(&|r| smooth(r, 1))),
     ];
-    Record::new(&PathBuf::from("emps.run.toml"), Kind::Dynamics, columns).unwrap()
+    Record::new(&PathBuf::from("emps.run.toml"), RunKind::Dynamics, columns).unwrap()
 }
 
 /// The EMPS axis has Coulomb friction that differs by direction.
@@ -195,7 +195,7 @@ fn a_raw_log_of_position_and_current_is_enough() {
             Column::new("x", Role::Position(axis("x")), pick(1)),
             Column::new("f", Role::Force(axis("x")), pick(2)),
         ];
-        Record::new(&PathBuf::from("raw.run.toml"), Kind::Dynamics, columns).unwrap()
+        Record::new(&PathBuf::from("raw.run.toml"), RunKind::Dynamics, columns).unwrap()
     };
     let model = "name = \"emps\"\n[[effect]]\nname = \"inertia.x\"\nkg = 95.11\n[[effect]]\n\
                  name = \"friction_viscous.x\"\nN_s_per_m = 203.5\n";
@@ -223,7 +223,7 @@ fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<
     ];
     columns.extend((0..16).map(|k| Column::new(&format!("T{k}"), Role::Temperature, pick(k + 2, 1.0))));
     columns.extend(decoys.iter().map(|(n, r, d)| Column::new(n, r.clone(), d[rows.clone()].to_vec())));
-    Record::new(&PathBuf::from("spindle.run.toml"), Kind::Drift, columns).unwrap()
+    Record::new(&PathBuf::from("spindle.run.toml"), RunKind::Drift, columns).unwrap()
 }
 
 /// A model learned from the earlier rows predicts the later ones.

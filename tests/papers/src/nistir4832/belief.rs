@@ -9,7 +9,7 @@ use rtec_driver::quadrature::State;
 use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_files::InputError;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
-use rtec_rt::event::{EventKind, Request};
+use rtec_rt::link_messages::{EventKind, Request};
 use rtec_sim::bench::{BenchSetup, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::insertion::{CorrectedAxis as _, homed_engine};
@@ -130,7 +130,7 @@ pub(super) fn switches(rows: &mut Rows) -> Result<(), PaperError> {
     ] {
         let mut card = ReplayCard::new(Xor, recording(), |_, _: State| {})?;
         let mut refused = Vec::new();
-        let mut report = |e: rtec_rt::event::Event| {
+        let mut report = |e: rtec_rt::link_messages::Event| {
             if let EventKind::Refused { why, .. } = e.kind {
                 refused.push(format!("{why:?}"));
             }

@@ -11,9 +11,9 @@ use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
 use rtec_sim::bench::InsertionDesign;
-use rtec_sim::compensation_experiments::{Setting, one_metre, over_a_part};
+use rtec_sim::compensation_experiments::{ExperimentInputs, one_metre, over_a_part};
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::described::SourceFiles;
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::insertion_designs::waveforms;
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSpec, Sim};
@@ -58,7 +58,11 @@ impl Timing {
 /// A look of a run: time, scale, MTC, its count.
 type Change = (u64, State, State, i64);
 
-pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(
+    described: &MachineDescriptions,
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<Rows, PaperError> {
     let bench: Bench = described.read("4832.toml")?;
     let machine = described.machine(&bench.machine)?;
     let (computer, faster) = (bench.computer.computer(), bench.faster_computer.computer());
@@ -93,7 +97,8 @@ fn cannot(what: &str) -> PaperError {
 fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Result<(), PaperError> {
     let place = "The \"Original RTEC\"";
     let spec = MachineSpec::machining_centre();
-    let setting = Setting { spec: &spec, truth: machine, known: Some(machine), seed, out: Path::new("") };
+    let setting =
+        ExperimentInputs { spec: &spec, truth: machine, known: Some(machine), seed, out: Path::new("") };
     let spec = one_metre(bench.count_um, bench.travel_mm);
     let length_mm = bench.part_share * bench.travel_mm;
     let mut found = over_a_part(&setting, &spec, length_mm, bench.cutting_mm_min)?;

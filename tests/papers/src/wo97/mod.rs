@@ -16,8 +16,8 @@ pub use starts::{STARTS, StartResult, starts};
 use model::wet_model;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_sim::compensation_experiments::{Experiment, Findings, Setting};
-use rtec_sim::described::SourceFiles;
+use rtec_sim::compensation_experiments::{Experiment, ExperimentInputs, ExperimentResults};
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::sim::MachineSpec;
 use serde::Deserialize;
 use std::path::Path;
@@ -109,21 +109,30 @@ impl<'a> Run<'a> {
     }
 
     /// An experiment of the characterisation, or with a model the drilling test without and with compensation.
-    fn experiment(&self, name: &str, known: Option<&Machine>) -> Result<Findings, PaperError> {
-        let setting =
-            Setting { spec: &self.spec, truth: self.truth, known, seed: self.seed, out: Path::new("") };
+    fn experiment(&self, name: &str, known: Option<&Machine>) -> Result<ExperimentResults, PaperError> {
+        let setting = ExperimentInputs {
+            spec: &self.spec,
+            truth: self.truth,
+            known,
+            seed: self.seed,
+            out: Path::new(""),
+        };
         let experiment =
             Experiment::find(name).ok_or_else(|| PaperError::Cannot(format!("no experiment {name}")))?;
         Ok(experiment.run(&setting)?)
     }
 }
 
-pub(crate) fn run(described: &SourceFiles, seed: u64, progress: Progress<'_>) -> Result<Rows, PaperError> {
+pub(crate) fn run(
+    described: &MachineDescriptions,
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<Rows, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let run = Run::new(&truth, seed);
     let mut rows = Rows::default();
-    let characterise = |rows: &mut Rows, name: &str| -> Result<Findings, PaperError> {
+    let characterise = |rows: &mut Rows, name: &str| -> Result<ExperimentResults, PaperError> {
         let mut found = run.experiment(name, None)?;
         rows.figures.append(&mut found.plots);
         Ok(found)
@@ -174,7 +183,7 @@ fn error_of(record: &Record, axis: usize) -> &[f64] {
     of_axis(record, Role::Error, axis)
 }
 
-fn record<'f>(findings: &'f Findings, name: &str) -> Result<&'f Record, PaperError> {
+fn record<'f>(findings: &'f ExperimentResults, name: &str) -> Result<&'f Record, PaperError> {
     let file = format!("{name}.run.toml");
     let found =
         findings.records.iter().find(|r| r.path.file_name().is_some_and(|n| n.to_string_lossy() == file));

@@ -7,10 +7,10 @@ use crate::rows::Rows;
 use rtec_fit::thermal::Options;
 use rtec_fit::workflow::{self, Fit, FitRequest};
 use rtec_measure::plot::{Chart, Series, Style};
-use rtec_model::effect::Need;
+use rtec_model::effect::RequiredInput;
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Record, Role};
-use rtec_sim::compensation_experiments::Findings;
+use rtec_sim::compensation_experiments::ExperimentResults;
 use std::fmt::Write as _;
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
@@ -26,7 +26,7 @@ pub(super) fn wet_model(
     rows: &mut Rows,
     centre: &Centre,
     run: &Run<'_>,
-    found: &Findings,
+    found: &ExperimentResults,
 ) -> Result<Machine, PaperError> {
     let wet = record(found, "drift-wet")?;
     let z = error_of(wet, 2);
@@ -127,7 +127,7 @@ pub(super) fn from_wet_runs(run: &Run<'_>) -> Result<Machine, PaperError> {
 fn geometry(truth: &Machine) -> Result<Machine, PaperError> {
     let mut known = Machine::ideal("geometry");
     for effect in truth.effects() {
-        if !effect.description().needs.contains(&Need::Delta) {
+        if !effect.description().needs.contains(&RequiredInput::Delta) {
             let pushed = known.push(effect.clone(), Provenance::default());
             pushed.map_err(|e| PaperError::Cannot(e.to_string()))?;
         }
@@ -138,13 +138,13 @@ fn geometry(truth: &Machine) -> Result<Machine, PaperError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_sim::described::SourceFiles;
+    use rtec_sim::described_machines::MachineDescriptions;
     use rtec_sim::example::Example;
 
     /// `rtecctl model fit` in the example has the same base.
     #[test]
     fn the_example_knows_the_same_geometry() {
-        let truth = SourceFiles::default().machine("wo97-machine.toml").unwrap();
+        let truth = MachineDescriptions::default().machine("wo97-machine.toml").unwrap();
         let example = Example::find("wo97").unwrap().machine("machine.toml").unwrap();
         let effects = |m: &Machine| m.effects().cloned().collect::<Vec<_>>();
         assert_eq!(effects(&geometry(&truth).unwrap()), effects(&example));

@@ -5,7 +5,7 @@ use super::{AXES, Centre, Run, error_of, record};
 use crate::PaperError;
 use rtec_model::machine::Machine;
 use rtec_sim::compensation_experiments::{PROMISED, UNSEEN};
-use rtec_sim::described::SourceFiles;
+use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::heat::Network;
 use rtec_sim::noise::NoiseGenerator;
 use rtec_sim::sim::MachineSpec;
@@ -86,7 +86,7 @@ fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, Network), PaperError
 ///
 /// # Errors
 /// A description that is not right, or a machine that stops.
-pub fn starts(described: &SourceFiles, machine: u64) -> Result<Vec<StartResult>, PaperError> {
+pub fn starts(described: &MachineDescriptions, machine: u64) -> Result<Vec<StartResult>, PaperError> {
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let (truth, network) = if machine == 0 { (truth, Network::default()) } else { drawn(&truth, machine)? };

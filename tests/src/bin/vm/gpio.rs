@@ -13,7 +13,7 @@ use rtec_driver::gpio::{
 };
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::Request;
+use rtec_rt::link_messages::Request;
 use rtec_tests::daemon::{Machine, until};
 use rtec_tests::gpio_sim::{self, GpioSim};
 use std::alloc::{GlobalAlloc, Layout, System};

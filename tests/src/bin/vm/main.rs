@@ -103,7 +103,7 @@ fn configured(card: &str, axis: &str) -> anyhow::Result<(tempfile::TempDir, Path
     let text = format!("[machine]\nname = 'vm'\n[card]\n{card}{axis}{RT}");
     // The self-test would have measured the latencies here with this card. A card that is refused has no such file.
     let measured = match Config::parse(&file, &text) {
-        Ok(config) => format!("{}\n", LatencyProvenance::here(&config.card, 1, &setup::System::live())),
+        Ok(config) => format!("{}\n", LatencyProvenance::here(&config.card, 1, &setup::SystemRoot::live())),
         Err(_) => String::new(),
     };
     fs::write(&file, text + &measured)?;

@@ -6,11 +6,11 @@ use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::clock::Clock;
 use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{Profile, Space, Width};
+use rtec_driver::profile::{AddressSpace, Profile, Width};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::event::Request;
+use rtec_rt::link_messages::Request;
 use rtec_tests::daemon::{Machine, until};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -160,7 +160,7 @@ fn bar() -> anyhow::Result<(Registers, PathBuf)> {
     let profile = Profile::shared_memory();
     let place = profile.pci.context("the profile's place on the bus")?;
     let card = pci::find(&PciId::Card(place.id.0, place.id.1))?;
-    let file = card.prepare(place.bar, Space::Memory, BYTES)?.file;
+    let file = card.prepare(place.bar, AddressSpace::Memory, BYTES)?.file;
     Ok((Registers::open(&file, BYTES, "vm")?, file))
 }
 

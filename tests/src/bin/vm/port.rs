@@ -4,9 +4,9 @@ use super::{AXIS, EDGE, agreed, armed, corrected, daemon, refused};
 use anyhow::{Context, ensure};
 use rtec_driver::pci::{self, PciId};
 use rtec_driver::port::Ports;
-use rtec_driver::profile::{Space, Width};
+use rtec_driver::profile::{AddressSpace, Width};
 use rtec_driver::quadrature::State;
-use rtec_driver::register_card::Bus;
+use rtec_driver::register_card::RegisterAccess;
 use rtec_tests::daemon::{Daemon, Lines, Machine};
 use std::fs;
 use std::path::Path;
@@ -95,7 +95,7 @@ fn io_bar() -> anyhow::Result<Vec<String>> {
     let freed = Command::new("/bin/sh").args(["-ec", remedy]).output()?;
     ensure!(freed.status.success(), "{remedy}: {}", String::from_utf8_lossy(&freed.stderr));
 
-    let base = uart.prepare(0, Space::Io, 8)?.start as u16;
+    let base = uart.prepare(0, AddressSpace::Io, 8)?.start as u16;
     let far = Uart(Ports::open(base, 8)?);
     let look = Uart(Ports::open(base, 8)?);
     for (register, value) in [(LINE_CONTROL, 0x1b), (SCRATCH, 0), (MODEM_CONTROL, 0x10)] {

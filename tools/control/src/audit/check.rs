@@ -18,7 +18,7 @@ const MOMENT: Duration = Duration::from_millis(5);
 
 /// A line that was read.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Line {
+pub struct ChainLine {
     /// The file.
     pub file: PathBuf,
     /// Its line, from 1.
@@ -36,7 +36,7 @@ pub struct Line {
 ///
 /// # Errors
 /// A file that cannot be read.
-pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
+pub fn read(path: &Path, each: &mut dyn FnMut(ChainLine)) -> io::Result<()> {
     let refused = refused_path(path);
     if files(path).is_empty() {
         // Reports in the system's words that it does not exist.
@@ -45,8 +45,8 @@ pub fn read(path: &Path, each: &mut dyn FnMut(Line)) -> io::Result<()> {
     let mut chains = [Lines::of(path, false).peekable(), Lines::of(&refused, true).peekable()];
     loop {
         // Merged by time; as text, times sort by year. A damaged line keeps its place among its neighbours.
-        let time = |line: Option<&io::Result<Line>>| match line? {
-            Ok(Line { entry: Ok(entry), .. }) => Some(entry.t.clone()),
+        let time = |line: Option<&io::Result<ChainLine>>| match line? {
+            Ok(ChainLine { entry: Ok(entry), .. }) => Some(entry.t.clone()),
             _ => Some(String::new()),
         };
         let [first, second] = &mut chains;
@@ -71,7 +71,7 @@ impl Lines {
         Self { files: files(path).into(), refused, open: None }
     }
 
-    fn read(&mut self) -> io::Result<Option<Line>> {
+    fn read(&mut self) -> io::Result<Option<ChainLine>> {
         loop {
             let Some((file, reader, line)) = &mut self.open else {
                 let Some(file) = self.files.pop_front() else { return Ok(None) };
@@ -88,20 +88,20 @@ impl Lines {
             *line += 1;
             let whole = bytes.ends_with(b"\n");
             let text = String::from_utf8_lossy(bytes.trim_ascii_end()).into_owned();
-            return Ok(Some(Line { refused: self.refused, ..understand(file, *line, text, whole) }));
+            return Ok(Some(ChainLine { refused: self.refused, ..understand(file, *line, text, whole) }));
         }
     }
 }
 
 impl Iterator for Lines {
-    type Item = io::Result<Line>;
+    type Item = io::Result<ChainLine>;
 
     fn next(&mut self) -> Option<Self::Item> {
         self.read().transpose()
     }
 }
 
-fn understand(file: &Path, line: usize, text: String, whole: bool) -> Line {
+fn understand(file: &Path, line: usize, text: String, whole: bool) -> ChainLine {
     let hash = text.rsplit_once(",\"hash\":\"").map(|(body, hash)| (body, hash.trim_end_matches("\"}")));
     let entry = match hash {
         _ if !whole => Err("it has no end".to_owned()),
@@ -112,12 +112,12 @@ fn understand(file: &Path, line: usize, text: String, whole: bool) -> Line {
         Some((body, _)) => serde_json::from_str(&format!("{body}}}")).map_err(|e| e.to_string()),
     };
     let hash = hash.map_or(String::new(), |(_, hash)| hash.to_owned());
-    Line { file: file.to_owned(), line, entry, text, refused: false, hash }
+    ChainLine { file: file.to_owned(), line, entry, text, refused: false, hash }
 }
 
 /// A mistake found in the chain.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Broken {
+pub struct ChainBreak {
     /// The file.
     pub file: PathBuf,
     /// Its line, from 1; 0 if the mistake concerns the whole file.
@@ -162,7 +162,7 @@ impl Anchor {
 
 /// Result of a check of the whole chain.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct Verified {
+pub struct ChainCheckResult {
     /// Lines that were read.
     pub lines: u64,
     /// Numbers of the first and the last line.
@@ -172,7 +172,7 @@ pub struct Verified {
     /// Lines of refusals.
     pub refused: u64,
     /// All mistakes; empty if the record is whole.
-    pub broken: Vec<Broken>,
+    pub broken: Vec<ChainBreak>,
 }
 
 /// Checks that no line is missing, changed or moved.
@@ -180,7 +180,7 @@ pub struct Verified {
 ///
 /// # Errors
 /// A file that cannot be read.
-pub fn verify(path: &Path, anchors: &[Anchor]) -> io::Result<Verified> {
+pub fn verify(path: &Path, anchors: &[Anchor]) -> io::Result<ChainCheckResult> {
     let of = |refused: bool| {
         let of_chain = anchors.iter().filter(|a| a.refused == refused);
         of_chain.map(|a| (a.n, a.hash.as_str())).collect::<BTreeMap<_, _>>()
@@ -197,7 +197,7 @@ pub fn verify(path: &Path, anchors: &[Anchor]) -> io::Result<Verified> {
     Ok(found)
 }
 
-fn verify_chain(path: &Path, anchors: &BTreeMap<u64, &str>) -> io::Result<Verified> {
+fn verify_chain(path: &Path, anchors: &BTreeMap<u64, &str>) -> io::Result<ChainCheckResult> {
     let mut last = None;
     for _ in 0..TRIES {
         let found = check(path, read_head(path).as_ref(), anchors);
@@ -213,8 +213,8 @@ fn verify_chain(path: &Path, anchors: &BTreeMap<u64, &str>) -> io::Result<Verifi
     check(path, read_head(path).as_ref(), anchors)
 }
 
-fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io::Result<Verified> {
-    let mut found = Verified::default();
+fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io::Result<ChainCheckResult> {
+    let mut found = ChainCheckResult::default();
     let mut before: Option<(u64, String)> = None;
     let mut marks: BTreeMap<u64, String> = BTreeMap::new();
     if files(path).is_empty() && anchors.is_empty() {
@@ -224,7 +224,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
         let read = read?;
         found.lines += 1;
         let mut broken = |what: String| {
-            found.broken.push(Broken { file: read.file.clone(), line: read.line, what });
+            found.broken.push(ChainBreak { file: read.file.clone(), line: read.line, what });
         };
         let entry = match &read.entry {
             Ok(entry) => entry,
@@ -272,7 +272,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
     if let Some((n, _)) = anchors.last_key_value().filter(|(n, _)| **n > found.numbers[1]) {
         let what =
             format!("it ends with line number {}, and the anchor knows line number {n}", found.numbers[1]);
-        found.broken.push(Broken { file: path.to_owned(), line: 0, what });
+        found.broken.push(ChainBreak { file: path.to_owned(), line: 0, what });
     }
     // Lines written during the check are accepted.
     let now_n = read_head(path).map_or(0, |h| h.n);
@@ -291,7 +291,7 @@ fn check(path: &Path, head: Option<&Head>, anchors: &BTreeMap<u64, &str>) -> io:
         Some(_) => None,
     };
     if let Some(what) = what {
-        found.broken.push(Broken { file: path.to_owned(), line: 0, what });
+        found.broken.push(ChainBreak { file: path.to_owned(), line: 0, what });
     }
     Ok(found)
 }

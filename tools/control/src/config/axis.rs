@@ -1,7 +1,7 @@
 //! `[[axis]]`: one axis, its limits, and whether they let it correct anything.
 
 use super::card::{Card, Kind, read_lines};
-use super::{ConfiguredAxis, Simulated, beside, keys};
+use super::{ConfiguredAxis, SimulatedAxis, beside, keys};
 use rtec_files::keys::{Section, SourceFile};
 use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
@@ -176,7 +176,7 @@ pub(super) fn read(
             .any(|c| c.lines == (engine.lines.a, engine.lines.b)),
         reference_budget_counts: budget.map(|b| b.value),
         engine,
-        simulated: Simulated { count_um: simulated_um.unwrap_or(count_um), ..simulated },
+        simulated: SimulatedAxis { count_um: simulated_um.unwrap_or(count_um), ..simulated },
     };
     Some((axis, trace))
 }
@@ -236,8 +236,8 @@ fn read_simulated(
     source: &mut SourceFile<'_>,
     s: &mut Section<'_>,
     kind: Option<Kind>,
-) -> (Option<f64>, Simulated) {
-    let mut found = Simulated { count_um: 1.0, compensates_ppm: 0.0, ignores: false };
+) -> (Option<f64>, SimulatedAxis) {
+    let mut found = SimulatedAxis { count_um: 1.0, compensates_ppm: 0.0, ignores: false };
     if !s.has("simulated") {
         return (None, found);
     }

@@ -6,10 +6,10 @@ use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{self, GpioError, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{Profile, Space, Width, WordBit};
-use rtec_files::keys::{At, Section, SourceFile};
+use rtec_driver::profile::{AddressSpace, Profile, Width, WordBit};
+use rtec_files::keys::{LocatedValue, Section, SourceFile};
 use rtec_files::nearest;
-use rtec_rt::event::MAX_AXES;
+use rtec_rt::link_messages::MAX_AXES;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
@@ -46,14 +46,14 @@ pub(super) struct Gpio {
 pub(super) enum Kind {
     Mock,
     Gpio,
-    Registers(Space),
+    Registers(AddressSpace),
     Replay,
 }
 
 /// Reads `[card]`; `here` if this is the computer that it is meant for.
 pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> Card {
     let mut section = root.table(source, "card", "[card]").with(keys::CARD);
-    let registers = [Space::Memory, Space::Io].map(Kind::Registers);
+    let registers = [AddressSpace::Memory, AddressSpace::Io].map(Kind::Registers);
     let kinds = [Kind::Mock, Kind::Gpio, registers[0], registers[1], Kind::Replay];
     let kind = section.pick(source, "backend", &kinds);
     let mut card = Card {
@@ -102,9 +102,9 @@ fn read_registers(
     source: &mut SourceFile<'_>,
     section: &mut Section<'_>,
     card: &mut Card,
-    (space, here): (Space, bool),
+    (space, here): (AddressSpace, bool),
 ) {
-    let port = space == Space::Io;
+    let port = space == AddressSpace::Io;
     let named = section.text(source, "profile");
     let default = if port { "parallel-port" } else { "shared-memory" };
     card.profile = match named {
@@ -129,7 +129,7 @@ fn read_registers(
     // A wrong place is reported, so the absence of any place is not.
     let mut places = usize::from(section.has("pci"));
     let config = source.file;
-    let path = |at: At<&str>| beside(config, at.value);
+    let path = |at: LocatedValue<&str>| beside(config, at.value);
     if port {
         let parport = section.text(source, "parport");
         let io = section.whole(source, "io");
@@ -163,7 +163,7 @@ fn read_registers(
     }
     if let Some(place) = place.filter(|p| p.space != space) {
         let name = card.profile.as_ref().map_or("", |p| &p.name);
-        let of = if place.space == Space::Io { "I/O ports" } else { "mapped registers" };
+        let of = if place.space == AddressSpace::Io { "I/O ports" } else { "mapped registers" };
         let (found, backend) = (format!("profile \"{name}\" of {of}"), backend_of(place.space));
         source.finding(named.map_or(section.offset, |p| p.offset), found, format!("backend = \"{backend}\""));
     }
@@ -237,7 +237,7 @@ fn wire_gpio(
     output: bool,
     (group, owner): (u8, &str),
 ) -> Option<u8> {
-    let At { value: line, offset } = gpio_line(section, source, key, &gpio.default)?;
+    let LocatedValue { value: line, offset } = gpio_line(section, source, key, &gpio.default)?;
     if line.chip.is_none() && matches!(line.line, LineId::Offset(_)) {
         let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
         source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
@@ -371,7 +371,11 @@ pub(super) fn read_lines(
 }
 
 /// Checks that a named path exists on this computer.
-fn is_there(source: &mut SourceFile<'_>, at: Option<At<&str>>, path: impl Fn(At<&str>) -> PathBuf) {
+fn is_there(
+    source: &mut SourceFile<'_>,
+    at: Option<LocatedValue<&str>>,
+    path: impl Fn(LocatedValue<&str>) -> PathBuf,
+) {
     if let Some(at) = at
         && let Err(error) = std::fs::metadata(path(at))
     {
@@ -381,7 +385,7 @@ fn is_there(source: &mut SourceFile<'_>, at: Option<At<&str>>, path: impl Fn(At<
 }
 
 /// Checks that a UIO device is a character device below `/dev`.
-fn is_uio(source: &mut SourceFile<'_>, at: At<&str>, path: &Path, here: bool) {
+fn is_uio(source: &mut SourceFile<'_>, at: LocatedValue<&str>, path: &Path, here: bool) {
     let is_device = || std::fs::metadata(path).map(|m| m.file_type().is_char_device());
     let why = match is_device() {
         _ if !path.starts_with("/dev") => "which is not below /dev".to_owned(),

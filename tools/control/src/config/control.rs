@@ -41,7 +41,7 @@ pub struct RoleSocket {
 
 /// A socket that the daemon creates.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SocketAt {
+pub struct ConfiguredSocket {
     /// Role of its connections.
     pub role: Role,
     /// Its path.
@@ -91,8 +91,8 @@ impl ControlConfig {
     }
 
     /// The sockets, one for each role, the most powerful first.
-    pub fn sockets(&self) -> [SocketAt; 3] {
-        let at = |role, path: PathBuf, group: &Option<String>, mode: Option<u32>| SocketAt {
+    pub fn sockets(&self) -> [ConfiguredSocket; 3] {
+        let at = |role, path: PathBuf, group: &Option<String>, mode: Option<u32>| ConfiguredSocket {
             role,
             path,
             mode: mode.unwrap_or(if group.is_some() { 0o660 } else { 0o600 }),

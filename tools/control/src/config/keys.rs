@@ -1,7 +1,7 @@
 //! Every key of `rtec.toml`: these tables read, check and show it.
 
 use rtec_files::keys;
-use rtec_files::keys::Takes::{self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word};
+use rtec_files::keys::AcceptedValue::{self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word};
 use rtec_files::keys::{Key, REQUIRED, markdown};
 
 keys! {
@@ -11,7 +11,7 @@ keys! {
     mtc_off: Choice(&["freeze", "hold"]), "", "`freeze`", "when `mtc_ready` falls: freeze the corrections, or hold the feed too";
 }
 
-const LINE: Takes = Takes::Own("a line's name or bit");
+const LINE: AcceptedValue = AcceptedValue::Own("a line's name or bit");
 
 keys! {
     /// `[card]`; the keys that apply depend on the backend.
@@ -35,7 +35,7 @@ keys! {
     hold: LINE, "", "not wired", "the line of feed hold";
 }
 
-const COUNTS: Takes = Takes::Whole(1, 1_000_000_000);
+const COUNTS: AcceptedValue = AcceptedValue::Whole(1, 1_000_000_000);
 
 keys! {
     /// `[[axis]]`.
@@ -81,7 +81,7 @@ keys! {
     feedback: Choice(&["used", "ignored"]), "", "`used`", "whether its controller uses the feedback that it is sent";
 }
 
-const NS: Takes = Takes::Whole(0, 1_000_000_000);
+const NS: AcceptedValue = AcceptedValue::Whole(0, 1_000_000_000);
 
 keys! {
     /// `[rt]`.

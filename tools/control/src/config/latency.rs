@@ -2,11 +2,11 @@
 //! Checks where they were measured, whether they are possible, and which speeds they allow.
 
 use super::{CardConfig, Config, ConfiguredAxis, RegisterPlace, keys};
-use crate::protocol::Rates;
-use rtec_driver::profile::Space;
+use crate::protocol::SpeedLimits;
+use rtec_driver::profile::AddressSpace;
 use rtec_files::date;
-use rtec_files::keys::{At, Section, SourceFile};
-use rtec_rt::setup::System;
+use rtec_files::keys::{LocatedValue, Section, SourceFile};
+use rtec_rt::setup::SystemRoot;
 use std::fmt;
 use std::path::Path;
 
@@ -29,7 +29,7 @@ pub struct LatencyProvenance {
 
 impl LatencyProvenance {
     /// A measurement today on this computer with this card and CPU.
-    pub fn here(card: &CardConfig, cpu: usize, system: &System) -> Self {
+    pub fn here(card: &CardConfig, cpu: usize, system: &SystemRoot) -> Self {
         let read = |file: &str| system.read(file).unwrap_or_default();
         let info = read("proc/cpuinfo");
         let model = |key: &str| {
@@ -91,7 +91,7 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
     if let Some(at) = day.as_ref().filter(|at| date::parse(at.value).is_none()) {
         source.finding(at.offset, format!("date = \"{}\"", at.value), "a day, as \"2026-11-26\"");
     }
-    let text = |at: Option<At<&str>>| Some(at?.value.to_owned());
+    let text = |at: Option<LocatedValue<&str>>| Some(at?.value.to_owned());
     Some(LatencyProvenance { card: text(card)?, kernel: text(kernel)?, cpu: text(cpu)?, date: text(day)? })
 }
 
@@ -106,7 +106,7 @@ pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
                 (20, 1, "two reads of memory take longer")
             }
             RegisterPlace::Parport(_) => (2000, 1000, "two system calls with an I/O port each take longer"),
-            place if place.space() == Space::Io => (1000, 400, "two reads of an I/O port take longer"),
+            place if place.space() == AddressSpace::Io => (1000, 400, "two reads of an I/O port take longer"),
             _ => (800, 200, "two reads over a PCI bus take longer"),
         },
     })
@@ -116,8 +116,8 @@ pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
 pub(super) fn check_floors(
     source: &mut SourceFile<'_>,
     card: &CardConfig,
-    detect_ns: Option<At<i64>>,
-    write_ns: Option<At<i64>>,
+    detect_ns: Option<LocatedValue<i64>>,
+    write_ns: Option<LocatedValue<i64>>,
 ) {
     let Some((least_detect, least_write, why)) = floors_ns(card) else { return };
     for (key, at, least) in [("detect_ns", detect_ns, least_detect), ("write_ns", write_ns, least_write)] {
@@ -175,8 +175,8 @@ impl ConfiguredAxis {
     }
 
     /// The axis's speeds: rapid, followed and corrected.
-    pub fn rates(&self) -> Rates {
-        Rates {
+    pub fn rates(&self) -> SpeedLimits {
+        SpeedLimits {
             rapid_mm_min: self.rapid_mm_min,
             followed_mm_min: self.followed_hz().map(|hz| self.mm_min(hz)),
             corrected_mm_min: self.corrected_hz().map(|hz| self.mm_min(hz)),
@@ -234,9 +234,9 @@ impl Config {
 }
 
 /// Checks that the CPU named in `[rt]` exists.
-pub(super) fn check_cpu(source: &mut SourceFile<'_>, cpu: Option<At<i64>>) {
+pub(super) fn check_cpu(source: &mut SourceFile<'_>, cpu: Option<LocatedValue<i64>>) {
     let Some(at) = cpu else { return };
-    let text = System::at(Path::new("/")).read("sys/devices/system/cpu/online").unwrap_or_default();
+    let text = SystemRoot::at(Path::new("/")).read("sys/devices/system/cpu/online").unwrap_or_default();
     let online = rtec_rt::setup::cpu_list(&text);
     if !online.is_empty() && !online.contains(&(at.value as usize)) {
         let found = format!("cpu = {}, which this computer does not have", at.value);

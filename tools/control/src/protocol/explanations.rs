@@ -1,7 +1,7 @@
 //! The protocol's words explained to people: refusals, faults, events.
 
 use super::{EventReport, ProbeTripReport};
-use rtec_rt::event::{Event, EventKind, Fault, Refusal};
+use rtec_rt::link_messages::{Event, EventKind, Fault, Refusal};
 use serde::Serialize;
 
 /// A name as the protocol writes it.

@@ -1,7 +1,7 @@
 //! The status, as `rtecctl status --json` prints it.
 
-use super::{PartTable, Reading, RunningModel, TableNow, explain_not_homed, explain_unknown};
-use rtec_rt::event::Fault;
+use super::{PartTable, PartTableState, RunningModel, SensorReading, explain_not_homed, explain_unknown};
+use rtec_rt::link_messages::Fault;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -61,10 +61,10 @@ pub struct DaemonStatus {
     pub table: Option<PartTable>,
     /// Error that the part table removes at this moment, if it applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub table_now: Option<TableNow>,
+    pub table_now: Option<PartTableState>,
     /// The temperature sensors, in the configuration's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<Reading>,
+    pub sensors: Vec<SensorReading>,
     /// The axes, in the configuration's order.
     pub axes: Vec<AxisReport>,
 }
@@ -143,9 +143,9 @@ pub struct RtStatus {
     #[serde(default = "ready")]
     pub mtc_ready: bool,
     /// Time between two looks, ns.
-    pub poll_gap_ns: Distribution,
+    pub poll_gap_ns: TimeDistribution,
     /// Time from an edge to the end of the insertion it opened, ns.
-    pub edge_to_done_ns: Distribution,
+    pub edge_to_done_ns: TimeDistribution,
 }
 
 /// Default for a daemon that does not send the field.
@@ -155,7 +155,7 @@ const fn ready() -> bool {
 
 /// A distribution of times, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Distribution {
+pub struct TimeDistribution {
     /// Smallest value, ns.
     pub min: u64,
     /// Median, ns.
@@ -219,12 +219,12 @@ pub struct AxisReport {
     pub beyond_limits: u64,
     /// Speeds of the axis.
     #[serde(flatten)]
-    pub rates: Rates,
+    pub rates: SpeedLimits,
 }
 
 /// Speeds up to which an axis moves, is followed and is corrected, mm/min.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Rates {
+pub struct SpeedLimits {
     /// Its rapid, as configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rapid_mm_min: Option<f64>,
@@ -236,13 +236,13 @@ pub struct Rates {
     pub corrected_mm_min: Option<f64>,
 }
 
-impl std::fmt::Display for Rates {
+impl std::fmt::Display for SpeedLimits {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.told("corrected at no speed"))
     }
 }
 
-impl Rates {
+impl SpeedLimits {
     /// The speeds of an axis in words: rapid, followed and corrected, mm/min.
     /// `uncorrected` is the text if no speed allows insertions.
     pub fn told(&self, uncorrected: &str) -> String {

@@ -7,8 +7,8 @@ use rtec_correct::{AxisSetup, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
-use rtec_part::cor::{FeatureErrors, PointError};
-use rtec_rt::event::{MAX_AXES, Mode, Status};
+use rtec_part::error_cor_file::{FeatureErrors, PointError};
+use rtec_rt::link_messages::{MAX_AXES, Mode, Status};
 use rtec_sensors::{SensorConfig, SensorMonitor, SensorSource};
 use std::path::Path;
 

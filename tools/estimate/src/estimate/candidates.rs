@@ -1,27 +1,32 @@
 //! The candidates for one member: its names, its modes, its rivals.
 
-use super::{EstimatedMember, Rival, Tried, label};
+use super::{EstimatedMember, Rival, TriedExplanation, label};
 use crate::cause::Cause;
-use crate::effort::{HOPELESS, MOMENT_ROWS};
 use crate::priors::{HELD, LISTED, SAME_PERIOD};
-use crate::search::{Member, ScreenedHypothesis, Search, Set, log_sum, same_period};
+use crate::search::{HypothesisSet, Member, ScreenedHypothesis, Search, log_sum, same_period};
+use crate::search_limits::{HOPELESS, MOMENT_ROWS};
 use rtec_model::effect::{Effect, Refine};
 
 /// The posterior of the candidates for one member.
 pub(super) struct CandidatePosterior {
     pub(super) found: EstimatedMember,
-    pub(super) tried: Vec<Tried>,
+    pub(super) tried: Vec<TriedExplanation>,
     pub(super) nothing: bool,
     /// A likelier set, with another cause instead of this member.
-    pub(super) better: Option<Set>,
+    pub(super) better: Option<HypothesisSet>,
 }
 
 /// A candidate for a member: family, label, effect, log mass.
-pub(super) type Candidate = (usize, String, Option<Effect>, f64);
+pub(super) type WeightedCandidate = (usize, String, Option<Effect>, f64);
 
 /// Adds the maps that are equivalent at these rows.
 /// Each gets the mass of its prior relative to the member's.
-pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all: &mut Vec<Candidate>) {
+pub(super) fn add_alike_maps(
+    search: &Search<'_>,
+    set: &HypothesisSet,
+    member: usize,
+    all: &mut Vec<WeightedCandidate>,
+) {
     let families = &search.families.list;
     for seed in search.maps_alike(&search.of_last(set, member)) {
         let score = set.score + seed.score - families[set.members[member].family].prior;
@@ -37,15 +42,15 @@ pub(super) fn add_alike_maps(search: &Search<'_>, set: &Set, member: usize, all:
 /// Returns the likeliest set with one of them that is likelier than the given set.
 fn add_refined(
     search: &Search<'_>,
-    set: &Set,
-    without: &Set,
+    set: &HypothesisSet,
+    without: &HypothesisSet,
     own: &Member,
     seeds: &[ScreenedHypothesis],
-    all: &mut Vec<Candidate>,
-) -> Option<Set> {
+    all: &mut Vec<WeightedCandidate>,
+) -> Option<HypothesisSet> {
     let families = &search.families.list;
-    let mut better: Option<Set> = None;
-    let mut keep = |other: Set| {
+    let mut better: Option<HypothesisSet> = None;
+    let mut keep = |other: HypothesisSet| {
         if other.score > better.as_ref().map_or(set.score + 0.05, |b| b.score) {
             better = Some(other);
         }
@@ -73,7 +78,7 @@ fn add_refined(
     }
     for seed in search.alike(own) {
         let refined = search.refined(&without.factor, &seed);
-        let seen = |a: &Candidate| {
+        let seen = |a: &WeightedCandidate| {
             a.0 == seed.family
                 && a.2.as_ref().zip(refined.cause.effect()).is_some_and(|(a, b)| same_period(a, b))
         };
@@ -88,14 +93,14 @@ fn add_refined(
 }
 
 /// The posterior of one member: all candidates, given the other members.
-pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> CandidatePosterior {
+pub(super) fn place(search: &Search<'_>, set: &HypothesisSet, member: usize) -> CandidatePosterior {
     let own = &set.members[member];
     let without = search.without(set, member);
     let seeds = search.screened(&without, true);
     let families = &search.families.list;
     let own_label = own.cause.effect().map_or_else(|| families[own.family].label(), label);
     // Family, label, effect, log mass.
-    let mut all: Vec<Candidate> =
+    let mut all: Vec<WeightedCandidate> =
         vec![(own.family, own_label.clone(), own.cause.effect().cloned(), set.score)];
     let top = seeds.first().map_or(0.0, |s| s.score).max(set.score - without.score);
     let far = seeds.iter().position(|s| s.score < top - HOPELESS - 2.0).unwrap_or(seeds.len());
@@ -103,7 +108,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> CandidateP
     add_alike_maps(search, set, member, &mut all);
     let masses: Vec<f64> = all.iter().map(|a| a.3).chain([without.score]).collect();
     let total = log_sum(masses.iter().copied());
-    let of = |yes: &dyn Fn(&Candidate) -> bool| {
+    let of = |yes: &dyn Fn(&WeightedCandidate) -> bool| {
         let own: Vec<f64> = all.iter().filter(|a| yes(a)).map(|a| a.3).collect();
         (log_sum(own) - total).exp()
     };
@@ -113,7 +118,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> CandidateP
     let mode = (set.score - total).exp();
     let evidence = set.score - without.score;
     let mut rivals = Vec::new();
-    let tried = |label: &str, odds: f64, accepted: bool| Tried {
+    let tried = |label: &str, odds: f64, accepted: bool| TriedExplanation {
         label: label.to_owned(),
         odds,
         accepted,
@@ -172,7 +177,7 @@ pub(super) fn place(search: &Search<'_>, set: &Set, member: usize) -> CandidateP
 }
 
 /// The 95 % interval of a step's moment, over the moments of the rows.
-pub(super) fn moments(search: &Search<'_>, without: &Set, own: &Member) -> Option<[f64; 2]> {
+pub(super) fn moments(search: &Search<'_>, without: &HypothesisSet, own: &Member) -> Option<[f64; 2]> {
     use rtec_model::effect::Extent as _;
     let effect = own.cause.effect()?;
     let p = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment)?;

@@ -1,34 +1,34 @@
 //! Growth of sets, and exchange and removal of their members.
 
 use super::screening::parameter_steps;
-use super::{Member, ScreenedHypothesis, Search, Set, same_period};
+use super::{HypothesisSet, Member, ScreenedHypothesis, Search, same_period};
 use crate::cause::Cause;
-use crate::effort::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
-use crate::family::{Family, Scan};
+use crate::hypothesis_family::{HypothesisFamily, Scan};
+use crate::search_limits::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
 use rtec_model::effect::Effect;
 use rtec_model::record::Axis;
 
 impl Search<'_> {
     /// Sets with one more member, best first.
     #[must_use]
-    pub fn grown(&self, set: &Set, most: usize, long: bool) -> Vec<Set> {
+    pub fn grown(&self, set: &HypothesisSet, most: usize, long: bool) -> Vec<HypothesisSet> {
         self.grown_by(set, most, long, |_| true)
     }
 
     /// Sets with one more member of families of one kind.
     pub(super) fn grown_by(
         &self,
-        set: &Set,
+        set: &HypothesisSet,
         most: usize,
         long: bool,
-        kind: impl Fn(&Family) -> bool,
-    ) -> Vec<Set> {
+        kind: impl Fn(&HypothesisFamily) -> bool,
+    ) -> Vec<HypothesisSet> {
         let seeds = self.screened(set, long);
         let mut seeds = seeds.iter().filter(|s| kind(self.family(s.family))).peekable();
         let Some(top) = seeds.peek().map(|s| s.score) else { return Vec::new() };
-        let mut out: Vec<Set> = Vec::new();
+        let mut out: Vec<HypothesisSet> = Vec::new();
         let mut forms: Vec<(f64, usize, Member)> = Vec::new();
-        let mut pairs: Vec<Set> = Vec::new();
+        let mut pairs: Vec<HypothesisSet> = Vec::new();
         let mut waves: Vec<usize> = Vec::new();
         for (number, seed) in seeds.take(TRIED).enumerate() {
             if seed.score < (top - HOPELESS).max(WORTHLESS) {
@@ -68,9 +68,9 @@ impl Search<'_> {
     }
 
     /// Adds, to a set that ends in a wave, the effects that only accompany waves.
-    pub(super) fn with_beside(&self, set: &Set) -> Option<Set> {
+    pub(super) fn with_beside(&self, set: &HypothesisSet) -> Option<HypothesisSet> {
         let last = set.members.last()?.cause.effect()?;
-        let of = |(number, f): (usize, &Family)| {
+        let of = |(number, f): (usize, &HypothesisFamily)| {
             let Scan::Beside { law, .. } = &f.scan else { return None };
             let effect = f.effect.as_ref()?;
             if *law != last.description().name || effect.axes() != last.axes() {
@@ -98,7 +98,7 @@ impl Search<'_> {
 
     /// Tunes the last two members, a wave and its companion, to one period.
     /// The period is where both explain most.
-    pub(super) fn in_tune(&self, mut set: Set) -> Set {
+    pub(super) fn in_tune(&self, mut set: HypothesisSet) -> HypothesisSet {
         let n = set.members.len();
         let (Some(wave), Scan::Wave { along, unit, .. }) =
             (set.members[n - 2].cause.effect().cloned(), &self.family(set.members[n - 2].family).scan)
@@ -108,7 +108,7 @@ impl Search<'_> {
         let mut frequency = 1.0 / wave.scalar(0);
         let mut step = 0.2 / along.span() * unit;
         let others = self.first(&set, n - 2);
-        let at = |set: &Set, frequency: f64| {
+        let at = |set: &HypothesisSet, frequency: f64| {
             let mut members = set.members.clone();
             for m in &mut members[n - 2..] {
                 let effect = m.cause.effect()?.with(&[(0, 1.0 / frequency)])?;
@@ -131,17 +131,17 @@ impl Search<'_> {
     }
 
     /// Whether all members have names.
-    pub(super) fn is_named(&self, set: &Set) -> bool {
+    pub(super) fn is_named(&self, set: &HypothesisSet) -> bool {
         set.members.iter().all(|m| {
             self.family(m.family).is_named() && matches!(m.cause, Cause::Effect { .. } | Cause::Map { .. })
         })
     }
 
     /// Sets with one more member: the best ones, and the best ones with names.
-    pub(super) fn children(&self, set: &Set, long: bool) -> Vec<Set> {
+    pub(super) fn children(&self, set: &HypothesisSet, long: bool) -> Vec<HypothesisSet> {
         let mut all = self.grown(set, KEPT + 1, long);
         if all.iter().filter(|s| self.family(s.members[s.members.len() - 1].family).is_named()).count() < 2 {
-            all.extend(self.grown_by(set, 2, long, Family::is_named));
+            all.extend(self.grown_by(set, 2, long, HypothesisFamily::is_named));
         }
         all
     }
@@ -149,16 +149,16 @@ impl Search<'_> {
     /// The best set that can be reached from a set.
     /// With `regrow`, several sets first grow from it in parallel.
     #[must_use]
-    pub fn best(&self, start: &Set, regrow: bool) -> Set {
+    pub fn best(&self, start: &HypothesisSet, regrow: bool) -> HypothesisSet {
         let mut best = start.clone();
         let mut beam = if regrow { vec![start.clone()] } else { Vec::new() };
         let mut idle = 0;
         while idle < 2 && !beam.is_empty() {
-            let mut next: Vec<Set> =
+            let mut next: Vec<HypothesisSet> =
                 beam.iter().enumerate().flat_map(|(i, s)| self.children(s, i == 0)).collect();
             next.sort_by(|a, b| b.score.total_cmp(&a.score));
             // A shape can replace several names at once, so sets of names only have reserved places.
-            let mut kept: Vec<Set> = Vec::new();
+            let mut kept: Vec<HypothesisSet> = Vec::new();
             let mut named = 0;
             for s in next {
                 let all_named = self.is_named(&s);
@@ -184,7 +184,7 @@ impl Search<'_> {
     /// The best set reached by exchanging two members.
     /// Returns the same set if none is better.
     #[must_use]
-    pub fn exchanged(&self, start: &Set) -> Set {
+    pub fn exchanged(&self, start: &HypothesisSet) -> HypothesisSet {
         let mut best = start.clone();
         while !best.members.is_empty() && (best.members.len() > 1 || !self.is_named(&best)) {
             let exchanged = self.two_for_two(&self.simpler(&best));
@@ -197,7 +197,7 @@ impl Search<'_> {
     }
 
     /// Leaves out, exchanges and refines members until nothing improves.
-    pub(super) fn polished(&self, mut best: Set) -> Set {
+    pub(super) fn polished(&self, mut best: HypothesisSet) -> HypothesisSet {
         for _ in 0..6 {
             let before = best.score;
             for i in (0..best.members.len()).rev() {
@@ -226,13 +226,13 @@ impl Search<'_> {
     }
 
     /// Exchanges each shape, and each two of the weakest members, for two others.
-    pub(super) fn two_for_two(&self, set: &Set) -> Set {
+    pub(super) fn two_for_two(&self, set: &HypothesisSet) -> HypothesisSet {
         let mut best = set.clone();
         let alone: Vec<f64> = (0..set.members.len()).map(|i| self.without(set, i).score).collect();
         let mut weak: Vec<usize> = (0..set.members.len()).collect();
         weak.sort_by(|a, b| alone[*b].total_cmp(&alone[*a]));
         let is_shape = |i: &usize| matches!(set.members[*i].cause, Cause::Shape(_));
-        let mut gone: Vec<(Set, bool)> =
+        let mut gone: Vec<(HypothesisSet, bool)> =
             weak.iter().filter(|i| is_shape(i)).map(|i| (self.without(set, *i), true)).collect();
         weak.retain(|i| set.score - alone[*i] < STRONG);
         weak.truncate(3);
@@ -262,14 +262,14 @@ impl Search<'_> {
     }
 
     /// Re-selects the members that act on the same axis as the new last member.
-    pub(super) fn rechosen(&self, set: Set) -> Set {
+    pub(super) fn rechosen(&self, set: HypothesisSet) -> HypothesisSet {
         let last = set.members.len() - 1;
         let Some(own) = set.members.last().and_then(axis_of) else { return set };
         self.chosen_again(set, &own, last)
     }
 
     /// Re-selects up to `most` members of an axis: maps and temperature laws.
-    pub(super) fn chosen_again(&self, mut set: Set, axis: &Axis, most: usize) -> Set {
+    pub(super) fn chosen_again(&self, mut set: HypothesisSet, axis: &Axis, most: usize) -> HypothesisSet {
         for i in (0..most).rev() {
             let m = &set.members[i];
             let grid =
@@ -278,7 +278,7 @@ impl Search<'_> {
                 continue;
             }
             let without = self.without(&set, i);
-            if let Some(other) = self.grown_by(&without, 1, false, Family::is_named).pop()
+            if let Some(other) = self.grown_by(&without, 1, false, HypothesisFamily::is_named).pop()
                 && other.score > set.score
             {
                 set = other;
@@ -289,7 +289,7 @@ impl Search<'_> {
 
     /// Exchanges a law and its companion for the law alone, with another reference.
     /// For example, an expansion and a scale error may be one expansion from another temperature.
-    fn one_for_two(&self, set: &Set) -> Set {
+    fn one_for_two(&self, set: &HypothesisSet) -> HypothesisSet {
         let mut best = set.clone();
         for (i, m) in set.members.iter().enumerate() {
             let Some(companion) = m.cause.effect().and_then(Effect::companion) else { continue };
@@ -306,7 +306,7 @@ impl Search<'_> {
     }
 
     /// A set without one of its weaker members; the others on its axis are re-selected.
-    pub(super) fn simpler(&self, set: &Set) -> Set {
+    pub(super) fn simpler(&self, set: &HypothesisSet) -> HypothesisSet {
         let mut best = self.one_wave_for_two(&self.one_for_two(set));
         for i in 0..set.members.len() {
             let Some(axis) = axis_of(&set.members[i]) else { continue };
@@ -324,7 +324,7 @@ impl Search<'_> {
     }
 
     /// Refines each member's non-linear parameters given the others', twice.
-    pub(super) fn together(&self, mut set: Set) -> Set {
+    pub(super) fn together(&self, mut set: HypothesisSet) -> HypothesisSet {
         if set.members.len() < 2 {
             return set;
         }
@@ -352,7 +352,7 @@ impl Search<'_> {
 }
 
 /// Kinds of effects by their scan: waves, laws of temperatures, others.
-const KINDS: [fn(&Family) -> bool; 3] = [
+const KINDS: [fn(&HypothesisFamily) -> bool; 3] = [
     |f| f.is_named() && matches!(f.scan, Scan::Wave { .. }),
     |f| f.is_named() && matches!(f.scan, Scan::Sensors { .. }),
     |f| f.is_named() && matches!(f.scan, Scan::Grid(_)),
@@ -364,8 +364,8 @@ pub(super) fn axis_of(m: &Member) -> Option<Axis> {
 }
 
 /// Whether two sets consist of different families.
-pub(super) fn differ(a: &Set, b: &Set) -> bool {
-    let of = |s: &Set| {
+pub(super) fn differ(a: &HypothesisSet, b: &HypothesisSet) -> bool {
+    let of = |s: &HypothesisSet| {
         let mut f: Vec<usize> = s.members.iter().map(|m| m.family).collect();
         f.sort_unstable();
         f

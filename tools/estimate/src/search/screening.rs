@@ -1,16 +1,20 @@
 //! Candidates to join a set, and their non-linear parameters.
 
-use super::{Columns, Member, ScreenedHypothesis, Search, Set, difference, gain, gain_of_one, log_sum};
-use crate::bank::ScreeningProducts;
+use super::{
+    Columns, HypothesisSet, Member, ScreenedHypothesis, Search, difference, gain, gain_of_one, log_sum,
+};
 use crate::cause::{Cause, Shape};
-use crate::effort::{CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT};
-use crate::family::{Families, Family, Scan};
+use crate::hypothesis_columns::ScreeningProducts;
+use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
 use crate::rows::Rows;
+use crate::search_limits::{
+    CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT,
+};
 use crate::shapes::{changing_wave, envelopes};
-use crate::wave::Along;
+use crate::wave::WaveVariable;
 use rtec_least_squares::{Factor, add, dot, products_beside};
-use rtec_model::effect::{Difference, Effect, Heat, ParameterSearch, Refine};
+use rtec_model::effect::{Difference, Effect, ParameterSearch, Refine, ThermalDependence};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -18,7 +22,7 @@ impl Search<'_> {
     /// Seeds worth computing exactly for a set, best first.
     /// `long`: also fine waves over long travel.
     #[must_use]
-    pub fn screened(&self, set: &Set, long: bool) -> Rc<[ScreenedHypothesis]> {
+    pub fn screened(&self, set: &HypothesisSet, long: bool) -> Rc<[ScreenedHypothesis]> {
         let mut marks: Vec<u64> = set.members.iter().map(|m| m.mark).collect();
         marks.sort_unstable();
         let key = (marks, long);
@@ -30,7 +34,7 @@ impl Search<'_> {
         })
     }
 
-    fn screened_anew(&self, set: &Set, long: bool) -> Vec<ScreenedHypothesis> {
+    fn screened_anew(&self, set: &HypothesisSet, long: bool) -> Vec<ScreenedHypothesis> {
         let look = &self.look_at(set);
         let (left, freedom) = (set.factor.left(), self.base.freedom);
         let mut seeds: Vec<ScreenedHypothesis> = Vec::new();
@@ -112,7 +116,7 @@ impl Search<'_> {
     pub(super) fn wave_seeds(
         &self,
         number: usize,
-        set: &Set,
+        set: &HypothesisSet,
         weighed: &[f64],
         prior: f64,
     ) -> Vec<ScreenedHypothesis> {
@@ -159,7 +163,7 @@ impl Search<'_> {
             && let Some(cause) = self.wave(family, best.1, HARMONICS)
         {
             let weight = wave_weight(family, best.1, *unit, along.range(), along.span());
-            let products = self.products(&set.factor, &self.columns(&cause));
+            let products = Self::products(&set.factor, &self.columns(&cause));
             let (left, freedom) = (set.factor.left(), self.base.freedom);
             let gain = gain(&products.0, &products.1, left, freedom).total;
             seeds.push(ScreenedHypothesis { family: number, cause, weight, score: prior + weight + gain });
@@ -184,7 +188,7 @@ impl Search<'_> {
         prior: f64,
     ) -> Vec<ScreenedHypothesis> {
         let n = sensors.len();
-        let [alone, paired] = Families::sensor_weights(n);
+        let [alone, paired] = HypothesisFamilies::sensor_weights(n);
         // The best time constant of each difference: score, weight, grid point.
         let mut best = vec![(f64::NEG_INFINITY, 0.0, 0); n * n];
         let mut all = Vec::new();
@@ -225,7 +229,7 @@ impl Search<'_> {
 
     /// A wave at a frequency.
     /// A wave without a name has harmonics, each of size one over its number.
-    pub(super) fn wave(&self, family: &Family, frequency: f64, harmonics: usize) -> Option<Cause> {
+    pub(super) fn wave(&self, family: &HypothesisFamily, frequency: f64, harmonics: usize) -> Option<Cause> {
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         if let Some(effect) = &family.effect {
             let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
@@ -269,7 +273,7 @@ impl Search<'_> {
     /// needs. A plain bow is equivalent to a law: guideways that are warmer above than below bend along a
     /// parabola.
     #[must_use]
-    pub fn maps_alike(&self, set: &Set) -> Vec<ScreenedHypothesis> {
+    pub fn maps_alike(&self, set: &HypothesisSet) -> Vec<ScreenedHypothesis> {
         let Some(own) = set.members.last().filter(|m| m.cause.effect().is_some()) else {
             return Vec::new();
         };
@@ -289,7 +293,7 @@ impl Search<'_> {
             1.0 - dot(other.residual(), other.residual()) / power
         };
         let is_map = matches!(own.cause, Cause::Map { .. });
-        let of = |(family, f): (usize, &Family)| {
+        let of = |(family, f): (usize, &HypothesisFamily)| {
             let Scan::Grid(points) = &f.scan else { return None };
             let other = family != own.family && f.replaces.is_none();
             let mut maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
@@ -411,7 +415,7 @@ impl Search<'_> {
             Cause::Shape(both) if both.1.len() == 2 => both.0.clone(),
             cause => Shape::like(rows, cause.effect()?, "")?,
         };
-        let of = |f: &Family| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
+        let of = |f: &HypothesisFamily| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
         let number = self.families.list.iter().position(of)?;
         let shape = Shape { manner: "periodic, of changing size".to_owned(), ..shape };
         let envelopes = self.envelopes(seed.family, along);
@@ -439,7 +443,7 @@ impl Search<'_> {
     }
 
     /// Sizes of a changing wave of a family.
-    fn envelopes(&self, family: usize, along: &Along) -> Rc<Columns> {
+    fn envelopes(&self, family: usize, along: &WaveVariable) -> Rc<Columns> {
         let mut known = self.cache.envelopes.borrow_mut();
         let new = || Rc::new(envelopes(along, self.problem.rows.n));
         Rc::clone(known.entry(family).or_insert_with(new))
@@ -448,7 +452,7 @@ impl Search<'_> {
     /// One wave of changing size instead of a wave and another one.
     /// The other one may be a shape along the same axis.
     /// Waves close to each other beat, and look like one that comes and goes.
-    pub(super) fn one_wave_for_two(&self, set: &Set) -> Set {
+    pub(super) fn one_wave_for_two(&self, set: &HypothesisSet) -> HypothesisSet {
         let mut best = set.clone();
         for (j, wave) in set.members.iter().enumerate() {
             let is_wave = matches!(self.family(wave.family).scan, Scan::Wave { .. });
@@ -460,7 +464,7 @@ impl Search<'_> {
             };
             for i in (0..set.members.len()).filter(|i| *i != j && same(&set.members[*i])) {
                 let mut others = self.without(&self.without(set, i.max(j)), i.min(j));
-                let alone = |s: &Set| s.members.iter().position(|m| !self.is_accompanied(s, m));
+                let alone = |s: &HypothesisSet| s.members.iter().position(|m| !self.is_accompanied(s, m));
                 while let Some(companion) = alone(&others) {
                     others = self.without(&others, companion);
                 }
@@ -491,7 +495,7 @@ fn saw_phase((along, among): (Vec<f64>, Vec<f64>), left: f64, freedom: f64) -> f
 
 /// A saw-tooth of this frequency that falls back at a phase, in turns.
 /// Chillers, pumps and thermostats that switch leave one over time.
-fn saw_tooth(family: &Family, frequency: f64, phase: f64, n: usize) -> Option<Cause> {
+fn saw_tooth(family: &HypothesisFamily, frequency: f64, phase: f64, n: usize) -> Option<Cause> {
     let Scan::Wave { along, .. } = &family.scan else { return None };
     let shape = Shape { manner: "saw-tooth".to_owned(), ..family.shape.clone()? };
     let column = along.over(n, |at| 2.0 * CONTRIBUTION * ((frequency * at - phase).rem_euclid(1.0) - 0.5));
@@ -502,7 +506,7 @@ fn saw_tooth(family: &Family, frequency: f64, phase: f64, n: usize) -> Option<Ca
 /// No part of a machine does that.
 pub(super) fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
     let [per_k, per_k2] = effect.coefficients()[..] else { return false };
-    if effect.description().heat != Heat::Growth || per_k2 == 0.0 {
+    if effect.description().heat != ThermalDependence::Growth || per_k2 == 0.0 {
         return false;
     }
     let warm = rows.basis(effect).swap_remove(0);
@@ -513,7 +517,7 @@ pub(super) fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
 /// Log prior weight of a wave of this frequency.
 /// Uniform in the logarithm of the period; usual periods weigh more.
 pub(super) fn wave_weight(
-    family: &Family,
+    family: &HypothesisFamily,
     frequency: f64,
     unit: f64,
     [from, to]: [f64; 2],
@@ -544,7 +548,7 @@ pub(super) struct ParameterStep {
     range: [f64; 2],
 }
 
-pub(super) fn parameter_steps(family: &Family, effect: &Effect) -> Vec<ParameterStep> {
+pub(super) fn parameter_steps(family: &HypothesisFamily, effect: &Effect) -> Vec<ParameterStep> {
     if family.replaces.is_some() {
         return Vec::new();
     }
@@ -586,7 +590,7 @@ impl ParameterStep {
     }
 }
 
-impl Family {
+impl HypothesisFamily {
     /// Range of one parameter that the rows can show.
     fn range(&self, parameter: usize) -> [f64; 2] {
         let wider = |[lo, hi]: [f64; 2], effect: &Effect| {

@@ -1,4 +1,5 @@
-//! Steps of a position record that no machine makes, and other signs of a wrong column, unit or counter.
+//! Steps of a position record that no machine makes.
+//! They are signs of a wrong column, unit or counter.
 
 use super::PositionRecord;
 use crate::clock;

@@ -2,7 +2,7 @@
 
 use super::jumps::range_of;
 use super::{LENGTHS, PositionRecord, TIMES};
-use crate::clock::{self, Moments};
+use crate::clock::{self, ClockColumn};
 use crate::csv::{Header, Reader};
 use crate::text::open_regular;
 use crate::{InputError, TableMarks, units};
@@ -28,7 +28,7 @@ pub(super) struct PositionRows {
     last_counts: Option<f64>,
     begun_again: f64,
     /// Times that are dates or times of the day.
-    pub(super) moments: Moments,
+    pub(super) moments: ClockColumn,
     /// Offset subtracted from each numeric time, and the first time in words.
     /// The words are empty if nothing is subtracted.
     pub(super) start: Option<(f64, String)>,
@@ -134,7 +134,7 @@ impl PositionRows {
             range: if counter_bits > 0 { range_of(counter_bits) } else { 0.0 },
             last_counts: None,
             begun_again: 0.0,
-            moments: Moments::default(),
+            moments: ClockColumn::default(),
             start: None,
             without_unit,
         })

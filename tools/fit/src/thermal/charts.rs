@@ -1,11 +1,11 @@
 //! Charts of a fit: the sensors' merit, prediction against measurement, residuals.
 
-use super::report::Report;
+use super::report::ThermalFitReport;
 use crate::statistics::mean;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::record::{Column, Record, Role, span};
 
-impl Report {
+impl ThermalFitReport {
     /// The patent's figure 17: γ and temperature range of every sensor.
     /// Bars show γ upwards and the range downwards, best to the right. In addition a dot shows γ of the lagged difference.
     #[must_use]

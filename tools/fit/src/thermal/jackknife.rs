@@ -2,7 +2,7 @@
 //! A lag's interval is at least as wide as the curvature of the sum of squares requires. Blocks in which
 //! nothing warms do not show a lag, so leaving one of them out has no effect.
 
-use super::judge::independent;
+use super::cross_validation::independent;
 use super::problem::Problem;
 use super::rows::{Centred, Rows, lags_of};
 use super::term::{Term, relagged, squared};

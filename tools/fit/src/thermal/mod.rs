@@ -21,7 +21,7 @@
 //! | module | what |
 //! |---|---|
 //! | `problem`, `term` | the candidates: differences, lags, the rows binned for the search |
-//! | `judge` | a structure judged by blocked cross-validation |
+//! | `cross_validation` | a structure judged by blocked cross-validation |
 //! | `choice` | the choice of sensors alone, for comparison |
 //! | `select` | CASC, the refit, and the exchange of terms |
 //! | `rows` | least squares over every row |
@@ -33,10 +33,10 @@
 mod charts;
 mod choice;
 mod compare;
+mod cross_validation;
 mod effects;
 mod interval;
 mod jackknife;
-mod judge;
 mod problem;
 mod report;
 mod rows;
@@ -46,22 +46,24 @@ mod term;
 pub use charts::{prediction_chart, residual_chart};
 pub use choice::select_differences;
 pub(crate) use jackknife::{Intervals, jackknife_interval};
-pub use report::{Dropped, DryWet, Estimate, Fitted, Interval, Ranked, Report, Rms, Round};
+pub use report::{
+    DryWet, Estimate, FittedEffect, Interval, RankedSensor, RedundantSensor, Rms, Round, ThermalFitReport,
+};
 pub use select::{REDUNDANT, ROUNDS};
 
 use crate::denoise::{Spread, smoothed};
 use crate::statistics::mean_square;
 use compare::{baselines, dry_wet, judge_holdouts};
+use cross_validation::ValidatedStructure;
 use effects::effects;
 use interval::{Watched, halves, mean_only, nested};
 use jackknife::{Jackknife, jackknife, tuned};
-use judge::Judged;
 use problem::Problem;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_model::effect::{Difference, Effect, Heat, ValueError};
-use rtec_model::machine::{FitNote, Listed, Machine, Provenance, Reach, Source};
+use rtec_model::effect::{Difference, Effect, ThermalDependence, ValueError};
+use rtec_model::machine::{FitNote, ListedEffect, Machine, Provenance, RecordRanges, SourceRecord};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use term::{Term, unlagged};
@@ -111,7 +113,7 @@ impl Options {
     /// Differences of the base's growth effects on this response.
     /// They are pairs of a sensor and the one subtracted.
     fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
-        let own = |e: &&Effect| e.description().heat == Heat::Growth;
+        let own = |e: &&Effect| e.description().heat == ThermalDependence::Growth;
         let of = |e: &Effect| {
             let d = e.delta.as_ref().filter(|_| e.axes().first() == response.axis())?;
             Some((d.sensor.clone(), d.minus().map(str::to_owned)))
@@ -140,7 +142,7 @@ pub fn fit(
     train: &[&Record],
     holdout: &[&Record],
     options: &Options,
-) -> Result<(Machine, Vec<Report>), InputError> {
+) -> Result<(Machine, Vec<ThermalFitReport>), InputError> {
     // The name lists the responses; every effect lists its records.
     let responses: Vec<String> = train[0]
         .responses()
@@ -180,7 +182,7 @@ fn fit_response(
     response: &Role,
     options: &Options,
     machine: &mut Machine,
-) -> Result<Report, InputError> {
+) -> Result<ThermalFitReport, InputError> {
     // Select terms and fit values on smoothed temperatures. Judge predictions on raw logs, as the live model
     // reads them.
     let (quiet, spread): (Vec<Record>, Vec<Spread>) = train.iter().map(|r| smoothed(r)).unzip();
@@ -211,7 +213,7 @@ fn fit_response(
         terms.clear();
         blocks = mean_only(&problem, train, response)?;
     }
-    let Settled { terms, coefficients, mut intervals, left_out } =
+    let RetainedTerms { terms, coefficients, mut intervals, left_out } =
         settle(&mut problem, terms, quiet, response, &all)?.ok_or_else(nothing)?;
     if let Some(left_out) = left_out {
         warnings.push(left_out);
@@ -237,7 +239,7 @@ fn fit_response(
         valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
         at_mm: None,
         by_kind_um: by_kind(train, half_width_um.max(1e-9)),
-        from: train.iter().map(|r| Source::of(r)).collect(),
+        from: train.iter().map(|r| SourceRecord::of(r)).collect(),
     };
     own.note_fit(note.clone());
     // For the whole model, the base's uncertainty is added to that of the fit.
@@ -256,11 +258,11 @@ fn fit_response(
     let coverage_halves = halves(&problem, train, response, half_width_um)?;
     warnings.extend(coverage_halves.and_then(|held| unlike(held, half_width_um)));
     warnings.extend(outdone(&baselines, &blocks.folds));
-    let ranked = |j: &Judged| problem.ranked(j, &all);
-    let kept: Vec<Ranked> = chosen.kept.iter().map(ranked).collect();
+    let ranked = |j: &ValidatedStructure| problem.ranked(j, &all);
+    let kept: Vec<RankedSensor> = chosen.kept.iter().map(ranked).collect();
     warnings.extend(chosen.rivals(&problem).filter(|_| !terms.is_empty()));
     warnings.extend(chosen.by_all_rows(&problem).filter(|_| !terms.is_empty()));
-    Ok(Report {
+    Ok(ThermalFitReport {
         response: response.to_string(),
         environment_by: problem.environment_by(options),
         environment: problem.environment.map(|e| problem.sensors[e].clone()),
@@ -290,7 +292,7 @@ fn fit_response(
 }
 
 /// The terms that are kept, with their values.
-struct Settled {
+struct RetainedTerms {
     terms: Vec<Term>,
     coefficients: Vec<f64>,
     intervals: Jackknife,
@@ -306,7 +308,7 @@ fn settle(
     train: &[&Record],
     response: &Role,
     all: &[usize],
-) -> Result<Option<Settled>, InputError> {
+) -> Result<Option<RetainedTerms>, InputError> {
     let mut left_out = None;
     loop {
         terms = tuned(problem, terms, train, response)?;
@@ -333,7 +335,7 @@ fn settle(
         // Without its square a difference may be replaceable by one to the environment.
         match problem.judge(&terms, all).map(|j| problem.to_environment(j, all).terms) {
             Some(other) if other != terms => terms = other,
-            _ => return Ok(Some(Settled { terms, coefficients, intervals, left_out })),
+            _ => return Ok(Some(RetainedTerms { terms, coefficients, intervals, left_out })),
         }
     }
 }
@@ -342,10 +344,10 @@ fn settle(
 const LONG: f64 = 0.25;
 
 /// Messages about lags for which the records are hardly long enough.
-fn long_lags(fitted: &[Fitted], train: &[&Record]) -> Vec<String> {
+fn long_lags(fitted: &[FittedEffect], train: &[&Record]) -> Vec<String> {
     let span = |r: &&Record| r.time_s().last().zip(r.time_s().first()).map_or(0.0, |(b, a)| b - a);
     let longest_s = train.iter().map(span).fold(0.0, f64::max);
-    let of = |e: &Fitted| {
+    let of = |e: &FittedEffect| {
         let tau = e.parameters.get("tau_s").filter(|tau| tau.value > LONG * longest_s)?;
         let name = e.sensor.iter().chain(&e.minus).map(String::as_str).collect::<Vec<_>>().join("-");
         Some(format!(
@@ -402,10 +404,10 @@ fn enter(
     options: &Options,
     own: &mut Machine,
     machine: &mut Machine,
-) -> Result<Vec<Fitted>, ValueError> {
+) -> Result<Vec<FittedEffect>, ValueError> {
     let mut fitted = Vec::new();
     for (effect, interval) in effects {
-        fitted.push(Fitted::of(&effect, &interval));
+        fitted.push(FittedEffect::of(&effect, &interval));
         let provenance = provenance(&effect, train, date::format(options.date), interval);
         own.push(effect.clone(), provenance.clone())?;
         take_in(machine, effect, provenance, train)?;
@@ -420,7 +422,7 @@ pub(crate) fn provenance(
     date: String,
     interval: Intervals,
 ) -> Provenance {
-    let from = records.iter().map(|r| Source::of(r)).collect();
+    let from = records.iter().map(|r| SourceRecord::of(r)).collect();
     let set_up = effect.description().may_be_set_up();
     Provenance { added_by: Some("model fit".to_owned()), date: Some(date), from, interval, set_up }
 }
@@ -435,11 +437,12 @@ fn take_in(
     provenance: Provenance,
     train: &[&Record],
 ) -> Result<(), ValueError> {
-    let earlier = |l: &Listed| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
+    let earlier =
+        |l: &ListedEffect| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
     let place = machine.listed().iter().position(earlier);
     let Some(n) = place else { return machine.push(effect, provenance) };
     let earlier = &machine.listed()[n];
-    let taken_off = train.iter().any(|r| machine.acts_in(earlier, &Reach::of(r)));
+    let taken_off = train.iter().any(|r| machine.acts_in(earlier, &RecordRanges::of(r)));
     let base = if taken_off { earlier.effect.scalar(0) } else { 0.0 };
     let [lo, hi] = provenance.interval.get("um").map_or([effect.scalar(0); 2], |i| i[0]);
     machine.set(n, "um", &[base + effect.scalar(0)], Some(&[[base + lo, base + hi]]))

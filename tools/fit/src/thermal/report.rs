@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 /// A sensor or pair with its correlation to the response.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Ranked {
+pub struct RankedSensor {
     /// The sensor, or pair as `T8-T18`.
     pub sensor: String,
     /// γ: correlation of the difference with the response, as in the patent.
@@ -26,7 +26,7 @@ pub struct Ranked {
 
 /// A sensor left out because another one measures the same heat source.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Dropped {
+pub struct RedundantSensor {
     /// The sensor.
     pub sensor: String,
     /// α: its autocorrelation with the one kept.
@@ -67,7 +67,7 @@ pub struct Estimate {
 
 /// An effect of the fitted model.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Fitted {
+pub struct FittedEffect {
     /// `thermal_lag.z`
     pub name: String,
     /// The sensor.
@@ -80,7 +80,7 @@ pub struct Fitted {
     pub parameters: BTreeMap<String, Estimate>,
 }
 
-impl Fitted {
+impl FittedEffect {
     pub(crate) fn of(effect: &Effect, interval: &Intervals) -> Self {
         let minus = effect.delta.as_ref().and_then(|d| d.minus().map(str::to_owned));
         let parameter = |(i, p): (usize, &rtec_model::effect::Parameter)| {
@@ -156,7 +156,7 @@ pub struct DryWet {
 
 /// The result of the fit of one response.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct ThermalFitReport {
     /// `error.z`
     pub response: String,
     /// The sensor of the environment.
@@ -164,17 +164,17 @@ pub struct Report {
     /// How that sensor was chosen, in words.
     pub environment_by: String,
     /// Sensors kept, best first.
-    pub kept: Vec<Ranked>,
+    pub kept: Vec<RankedSensor>,
     /// Sensors left out as redundant.
-    pub dropped: Vec<Dropped>,
+    pub dropped: Vec<RedundantSensor>,
     /// The best pairs, best first.
-    pub pairs: Vec<Ranked>,
+    pub pairs: Vec<RankedSensor>,
     /// The refit, round by round.
     pub rounds: Vec<Round>,
     /// First sensors that the data cannot distinguish from the chosen one.
-    pub alternatives: Vec<Ranked>,
+    pub alternatives: Vec<RankedSensor>,
     /// The fitted effects.
-    pub effects: Vec<Fitted>,
+    pub effects: Vec<FittedEffect>,
     /// RMS of the residuals.
     pub rms_um: Rms,
     /// Residual RMS of simpler predictions on the same blocks (mean) and hold-outs.

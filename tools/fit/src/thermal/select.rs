@@ -1,8 +1,8 @@
 //! Selects terms: CASC over the sensors, the refit by rounds, then exchanges.
 
-use super::judge::{GramColumns, Judged};
+use super::cross_validation::{GramColumns, ValidatedStructure};
 use super::problem::Problem;
-use super::report::{Dropped, Ranked, Round};
+use super::report::{RankedSensor, RedundantSensor, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
 use rtec_least_squares::dot;
 use rtec_measure::iso230::correlation;
@@ -31,25 +31,29 @@ const LAG_CHOICES: usize = 4;
 const SENSORS: usize = 5;
 
 pub(super) struct Selection {
-    pub(super) structure: Judged,
-    pub(super) rounds: Vec<Judged>,
+    pub(super) structure: ValidatedStructure,
+    pub(super) rounds: Vec<ValidatedStructure>,
     /// The exchanges after the rounds.
     /// Each is the structure after it, whose last term is new, and the term that was removed.
-    pub(super) swaps: Vec<(Judged, Term)>,
-    pub(super) kept: Vec<Judged>,
+    pub(super) swaps: Vec<(ValidatedStructure, Term)>,
+    pub(super) kept: Vec<ValidatedStructure>,
     /// Sensor, α, and the index of the kept one that makes it redundant.
-    pub(super) dropped: Vec<(Judged, f64, usize)>,
-    pub(super) tied: Vec<Judged>,
+    pub(super) dropped: Vec<(ValidatedStructure, f64, usize)>,
+    pub(super) tied: Vec<ValidatedStructure>,
     /// A structure with smaller residuals over all rows that was not chosen.
-    pub(super) passed_over: Option<Judged>,
+    pub(super) passed_over: Option<ValidatedStructure>,
 }
 
 impl Selection {
     /// The redundant sensors, each with the kept one that measures the same.
-    pub(super) fn redundant(&self, ranked: &dyn Fn(&Judged) -> Ranked, kept: &[Ranked]) -> Vec<Dropped> {
-        let of = |(j, alpha, with): &(Judged, f64, usize)| {
+    pub(super) fn redundant(
+        &self,
+        ranked: &dyn Fn(&ValidatedStructure) -> RankedSensor,
+        kept: &[RankedSensor],
+    ) -> Vec<RedundantSensor> {
+        let of = |(j, alpha, with): &(ValidatedStructure, f64, usize)| {
             let own = ranked(j);
-            Dropped {
+            RedundantSensor {
                 sensor: own.sensor,
                 alpha: *alpha,
                 with: kept[*with].sensor.clone(),
@@ -63,11 +67,13 @@ impl Selection {
 
     /// The rounds of the refit, followed by the exchanges.
     pub(super) fn history(&self, problem: &Problem) -> Vec<Round> {
-        let of = |j: &Judged, added: String| Round { added, r: j.r, cv_rms_um: j.rms() };
-        let newest = |j: &Judged| problem.name(j.terms[j.terms.len() - 1]);
+        let of = |j: &ValidatedStructure, added: String| Round { added, r: j.r, cv_rms_um: j.rms() };
+        let newest = |j: &ValidatedStructure| problem.name(j.terms[j.terms.len() - 1]);
         // The first round may have a difference with its square.
-        let begun = |j: &Judged| j.terms.iter().map(|t| problem.name(*t)).collect::<Vec<_>>().join(" and ");
-        let name = |(k, j): (usize, &Judged)| of(j, if k == 0 { begun(j) } else { newest(j) });
+        let begun = |j: &ValidatedStructure| {
+            j.terms.iter().map(|t| problem.name(*t)).collect::<Vec<_>>().join(" and ")
+        };
+        let name = |(k, j): (usize, &ValidatedStructure)| of(j, if k == 0 { begun(j) } else { newest(j) });
         let rounds = self.rounds.iter().enumerate().map(name);
         let swaps =
             self.swaps.iter().map(|(j, out)| of(j, format!("{} for {}", newest(j), problem.name(*out))));
@@ -110,8 +116,8 @@ impl Problem {
         let best = sources.first()?.clone();
         // Of the differences that the data cannot distinguish from the best, take the one nearest to the
         // source of heat.
-        let mut tied: Vec<Judged> = sources.into_iter().filter(|j| !best.beats(j)).collect();
-        let lag = |j: &Judged| match j.terms[0] {
+        let mut tied: Vec<ValidatedStructure> = sources.into_iter().filter(|j| !best.beats(j)).collect();
+        let lag = |j: &ValidatedStructure| match j.terms[0] {
             Term::Thermal { lag, .. } => lag,
             _ => 0,
         };
@@ -123,7 +129,7 @@ impl Problem {
         let mut candidates: Vec<Pair> = kept.iter().filter_map(|j| pair_of(j.terms[0])).collect();
         candidates.extend(&self.pairs);
         let mean = self.judge(&[], folds)?;
-        let begun = |first: Judged, choices: usize, unearned: usize| {
+        let begun = |first: ValidatedStructure, choices: usize, unearned: usize| {
             let rounds = self.refit(first, &mean, &candidates, (choices, unearned), folds);
             (!rounds.is_empty()).then(|| self.built(rounds, &candidates, folds))
         };
@@ -132,7 +138,7 @@ impl Problem {
         // simpler or better?
         let pair = self.best_pair(&candidates, folds).filter(|_| !self.explicit);
         let by_pair = pair.clone().and_then(|p| begun(p, LAG_CHOICES * candidates.len(), 0));
-        let differences = |j: &Judged| j.terms.iter().filter(|t| squared(**t).is_some()).count();
+        let differences = |j: &ValidatedStructure| j.terms.iter().filter(|t| squared(**t).is_some()).count();
         let mut both = None;
         let chosen = match (by_environment, by_pair) {
             (Some(own), Some(other)) => {
@@ -171,7 +177,7 @@ impl Problem {
     /// Sort key of structures, better first: the residual to nine digits.
     /// Different differences may give the same sum, and rounding must not decide between them. Then the one
     /// to the environment wins, because its gain is the body's own.
-    fn merit(&self, j: &Judged) -> (i64, bool) {
+    fn merit(&self, j: &ValidatedStructure) -> (i64, bool) {
         let of_two = pair_of(j.terms[j.terms.len() - 1]).is_some_and(|(_, minus)| minus != self.environment);
         ((j.rms().ln() * 1e9).round() as i64, of_two)
     }
@@ -179,10 +185,10 @@ impl Problem {
     /// Runs the rounds, exchanges terms and removes those that became unnecessary.
     fn built(
         &self,
-        rounds: Vec<Judged>,
+        rounds: Vec<ValidatedStructure>,
         candidates: &[Pair],
         folds: &[usize],
-    ) -> (Vec<Judged>, Judged, Vec<(Judged, Term)>) {
+    ) -> (Vec<ValidatedStructure>, ValidatedStructure, Vec<(ValidatedStructure, Term)>) {
         let (structure, swaps) = self.exchange(rounds[rounds.len() - 1].clone(), candidates, folds);
         let structure = self.without_idle(structure, candidates.len(), folds);
         let mut structure = self.to_environment(structure, folds);
@@ -199,7 +205,7 @@ impl Problem {
 
     /// Rewrites sums as differences to the environment where possible.
     /// Beside T1−T0, T1−T2 adds the same as T2−T0, whose gain is the body's own.
-    pub(super) fn to_environment(&self, mut now: Judged, folds: &[usize]) -> Judged {
+    pub(super) fn to_environment(&self, mut now: ValidatedStructure, folds: &[usize]) -> ValidatedStructure {
         for k in 0..now.terms.len() {
             let Term::Thermal { sensor, minus: Some(minus), lag, square: false } = now.terms[k] else {
                 continue;
@@ -229,7 +235,7 @@ impl Problem {
     }
 
     /// The difference of any two sensors with the smallest residual alone.
-    fn best_pair(&self, candidates: &[Pair], folds: &[usize]) -> Option<Judged> {
+    fn best_pair(&self, candidates: &[Pair], folds: &[usize]) -> Option<ValidatedStructure> {
         let screened = self.screen(&[], candidates, folds);
         let fits = self.with_best_lags(&[], &screened, folds).into_iter().map(|plain| {
             let bent = squared(plain.terms[0]).filter(|_| self.square);
@@ -241,7 +247,12 @@ impl Problem {
     }
 
     /// Removes terms that are not justified beside the others.
-    fn without_idle(&self, mut now: Judged, candidates: usize, folds: &[usize]) -> Judged {
+    fn without_idle(
+        &self,
+        mut now: ValidatedStructure,
+        candidates: usize,
+        folds: &[usize],
+    ) -> ValidatedStructure {
         while now.terms.len() > 1 {
             let rest = |k: usize| {
                 let bent = squared(now.terms[k]);
@@ -263,11 +274,14 @@ impl Problem {
 
     /// Leaves out sensors that measure the same as a better one, in order of merit.
     /// Returns those kept, and those dropped with their α and the kept one's index.
-    fn casc(&self, order: Vec<Judged>) -> (Vec<Judged>, Vec<(Judged, f64, usize)>) {
-        let mut kept: Vec<Judged> = Vec::new();
-        let mut dropped: Vec<(Judged, f64, usize)> = Vec::new();
+    fn casc(
+        &self,
+        order: Vec<ValidatedStructure>,
+    ) -> (Vec<ValidatedStructure>, Vec<(ValidatedStructure, f64, usize)>) {
+        let mut kept: Vec<ValidatedStructure> = Vec::new();
+        let mut dropped: Vec<(ValidatedStructure, f64, usize)> = Vec::new();
         for j in order {
-            let column = |j: &Judged| self.column(j.terms[0]);
+            let column = |j: &ValidatedStructure| self.column(j.terms[0]);
             let own = column(&j);
             let alphas = kept.iter().enumerate().map(|(k, o)| (k, correlation(&own, &column(o)).abs()));
             match alphas.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, alpha)| *alpha >= REDUNDANT) {
@@ -286,12 +300,12 @@ impl Problem {
     /// `unearned` terms are accepted provisionally, until later terms justify all.
     fn refit(
         &self,
-        first: Judged,
-        mean: &Judged,
+        first: ValidatedStructure,
+        mean: &ValidatedStructure,
         candidates: &[Pair],
         (choices_of_first, unearned): (usize, usize),
         folds: &[usize],
-    ) -> Vec<Judged> {
+    ) -> Vec<ValidatedStructure> {
         let mut standing = usize::from(first.beyond_chance(mean, choices_of_first));
         let mut rounds = vec![first];
         // Once a term is accepted, every further term must be justified by itself.
@@ -316,14 +330,15 @@ impl Problem {
             // The patent asks R to improve by 1 %, which is impossible if R is above 0.99. Here a term stays
             // if unseen blocks are better with it, by more than the best of that many chance columns.
             let choices = LAG_CHOICES * (offered.len() + 1);
-            let next: Vec<Judged> = next.into_iter().map(|j| self.retune(j, folds)).collect();
-            let bent = |j: &Judged| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
-            let stands = |j: &Judged| match standing {
+            let next: Vec<ValidatedStructure> = next.into_iter().map(|j| self.retune(j, folds)).collect();
+            let bent =
+                |j: &ValidatedStructure| matches!(j.terms.last(), Some(Term::Thermal { square: true, .. }));
+            let stands = |j: &ValidatedStructure| match standing {
                 0 => j.beyond_chance(mean, choices.max(choices_of_first)),
                 _ if bent(j) => j.is_bent(now),
                 _ => j.earns(now, choices),
             };
-            let earned: Vec<&Judged> = next.iter().filter(|j| stands(j)).collect();
+            let earned: Vec<&ValidatedStructure> = next.iter().filter(|j| stands(j)).collect();
             let added = match earned.first() {
                 // The square of a difference already used is preferred to another difference that is not
                 // better.
@@ -357,10 +372,10 @@ impl Problem {
     /// Returns the final structure, and each exchange with the term that was removed.
     fn exchange(
         &self,
-        mut now: Judged,
+        mut now: ValidatedStructure,
         candidates: &[Pair],
         folds: &[usize],
-    ) -> (Judged, Vec<(Judged, Term)>) {
+    ) -> (ValidatedStructure, Vec<(ValidatedStructure, Term)>) {
         let mut swaps = Vec::new();
         let mut swapped = now.terms.len() > 1;
         for _ in 0..ROUNDS {
@@ -398,9 +413,13 @@ impl Problem {
 
     /// The offered differences whose growth has the sign of the hottest body's.
     /// Heat comes from that body. If it is hardly correlated with the response, all are returned.
-    fn driven_by_the_source(&self, singles: Vec<Judged>, folds: &[usize]) -> Vec<Judged> {
+    fn driven_by_the_source(
+        &self,
+        singles: Vec<ValidatedStructure>,
+        folds: &[usize],
+    ) -> Vec<ValidatedStructure> {
         let rows: Vec<usize> = self.stretches(folds).flatten().collect();
-        let warmth = |j: &Judged| {
+        let warmth = |j: &ValidatedStructure| {
             let Some((sensor, minus)) = pair_of(j.terms[0]) else { return 0.0 };
             let u = self.column(Term::plain((sensor, minus)));
             rows.iter().map(|i| u[*i]).sum::<f64>() / rows.len() as f64
@@ -476,7 +495,7 @@ impl Problem {
     }
 
     /// Searches each lag again with the others held, now that all terms are known.
-    fn retune(&self, mut now: Judged, folds: &[usize]) -> Judged {
+    fn retune(&self, mut now: ValidatedStructure, folds: &[usize]) -> ValidatedStructure {
         let Some(mut beside) = self.beside(&now.terms, folds) else { return now };
         // The terms whose columns are in place. A column that does not vary is refused, and the old one
         // stays.
@@ -507,7 +526,12 @@ impl Problem {
     }
 
     /// Each of these differences added to the given terms, with its best lag.
-    pub(super) fn with_best_lags(&self, terms: &[Term], pairs: &[Pair], folds: &[usize]) -> Vec<Judged> {
+    pub(super) fn with_best_lags(
+        &self,
+        terms: &[Term],
+        pairs: &[Pair],
+        folds: &[usize],
+    ) -> Vec<ValidatedStructure> {
         let Some(mut beside) = self.beside(terms, folds) else { return Vec::new() };
         pairs.iter().filter_map(|(s, m)| self.best_lag(&mut beside, terms, *s, *m, folds)).collect()
     }
@@ -521,7 +545,7 @@ impl Problem {
         sensor: usize,
         minus: Option<usize>,
         folds: &[usize],
-    ) -> Option<Judged> {
+    ) -> Option<ValidatedStructure> {
         let with = |lag: usize| [terms, &[Term::Thermal { sensor, minus, lag, square: false }]].concat();
         let judge = |beside: &mut GramColumns, lag: usize| {
             let all = with(lag);
@@ -571,22 +595,22 @@ impl Problem {
     }
 
     /// The offered pairs, the one that moves most with the response first.
-    pub(super) fn ranked_pairs(&self, folds: &[usize]) -> Vec<Ranked> {
+    pub(super) fn ranked_pairs(&self, folds: &[usize]) -> Vec<RankedSensor> {
         let best = self.with_best_lags(&[], &self.pairs, folds);
-        let mut pairs: Vec<Ranked> = best.iter().map(|j| self.ranked(j, folds)).collect();
+        let mut pairs: Vec<RankedSensor> = best.iter().map(|j| self.ranked(j, folds)).collect();
         pairs.sort_by(|a, b| b.gamma_lagged.abs().total_cmp(&a.gamma_lagged.abs()));
         pairs
     }
 
     /// The merit of a structure's last difference.
-    pub(super) fn ranked(&self, j: &Judged, folds: &[usize]) -> Ranked {
+    pub(super) fn ranked(&self, j: &ValidatedStructure, folds: &[usize]) -> RankedSensor {
         let Term::Thermal { sensor, minus, lag, .. } = j.terms[j.terms.len() - 1] else {
             unreachable!("only differences are ranked")
         };
         let plain = Term::plain((sensor, minus));
         let t = &self.binned[sensor][0];
         let bound = |f: fn(f64, f64) -> f64| t.iter().copied().fold(t[0], f);
-        Ranked {
+        RankedSensor {
             sensor: self.name(plain),
             gamma: self.gamma(plain, folds),
             gamma_lagged: self.gamma(Term::Thermal { sensor, minus, lag, square: false }, folds),

@@ -6,7 +6,7 @@
 use rtec_fit::chain as chain_fit;
 use rtec_model::chain::Chain;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> PathBuf {
@@ -67,7 +67,7 @@ fn measure(
     for n in ["x", "y", "z"] {
         add(&format!("e{n}"), Role::Error(axis(n)), vec![0.0; path.len()]);
     }
-    let mut record = Record::new(Path::new("m.run.toml"), Kind::Positioning, columns).unwrap();
+    let mut record = Record::new(Path::new("m.run.toml"), RunKind::Positioning, columns).unwrap();
     let mut point = truth.clone();
     point.tool_mm = tool_mm;
     for n in ["x", "y", "z"] {
@@ -120,7 +120,7 @@ fn of_axis(
 
 const SIX: [&str; 6] = ["dx", "dy", "dz", "ex", "ey", "ez"];
 
-fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::TermFound>, PathBuf, tempfile::TempDir) {
+fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::FittedChainTerm>, PathBuf, tempfile::TempDir) {
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
     let (dir, path) = template("three_axis.toml");
     let warm = [[23.0, 20.0, 20.0, 20.0, 20.0, 20.0], COLD];

@@ -1,11 +1,11 @@
 //! Records of gauges that read in coarse steps.
 //! The intervals include the steps, and a message reports them.
 
-use rtec_fit::least::fit_named;
+use rtec_fit::linear_least_squares::fit_named;
 use rtec_fit::thermal;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
 use test_needs::dice::Dice;
 
@@ -24,7 +24,7 @@ fn run(offset: f64, reversal: f64, step: f64, wobble: f64) -> Record {
     }
     let columns =
         vec![column("x", "position.x", p), column("d", "direction.x", dir), column("e", "error.x", e)];
-    Record::new(Path::new("x.run.toml"), Kind::Positioning, columns).expect("a record")
+    Record::new(Path::new("x.run.toml"), RunKind::Positioning, columns).expect("a record")
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn a_scale_below_a_step_is_held() {
         flat += usize::from(dir.iter().zip(&e).all(|(d, v)| *v - e[usize::from(*d < 0.0) * 11] == 0.0));
         let columns =
             vec![column("x", "position.x", p), column("d", "direction.x", dir), column("e", "error.x", e)];
-        let record = Record::new(Path::new("x.run.toml"), Kind::Positioning, columns).expect("a record");
+        let record = Record::new(Path::new("x.run.toml"), RunKind::Positioning, columns).expect("a record");
         let Ok((_, report)) = fit_named(&base, &names, &[&record], "2026-01-01", 30) else { continue };
         runs += 1;
         for (held, (effect, truth)) in held.iter_mut().zip(report.effects.iter().zip([ppm, reversal])) {
@@ -116,7 +116,7 @@ fn warm_up(dice: &mut Dice, lag_s: f64, noise_k: f64, step_k: f64) -> (Record, f
     }
     let names = [("t", "time"), ("T1", "temperature"), ("T2", "temperature"), ("z", "error.z")];
     let columns = names.into_iter().zip(data).map(|((name, role), data)| column(name, role, data)).collect();
-    (Record::new(Path::new("z.run.toml"), Kind::Drift, columns).expect("a record"), um_per_k)
+    (Record::new(Path::new("z.run.toml"), RunKind::Drift, columns).expect("a record"), um_per_k)
 }
 
 /// Noise and steps of the temperatures make no lag.

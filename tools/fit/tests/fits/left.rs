@@ -3,9 +3,9 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_fit::least::fit_named;
+use rtec_fit::linear_least_squares::fit_named;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -50,7 +50,7 @@ fn run(d: &mut Dice, [ppm, um]: [f64; 2], noise: f64, more: impl Fn(f64, f64) ->
     };
     let columns =
         vec![column("x", "position.x", p), column("d", "direction.x", dir), column("e", "error.x", e)];
-    Record::new(Path::new("x.run.toml"), Kind::Positioning, columns).unwrap()
+    Record::new(Path::new("x.run.toml"), RunKind::Positioning, columns).unwrap()
 }
 
 #[test]

@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_fit::thermal::{self, Options};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::collections::BTreeMap;
 use std::path::Path;
 use test_needs::dice::Dice;
@@ -102,7 +102,7 @@ fn drift(d: &mut Dice, truths: &[Option<Truth>]) -> Record {
         let axis = Axis::new(["x", "y", "z"][k]).unwrap();
         columns.push(column(format!("e{k}"), Role::Error(axis), e.collect()));
     }
-    Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()
+    Record::new(Path::new("drift.run.toml"), RunKind::Drift, columns).unwrap()
 }
 
 /// The statements of one machine's fit, each right or not.

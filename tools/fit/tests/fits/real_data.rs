@@ -7,7 +7,7 @@ use rtec_fit::thermal::{self, Options};
 use rtec_measure::import;
 use rtec_measure::iso230;
 use rtec_measure::plate;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::{Path, PathBuf};
 
 /// A file of `../shared/data`, relative to the workspace's root.
@@ -125,7 +125,7 @@ fn spindle(text: &str, rows: std::ops::Range<usize>) -> Record {
         let data = lines[1..][rows.clone()].iter().map(|l| if k == 0 { 60.0 * value(l) } else { value(l) });
         Column { name: (*name).to_owned(), unit: role.unit().unwrap().to_owned(), role, data: data.collect() }
     });
-    Record::new(Path::new("spindle.run.toml"), Kind::Drift, columns.collect()).unwrap()
+    Record::new(Path::new("spindle.run.toml"), RunKind::Drift, columns.collect()).unwrap()
 }
 
 /// Growth of a real spindle from temperatures alone.

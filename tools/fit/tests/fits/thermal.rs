@@ -6,7 +6,7 @@
 use rtec_fit::thermal::{self, Options};
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 use test_needs::repetitions;
 
@@ -15,7 +15,7 @@ fn record(columns: Vec<(String, Role, Vec<f64>)>) -> Record {
         let unit = role.unit().unwrap().to_owned();
         Column { name, role, unit, data }
     };
-    Record::new(Path::new("r.run.toml"), Kind::Drift, columns.into_iter().map(column).collect()).unwrap()
+    Record::new(Path::new("r.run.toml"), RunKind::Drift, columns.into_iter().map(column).collect()).unwrap()
 }
 
 fn error(axis: &str) -> Role {
@@ -291,7 +291,7 @@ fn a_lag_that_the_record_is_too_short_for_is_said() {
             let role = Role::parse(role).unwrap();
             Column { name: name.into(), unit: role.unit().unwrap().into(), role, data }
         });
-        Record::new(Path::new("d.run.toml"), Kind::Drift, columns.collect()).unwrap()
+        Record::new(Path::new("d.run.toml"), RunKind::Drift, columns.collect()).unwrap()
     };
     let said = |r: Record| {
         let options = Options { environment: Some("air".into()), ..Options::default() };

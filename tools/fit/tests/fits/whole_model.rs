@@ -4,10 +4,10 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_fit::least::fit_named;
+use rtec_fit::linear_least_squares::fit_named;
 use rtec_fit::thermal::{self, Options};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 use test_needs::dice::Dice;
 
@@ -57,7 +57,7 @@ struct Rows {
     speed: Box<dyn Fn(usize) -> f64>,
 }
 
-fn record(truth: &Truth, d: &mut Dice, name: &str, kind: Kind, rows: &Rows) -> Record {
+fn record(truth: &Truth, d: &mut Dice, name: &str, kind: RunKind, rows: &Rows) -> Record {
     let n = rows.p.len();
     let (mut bearing, mut late) = (0.0, 0.0);
     let mut c: Vec<Vec<f64>> = vec![vec![]; 9];
@@ -116,22 +116,22 @@ fn runs(truth: &Truth, d: &mut Dice) -> Vec<Record> {
             truth,
             d,
             "linear",
-            Kind::Positioning,
+            RunKind::Positioning,
             &Rows { p, dir, every_s: 5.0, speed: cold() },
         ));
     }
     let grid = (0..144).map(|i| [-198.0 + 36.3 * f64::from(i / 12), -198.0 + 36.3 * f64::from(i % 12)]);
     let p: Vec<[f64; 2]> = grid.collect();
     let dir = vec![[1.0; 2]; p.len()];
-    out.push(record(truth, d, "plate", Kind::Plate, &Rows { p, dir, every_s: 5.0, speed: cold() }));
+    out.push(record(truth, d, "plate", RunKind::Plate, &Rows { p, dir, every_s: 5.0, speed: cold() }));
     let angle = |i: u32| std::f64::consts::TAU * f64::from(i) / 180.0;
     let p: Vec<[f64; 2]> = (0..360).map(|i| [150.0 * angle(i).cos(), 150.0 * angle(i).sin()]).collect();
     let dir = (0..360).map(|i| [-angle(i).sin().signum(), angle(i).cos().signum()]).collect();
-    out.push(record(truth, d, "circle", Kind::Ballbar, &Rows { p, dir, every_s: 0.1, speed: cold() }));
+    out.push(record(truth, d, "circle", RunKind::Ballbar, &Rows { p, dir, every_s: 0.1, speed: cold() }));
     let levels: Vec<f64> = (0..10).map(|_| if d.unit() < 0.3 { 0.0 } else { d.between(0.3, 1.0) }).collect();
     let speed = Box::new(move |i: usize| levels[(i / 30) % 10]) as Box<dyn Fn(usize) -> f64>;
     let still = Rows { p: vec![[0.0; 2]; 300], dir: vec![[1.0; 2]; 300], every_s: 120.0, speed };
-    out.push(record(truth, d, "drift", Kind::Drift, &still));
+    out.push(record(truth, d, "drift", RunKind::Drift, &still));
     out
 }
 
@@ -211,7 +211,7 @@ fn forces_are_fitted_as_errors_are() {
         column("a", "acceleration.x", a.clone()),
         column("f", "force.x", force),
     ];
-    let run = Record::new(Path::new("dynamics.run.toml"), Kind::Dynamics, columns).unwrap();
+    let run = Record::new(Path::new("dynamics.run.toml"), RunKind::Dynamics, columns).unwrap();
     let names = ["inertia.x", "friction_viscous.x", "friction_coulomb.x"].map(str::to_owned);
     let (machine, report) = fit_named(&Machine::ideal("m"), &names, &[&run], "2026-05-01", 365).unwrap();
     for (name, want) in [("kg", 80.0), ("N_s_per_m", 900.0), ("N", 35.0)] {

@@ -209,7 +209,7 @@ pub(super) struct Fit<'t> {
 }
 
 /// Uncertainty of the free values, in the order of the terms.
-pub(super) struct Shown {
+pub(super) struct ValueUncertainty {
     /// Half the width of each 95 % interval.
     pub(super) halves: Vec<f64>,
     /// Allowed rise of the sum of squares for each interval.
@@ -674,7 +674,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Half widths and resolution of each free value, and the structure.
-    pub(super) fn shown(&self) -> Shown {
+    pub(super) fn shown(&self) -> ValueUncertainty {
         let j = self.jacobian();
         let left = self.left();
         let freedom = self.freedom(j.ncols());
@@ -709,12 +709,12 @@ impl<'t> Fit<'t> {
         let within: Vec<bool> = halves.iter().zip(self.widest()).map(told).collect();
         let resolved =
             directions.resolution.iter().zip(within).map(|(r, within)| *r > RESOLVED && within).collect();
-        Shown { halves, rises, resolved, beside: told_beside }
+        ValueUncertainty { halves, rises, resolved, beside: told_beside }
     }
 
     /// Averages each value over fits with and without unreported spikes and drift.
     /// The weights are their Bayes factors. The interval includes the spread between both fits.
-    fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut Shown) {
+    fn average(&mut self, axes: [&Axis; 2], told: &[String], shown: &mut ValueUncertainty) {
         let untold = |name: &str| name.starts_with("spike.") && !told.iter().any(|t| t == name);
         let is_fitted =
             |axis: &&Axis| self.terms.iter().any(|t| t.name == format!("spike.{axis}") && untold(&t.name));
@@ -785,7 +785,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Causes and set-up terms that these runs cannot determine, in words.
-    fn not_told(&self, told: &[String], shown: &Shown) -> Vec<String> {
+    fn not_told(&self, told: &[String], shown: &ValueUncertainty) -> Vec<String> {
         let mut names = Vec::new();
         for (t, places) in self.placed() {
             if !shown.resolved[places].iter().all(|r| *r) && self.separates(&t.name) && t.is_told(told) {
@@ -801,7 +801,11 @@ impl<'t> Fit<'t> {
 
     /// Free values with their half widths, and the causes' contributions.
     /// Unresolved values are left out.
-    fn values(&self, shown: &Shown, told: &[String]) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
+    fn values(
+        &self,
+        shown: &ValueUncertainty,
+        told: &[String],
+    ) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
         let mut values = Values::new();
         let (mut contributions, mut not_separable) = (Vec::new(), None);
         for (t, places) in
@@ -843,13 +847,13 @@ impl<'t> Fit<'t> {
     }
 
     /// RMS of structure that both directions share, µm; `None` if below the noise.
-    fn unexplained_um(&self, shown: &Shown) -> Option<f64> {
+    fn unexplained_um(&self, shown: &ValueUncertainty) -> Option<f64> {
         // With one direction of rotation reversals are part of it.
         let beside = shown.beside.filter(|_| self.structure.both_ways);
         beside.map(|t| t.rms_um).filter(|um| *um > SHOWS * self.rms(&self.noise()))
     }
 
-    fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &Shown) -> Diagnosis {
+    fn answer(&self, axes: [&Axis; 2], told: &[String], shown: &ValueUncertainty) -> Diagnosis {
         let (values, mut contributions, not_separable) = self.values(shown, told);
         let get = |name: &str| values.get(name).map(|v| v.0);
         // The two values of a reported term, by axis.
@@ -938,7 +942,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Intervals of reported spikes, by the names of their values.
-    fn spike_intervals(&self, told: &[String], shown: &Shown) -> Vec<(String, [f64; 2])> {
+    fn spike_intervals(&self, told: &[String], shown: &ValueUncertainty) -> Vec<(String, [f64; 2])> {
         let mut intervals = Vec::new();
         for (t, places) in self.placed() {
             let known = shown.resolved[places.clone()].iter().all(|r| *r);

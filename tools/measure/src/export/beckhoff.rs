@@ -4,7 +4,7 @@
 //! 308695435). Positions are in 0.1 µm, each stated (`interval 0`), as in that example. Values beyond the
 //! ends are those at the ends.
 
-use super::{Format, Point, Rules, Table, usage};
+use super::{CompensationPoint, Format, Rules, Table, usage};
 use rtec_files::Result;
 use std::fmt::Write as _;
 
@@ -34,7 +34,7 @@ impl Format for Ssfk {
         if self.axis_number == 0 {
             return Err(usage("--axis-number 0", "the controller's logical axis number, from 1"));
         }
-        let of = |p: &Point| [1000.0 * p.position_mm, p.up_um, p.down_um].map(tenths);
+        let of = |p: &CompensationPoint| [1000.0 * p.position_mm, p.up_um, p.down_um].map(tenths);
         let values: Vec<[i64; 3]> = table.points.iter().map(of).collect();
         if let Some(v) = values.iter().flatten().find(|v| i32::try_from(**v).is_err()) {
             return Err(usage(format!("{v} x 0.1 um"), "values of 32 bits, as the controller takes"));

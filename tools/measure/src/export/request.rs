@@ -3,8 +3,8 @@
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::user_format::UserFormat;
 use super::{
-    Csv, Errors, Format, Lookup, Rules, Table, TableRange, TableResidual, beckhoff, siemens, siemens_cec,
-    usage,
+    Csv, Format, Lookup, Rules, StaticErrors, Table, TableRange, TableResidual, beckhoff, siemens,
+    siemens_cec, usage,
 };
 use rtec_files::Result;
 use rtec_files::date;
@@ -193,15 +193,15 @@ impl ExportRequest {
     }
 
     /// The model's errors along the axis, or along `along`.
-    fn errors<'m>(&self, machine: &'m Machine) -> Result<Errors<'m>> {
+    fn errors<'m>(&self, machine: &'m Machine) -> Result<StaticErrors<'m>> {
         let Some(along) = &self.along else {
-            return Errors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
+            return StaticErrors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
         };
         let (own, others): (Vec<_>, Vec<_>) = self.at_mm.iter().cloned().partition(|(a, _)| *a == self.axis);
         if others.iter().any(|(a, _)| a == along) {
             return Err(usage(format!("--at {along} beside --along {along}"), "the place of other axes"));
         }
-        Errors::of(machine, &self.axis, &self.temperatures_degc, &others)?
+        StaticErrors::of(machine, &self.axis, &self.temperatures_degc, &others)?
             .across(along, own.first().map_or(0.0, |(_, mm)| *mm))
     }
 

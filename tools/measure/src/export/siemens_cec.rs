@@ -6,7 +6,7 @@
 //! direction a positive value moves the compensation axis. The user must try it on the machine and state it.
 
 use super::siemens::check_axis_name;
-use super::{Format, Point, Rules, Table, number, usage};
+use super::{CompensationPoint, Format, Rules, Table, number, usage};
 use rtec_files::Result;
 use std::fmt::Write as _;
 
@@ -33,7 +33,7 @@ pub(super) struct Cec {
 
 impl Cec {
     /// The value that compensates the error of a point, mm.
-    fn value_mm(&self, p: &Point) -> f64 {
+    fn value_mm(&self, p: &CompensationPoint) -> f64 {
         let against = if self.positive_moves_up { -1.0 } else { 1.0 };
         against * p.mean_um() / 1000.0
     }

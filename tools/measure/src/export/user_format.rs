@@ -18,7 +18,7 @@
 //!
 //! `{step}`, `{first}` and `{last}` are positions too; `{{` and `}}` stand for braces.
 
-use super::{Format, Lookup, Point, Rules, Table, number, usage};
+use super::{CompensationPoint, Format, Lookup, Rules, Table, number, usage};
 use rtec_files::Result;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
@@ -192,7 +192,7 @@ impl UserFormat {
         self.write(mm / self.position.0, self.position.1)
     }
 
-    fn value(&self, point: &Point, um: f64) -> String {
+    fn value(&self, point: &CompensationPoint, um: f64) -> String {
         let mm = match self.value {
             Value::Error => um / 1000.0,
             Value::Correction => -um / 1000.0,

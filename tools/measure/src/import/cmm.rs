@@ -2,8 +2,8 @@
 
 use super::letter;
 use crate::plate::NOMINAL_DIAMETER;
-use rtec_files::{InputError, Numbers, Result};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_files::{DecimalMarks, InputError, Result};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
 
 /// Reads a hole table of a coordinate measuring machine as a plate.
@@ -31,8 +31,8 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record> {
             continue;
         }
         let words: Vec<&str> = line.split_whitespace().collect();
-        marks = marks.or_else(|| Numbers::mark_of(words.iter().copied()));
-        let numbers = Numbers::of(words.iter().copied(), marks, ' ');
+        marks = marks.or_else(|| DecimalMarks::mark_of(words.iter().copied()));
+        let numbers = DecimalMarks::of(words.iter().copied(), marks, ' ');
         let mut row = [0.0; 5];
         for (value, place) in row.iter_mut().zip(places) {
             let word = words.get(place).ok_or_else(|| at(format!("{} values", words.len()), "a full row"))?;
@@ -55,5 +55,5 @@ pub fn cmm_plate(from: &Path, text: &str, to: &Path) -> Result<Record> {
         Column::new("ey", Role::Error(letter("y")), get(&|r| um(r[1] - r[3]))),
         Column { unit: "mm".to_owned(), ..Column::new(NOMINAL_DIAMETER, Role::Channel, get(&|r| r[4])) },
     ];
-    Record::new(to, Kind::Plate, columns)
+    Record::new(to, RunKind::Plate, columns)
 }

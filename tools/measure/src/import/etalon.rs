@@ -6,7 +6,7 @@
 
 use super::{add_note, finite};
 use rtec_files::{InputError, Result};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 struct Block {
@@ -116,7 +116,7 @@ pub fn etalon(from: &Path, text: &str, axis: &Axis, to: &Path) -> Result<Record>
         return Err(InputError::whole(from, format!("blocks {}", names.join(", ")), expected));
     }
     columns.insert(0, Column::new(axis.as_str(), Role::Position(axis.clone()), positions));
-    let mut record = Record::new(to, Kind::Positioning, columns)?;
+    let mut record = Record::new(to, RunKind::Positioning, columns)?;
     let note = "Etalon exchange file; signs as the file has them: hold one against a measurement of your own";
     add_note(&mut record, note);
     if !left.is_empty() {

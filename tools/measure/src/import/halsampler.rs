@@ -3,10 +3,10 @@
 //! `overrun` marks lost samples. The file has no times, so the period is an option.
 
 use super::add_note;
-use super::table::{Form, ImportColumn, table};
+use super::table::{ImportColumn, TableSyntax, table};
 use rtec_files::message_text::is_comment;
 use rtec_files::{InputError, Result};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
 
 /// How the log was sampled.
@@ -28,8 +28,8 @@ pub fn halsampler(
     text: &str,
     wanted: &[ImportColumn],
     sampling: &Sampling,
-    form: &Form,
-    kind: Kind,
+    form: &TableSyntax,
+    kind: RunKind,
     to: &Path,
 ) -> Result<Record> {
     /// Fewest lines that count by one and are not chance.
@@ -75,7 +75,7 @@ pub fn halsampler(
         _ => w.clone(),
     };
     let shifted: Vec<ImportColumn> = wanted.iter().map(shift).collect();
-    let form = Form { by: Some(' '), nameless: true, ..form.clone() };
+    let form = TableSyntax { by: Some(' '), nameless: true, ..form.clone() };
     let mut record = table(from, &plain, &shifted, &form, kind, to)?;
     if record.column(&Role::Time).is_some() {
         let expected = "none: the samples' period gives the time";

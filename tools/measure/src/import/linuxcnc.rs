@@ -3,7 +3,7 @@
 use super::finite;
 use crate::export::linuxcnc::{MOST, Unit};
 use rtec_files::{InputError, Result};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 /// Reads a LinuxCNC compensation file (`COMP_FILE`).
@@ -79,5 +79,5 @@ pub fn linuxcnc_comp(
         Column::new("direction", Role::Direction(axis.clone()), all.iter().map(|r| r.1).collect()),
         Column::new("error", Role::Error(axis.clone()), all.iter().map(|r| r.2).collect()),
     ];
-    Record::new(to, Kind::Positioning, columns)
+    Record::new(to, RunKind::Positioning, columns)
 }

@@ -1,13 +1,13 @@
 //! Options of an import: the file, its format and contents.
 
-use super::{Form, ImportColumn, Sampling, UserTableFormat, add_note};
+use super::{ImportColumn, Sampling, TableSyntax, UserTableFormat, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
-use rtec_files::{InputError, Result, Said};
+use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Axis, Record, RunKind};
 use std::path::{Path, PathBuf};
 
 rtec_files::choice! {
@@ -84,7 +84,7 @@ impl ImportRequest {
     ///
     /// # Errors
     /// The first finding in the file or in the options.
-    pub fn read(&self, say: &mut dyn FnMut(Said)) -> Result<Record> {
+    pub fn read(&self, say: &mut dyn FnMut(InputMessage)) -> Result<Record> {
         let (file, out) = (self.file.as_path(), self.out.as_path());
         let bytes = rtec_files::text::bytes(file)?;
         let text = if self.format == ImportFormat::Rtl {
@@ -92,7 +92,7 @@ impl ImportRequest {
         } else {
             let (text, encoding) = rtec_files::text::decode_western(file, &bytes)?;
             if let Some(encoding) = encoding {
-                say(Said::Note(format!("{}: read as {encoding}", file.display())));
+                say(InputMessage::Note(format!("{}: read as {encoding}", file.display())));
             }
             text
         };
@@ -105,12 +105,12 @@ impl ImportRequest {
         let mut record = self.of_text(&text).map_err(|e| instead(of_file(e)))?;
         // The file that will be written is a plain CSV.
         if let Some(written) = record.written.take() {
-            say(Said::Note(written));
+            say(InputMessage::Note(written));
         }
         if matches!(self.format, ImportFormat::LinuxcncComp0 | ImportFormat::LinuxcncComp1) {
             let unit = if self.unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
             let text = format!("positions and corrections were read in {unit}: --unit states another");
-            say(Said::Note(text));
+            say(InputMessage::Note(text));
         }
         if let Some(circle) = self.circle.clone() {
             record = record.with_circle(circle).map_err(|(found, expected)| {
@@ -119,7 +119,7 @@ impl ImportRequest {
         }
         if self.derive {
             for note in derive(&mut record) {
-                say(Said::Note(note.clone()));
+                say(InputMessage::Note(note.clone()));
                 add_note(&mut record, &note);
             }
         }
@@ -151,9 +151,9 @@ impl ImportRequest {
         let kind = || {
             let kinds = "positioning, drift, ballbar, plate, dynamics, probing, feed_sweep or part";
             let error = || InputError::whole(Path::new("--kind"), format!("`{}`", self.kind), kinds);
-            Kind::parse(&self.kind).ok_or_else(error)
+            RunKind::parse(&self.kind).ok_or_else(error)
         };
-        let form = Form { decimal_comma: self.decimal_comma, log: self.log, ..Form::default() };
+        let form = TableSyntax { decimal_comma: self.decimal_comma, log: self.log, ..TableSyntax::default() };
         Ok(match self.format {
             ImportFormat::EcmcDat => ecmc_dat(file, text, &axis()?, out)?,
             ImportFormat::LinuxcncComp0 | ImportFormat::LinuxcncComp1 => {

@@ -3,10 +3,10 @@
 
 use super::table::ImportColumn;
 use super::{add_note, finite, record_of};
-use rtec_files::clock::{self, Counted, day, iso8601_ns};
+use rtec_files::clock::{self, EpochTime, day, iso8601_ns};
 use rtec_files::message_text::is_comment;
 use rtec_files::{InputError, Result};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
 
 /// Reads the wanted keys.
@@ -19,7 +19,7 @@ pub fn shdr(
     from: &Path,
     text: &str,
     wanted: &[ImportColumn],
-    kind: Kind,
+    kind: RunKind,
     log: bool,
     to: &Path,
 ) -> Result<Record> {
@@ -99,7 +99,7 @@ pub fn shdr(
     let mut record = record_of(to, kind, columns, log)?;
     let counted = text.parse().ok().and_then(clock::counted);
     record.date = match &counted {
-        Some(Counted { day, .. }) => Some(day.clone()),
+        Some(EpochTime { day, .. }) => Some(day.clone()),
         None => text.contains('-').then(|| day(first)),
     };
     let what = counted.map_or_else(String::new, |c| format!(", {} of {}", c.what, c.day));

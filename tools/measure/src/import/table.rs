@@ -2,11 +2,11 @@
 //! Options: separator, number format, roles and units.
 
 use super::{add_note, finite, record_of};
-use rtec_files::clock::{self, Counted, Moments, has_zone};
+use rtec_files::clock::{self, ClockColumn, EpochTime, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
-use rtec_files::{InputError, Numbers, Result, TableMarks, units};
-use rtec_model::record::{Column, Kind, LINEAR, Record, Role};
+use rtec_files::{DecimalMarks, InputError, Result, TableMarks, units};
+use rtec_model::record::{Column, LINEAR, Record, Role, RunKind};
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -145,7 +145,7 @@ impl ImportColumn {
 
 /// Format of a table.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Form {
+pub struct TableSyntax {
     /// Separator of columns: `,`, `;`, a tab, or a blank for any number of blanks.
     /// `None`: from the header line.
     pub by: Option<char>,
@@ -163,7 +163,7 @@ pub struct Form {
 }
 
 /// The text in the form that the CSV reader accepts, with the same line numbers.
-fn prepared<'t>(text: &'t str, form: &Form) -> Cow<'t, str> {
+fn prepared<'t>(text: &'t str, form: &TableSyntax) -> Cow<'t, str> {
     if form.skip == 0 && form.comment.is_none() && form.by != Some(' ') {
         return Cow::Borrowed(text);
     }
@@ -208,8 +208,8 @@ pub fn table(
     from: &Path,
     text: &str,
     wanted: &[ImportColumn],
-    form: &Form,
-    kind: Kind,
+    form: &TableSyntax,
+    kind: RunKind,
     to: &Path,
 ) -> Result<Record> {
     let (whole, text) = (text, prepared(text, form));
@@ -323,7 +323,7 @@ fn opened<'t>(
     from: &Path,
     text: &'t str,
     wanted: &[ImportColumn],
-    form: &Form,
+    form: &TableSyntax,
 ) -> Result<(Reader<&'t [u8]>, Option<Header>)> {
     let mut reader = Reader::new(from, text.as_bytes())?;
     if let Some(by) = form.by {
@@ -342,7 +342,7 @@ fn opened<'t>(
 }
 
 /// The expected content of a cell that is not a number.
-fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: Numbers) -> &'static str {
+fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: DecimalMarks) -> &'static str {
     if let Some(expected) = clock::expected_instead(cell).filter(|_| is_time) {
         expected
     } else if in_units {
@@ -407,11 +407,11 @@ fn slash_order(text: &str, place: usize, by: char) -> Option<clock::SlashOrder> 
 /// State of a time column that may not begin with the run.
 #[derive(Default)]
 struct Clock {
-    moments: Moments,
+    moments: ClockColumn,
     /// The last time as written.
     written: String,
     /// The first row's time in the column's unit, if its epoch is long before the run.
-    counted: Option<(f64, Counted)>,
+    counted: Option<(f64, EpochTime)>,
     /// The last numeric time, in the file's unit.
     last: Option<f64>,
 }
@@ -421,7 +421,7 @@ impl Clock {
     fn of(text: &str, wanted: &[ImportColumn], places: &[usize], by: char) -> Self {
         let time = wanted.iter().zip(places).find(|(w, _)| w.role == Role::Time);
         let order = time.and_then(|(_, place)| slash_order(text, *place, by));
-        Self { moments: Moments::of_order(order), ..Self::default() }
+        Self { moments: ClockColumn::of_order(order), ..Self::default() }
     }
 
     /// Seconds since the first row, of a date or a time of day.
@@ -457,7 +457,7 @@ impl Clock {
             () if in_filetime => clock::filetime(number),
             () => clock::counted(number * w.scale[0]),
         };
-        let instead = |time: &str, Counted { unit, what, .. }: Counted| {
+        let instead = |time: &str, EpochTime { unit, what, .. }: EpochTime| {
             format!("a time in {time}: this is {what} in {unit}, as {}=time:{unit}", w.column)
         };
         if first && let Some(found) = counted() {
@@ -485,7 +485,7 @@ impl Clock {
             }
             add_note(record, &format!("time 0 is {text}"));
         }
-        if let Some((first, Counted { what, day, .. })) = self.counted {
+        if let Some((first, EpochTime { what, day, .. })) = self.counted {
             add_note(record, &format!("time 0 is {first}, {what} of {day}"));
             record.date = Some(day);
         }
@@ -520,11 +520,11 @@ fn numbers(
     from: &Path,
     text: &str,
     wanted: &[ImportColumn],
-    form: &Form,
+    form: &TableSyntax,
     places: &[usize],
-) -> Result<(Vec<Numbers>, Option<String>)> {
+) -> Result<(Vec<DecimalMarks>, Option<String>)> {
     if let Some(comma) = form.decimal_comma {
-        return Ok((vec![Numbers::written(if comma { ',' } else { '.' }); places.len()], None));
+        return Ok((vec![DecimalMarks::written(if comma { ',' } else { '.' }); places.len()], None));
     }
     let (mut reader, _) = opened(from, text, wanted, form)?;
     let marks = TableMarks::of(&mut reader)?;
@@ -532,7 +532,7 @@ fn numbers(
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }
 
-fn cells<'a>(header: Option<&Header>, row: Row<'a>, form: &Form, by: char) -> Result<Vec<Cell<'a>>> {
+fn cells<'a>(header: Option<&Header>, row: Row<'a>, form: &TableSyntax, by: char) -> Result<Vec<Cell<'a>>> {
     let Some(header) = header else { return Ok(row.cells().collect()) };
     header.cells(row).map_err(|e| {
         let (fields, names) = (row.cells().count(), header.names().count());

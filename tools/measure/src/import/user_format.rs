@@ -14,18 +14,18 @@
 //! e  = { column = "U", role = "error.z", factor = 12.5, add = -3.0, unit = "um" }  # unit: after factor and add
 //! ```
 
-use super::table::{Form, ImportColumn, table};
+use super::table::{ImportColumn, TableSyntax, table};
 use rtec_files::Result;
 use rtec_files::toml::Document;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Record, Role, RunKind};
 use std::path::Path;
 
 /// A description of a table, read from a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UserTableFormat {
-    form: Form,
+    form: TableSyntax,
     columns: Vec<ImportColumn>,
-    kind: Kind,
+    kind: RunKind,
 }
 
 impl UserTableFormat {
@@ -37,9 +37,9 @@ impl UserTableFormat {
         let document = Document::parse(file, text)?;
         let root = document.root();
         root.only(&["kind", "separator", "decimal", "skip_lines", "names", "comment", "log", "columns"])?;
-        let kinds = Kind::ALL.map(|(name, _)| name).join(", ");
+        let kinds = RunKind::ALL.map(|(name, _)| name).join(", ");
         let kind = root.required("kind", "the kind of run, as kind = \"drift\"")?;
-        let kind = Kind::parse(kind.str("a kind of run")?)
+        let kind = RunKind::parse(kind.str("a kind of run")?)
             .ok_or_else(|| kind.error(format!("kind `{}`", kind.text()), format!("one of {kinds}")))?;
         let expected = "separator = \",\", \";\", \"tab\" or \"blank\"";
         let separator = root.required("separator", expected)?;
@@ -65,7 +65,7 @@ impl UserTableFormat {
         });
         let comment = comment.transpose()?;
         let names = flag("names", true)?;
-        let form = Form {
+        let form = TableSyntax {
             by: Some(by),
             decimal_comma: Some(decimal_comma),
             skip,

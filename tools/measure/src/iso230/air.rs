@@ -187,7 +187,7 @@ mod tests {
     use super::*;
     use rtec_builders::{column, record};
     use rtec_files::toml::Document;
-    use rtec_model::record::Kind;
+    use rtec_model::record::RunKind;
     use std::path::Path;
 
     /// IAPWS R7-97, table 35: 300 K; and the triple point, from ice.
@@ -230,7 +230,7 @@ mod tests {
                 column("T1", "temperature", (0..rows).map(warm).collect()),
                 column("e", "error.x", shown.clone()),
             ];
-            let record = record("r.run.toml", Kind::Positioning, columns);
+            let record = record("r.run.toml", RunKind::Positioning, columns);
             let (found, words) = air.corrected(&record, &at, &shown).unwrap();
             assert!(shown.iter().zip(&true_um).any(|(s, t)| (s - t).abs() > 5.0), "nothing to correct");
             for (found, want) in found.iter().zip(&true_um) {

@@ -4,7 +4,7 @@
 
 use super::{Options, Positioning, error_axes, lacks, positioning_with};
 use rtec_files::Result;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -180,7 +180,7 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal> {
         Column::new("error along the diagonal", Role::Error(d), error.clone()),
     ];
     columns.extend(record.temperatures().cloned());
-    let line = Record::of_checked(&record.path, Kind::Positioning, columns);
+    let line = Record::of_checked(&record.path, RunKind::Positioning, columns);
     let along_it = positioning_with(&line, options)?;
     let along_it = along_it.into_iter().next().ok_or_else(|| lacks(record, "no error", "an error"))?;
     Ok(Diagonal {

@@ -5,8 +5,8 @@ use super::{
     ALIKE, Conditions, Expansion, MeasuredPosition, Uncertainty, alike, lacks, largest, mean_and_s, mean_of,
     no_temperature, places, range, spread, targets,
 };
+use crate::gauge_resolution::ReadingResolution;
 use crate::plot::{Chart, Colour, Series, Style};
-use crate::steps::ReadingResolution;
 use rtec_files::Result;
 use rtec_files::text::short;
 use rtec_model::record::{Axis, Column, Record, Role, mean};
@@ -148,8 +148,15 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
         let Some(position) = record.position(axis) else { continue };
         let direction = direction_of(record, axis)?;
         swapped(record, column, position)?;
-        let mut run =
-            Run { record, axis, column, position, direction, error: column.data.clone(), notes: Vec::new() };
+        let mut run = AxisRun {
+            record,
+            axis,
+            column,
+            position,
+            direction,
+            error: column.data.clone(),
+            notes: Vec::new(),
+        };
         if column.unit == "arcsec" {
             run.error.iter_mut().for_each(|v| *v *= URAD_PER_ARCSEC);
         } else if matches!(column.role, Role::Error(_)) {
@@ -206,7 +213,7 @@ fn swapped(record: &Record, error: &Column, position: &[f64]) -> Result<()> {
 }
 
 /// One axis of a run.
-struct Run<'r> {
+struct AxisRun<'r> {
     record: &'r Record,
     axis: &'r Axis,
     column: &'r Column,
@@ -216,7 +223,7 @@ struct Run<'r> {
     notes: Vec<String>,
 }
 
-impl Run<'_> {
+impl AxisRun<'_> {
     /// Corrects the error for the laser's air and reduces it to 20 °C.
     /// Scale and work piece have the expansions and sensors of the conditions.
     fn reduce(&mut self, conditions: &Conditions) -> Result<()> {
@@ -482,7 +489,7 @@ impl Positioning {
 
     /// The standard's diagram: mean deviations with ±2s, one colour per direction.
     pub fn chart(&self) -> Chart {
-        type Of = fn(&Target) -> Option<f64>;
+        type TargetFigure = fn(&Target) -> Option<f64>;
         let (unit, what) = if self.unit == "urad" { ("µrad", "tilt") } else { ("µm", "deviation") };
         let title = match self.response.strip_prefix("angle_error.") {
             Some(axes) => format!("Tilt {axes} (as ISO 230-2)"),
@@ -493,7 +500,7 @@ impl Positioning {
         let over_travel = |of: &dyn Fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
             self.targets.iter().filter_map(|t| Some((t.position_mm, of(t)?))).collect()
         };
-        let sides: [(&str, Colour, [Of; 2]); 2] = [
+        let sides: [(&str, Colour, [TargetFigure; 2]); 2] = [
             ("up ↑", Colour::Up, [|t| t.mean_up, |t| t.s_up]),
             ("down ↓", Colour::Down, [|t| t.mean_down, |t| t.s_down]),
         ];

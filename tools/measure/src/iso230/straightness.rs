@@ -167,11 +167,11 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
 impl Straightness {
     /// Deviations from the line along the travel.
     pub fn chart(&self) -> Chart {
-        type Of = fn(&StraightPlace) -> Option<f64>;
+        type PlaceFigure = fn(&StraightPlace) -> Option<f64>;
         let title = format!("Straightness {}: {} while {} moves", self.symbol, self.across, self.axis);
         let mut chart =
             Chart::new(&title, &format!("position {} (mm)", self.axis), "deviation from the line (µm)");
-        let sides: [(&str, Colour, Of); 2] =
+        let sides: [(&str, Colour, PlaceFigure); 2] =
             [("up ↑", Colour::Up, |p| p.up_um), ("down ↓", Colour::Down, |p| p.down_um)];
         for (label, colour, of) in sides {
             let points: Vec<(f64, f64)> =

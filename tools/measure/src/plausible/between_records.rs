@@ -4,7 +4,7 @@ use super::sensor_regression::{sensor_regression, with_lags};
 use super::stats::{median, middle_range, range};
 use super::{MistakeKind, Suspicion, repeats};
 use crate::iso230::correlation;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, mean, span};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, mean, span};
 
 /// Records with exactly the rows of an earlier one.
 /// Pairs of the earlier record's index and its own.
@@ -109,7 +109,7 @@ fn as_aligned(record: &Record) -> Record {
     let mut out = record.clone();
     let axes: Vec<Axis> = record.axes(Role::Position).cloned().collect();
     let [a, b] = &axes[..] else { return out };
-    if record.kind != Kind::Plate {
+    if record.kind != RunKind::Plate {
         return out;
     }
     let centred = |role: Role| {

@@ -1,6 +1,6 @@
 //! A time column that does not begin with the run.
 
-use rtec_files::clock::{Counted, counted, spreadsheet_in_s};
+use rtec_files::clock::{EpochTime, counted, spreadsheet_in_s};
 use rtec_model::record::{Record, Role};
 
 /// Warning if the time is the same in every row.
@@ -27,7 +27,7 @@ pub(super) fn absolute(record: &Record) -> Option<String> {
             record.path.display()
         ));
     }
-    let Counted { unit, what, day } = counted(first)?;
+    let EpochTime { unit, what, day } = counted(first)?;
     let what = match unit {
         "100ns" => format!("{what}, steps of 100 ns"),
         _ if what == "Unix time" => format!("{what} in {unit}"),

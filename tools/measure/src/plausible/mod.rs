@@ -46,8 +46,8 @@ pub use pieces::RecordPieceSuspicions;
 pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
-use crate::steps;
-use rtec_files::{InputError, Result, Said};
+use crate::gauge_resolution;
+use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -212,26 +212,31 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
 }
 
 /// Reports suspicions, steps and conditions of records; returns the suspicions.
-pub fn said(records: &[Record], say: &mut dyn FnMut(Said)) -> Vec<Suspicion> {
+pub fn said(records: &[Record], say: &mut dyn FnMut(InputMessage)) -> Vec<Suspicion> {
     let found = suspicions(records);
-    found.iter().map(ToString::to_string).chain(steps_of(records)).for_each(|s| say(Said::Warning(s)));
+    found
+        .iter()
+        .map(ToString::to_string)
+        .chain(steps_of(records))
+        .for_each(|s| say(InputMessage::Warning(s)));
     say_conditions(records, &found, say);
     found
 }
 
 /// Reports conditions of records that are no mistakes.
 /// How their CSV is written, a clock that does not begin with the run, constant sensors.
-pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) {
+pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputMessage)) {
     for still in stuck::still(records, found) {
-        say(Said::Warning(still));
+        say(InputMessage::Warning(still));
     }
     for written in records.iter().filter_map(|r| r.written.clone()) {
-        say(Said::Note(written));
+        say(InputMessage::Note(written));
     }
-    let clocks =
-        records.iter().flat_map(|r| [clock::absolute(r), clock::stands_still(r), steps::shared_time(r)]);
+    let clocks = records
+        .iter()
+        .flat_map(|r| [clock::absolute(r), clock::stands_still(r), gauge_resolution::shared_time(r)]);
     for clock in clocks.flatten() {
-        say(Said::Warning(clock));
+        say(InputMessage::Warning(clock));
     }
 }
 
@@ -276,7 +281,7 @@ pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Recor
 }
 
 /// The records without what a fit should leave out, which is reported.
-pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)) -> Vec<Record> {
+pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputMessage)) -> Vec<Record> {
     let out = unusable(found);
     let left: Vec<Record> = records.iter().map(|r| out.without(r)).collect();
     for (before, after) in records.iter().zip(&left) {
@@ -286,14 +291,14 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Said)
         if !sensors.is_empty() || rows > 0 {
             let sensors = if sensors.is_empty() { "no sensor".to_owned() } else { sensors.join(", ") };
             let file = before.path.display();
-            say(Said::Warning(format!("{file}: left out of the fit: {sensors}, {rows} rows")));
+            say(InputMessage::Warning(format!("{file}: left out of the fit: {sensors}, {rows} rows")));
         }
     }
     let kept = found
         .iter()
         .filter(|s| matches!(s.what, MistakeKind::Unit | MistakeKind::Sign | MistakeKind::Direction));
     for s in kept.filter(|s| !out.sensor(&s.column)) {
-        say(Said::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
+        say(InputMessage::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
     }
     left
 }
@@ -367,7 +372,7 @@ pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<u
 }
 
 /// Reports the suspicions of a record and returns it without the bad rows.
-pub fn only_good(record: Record, say: &mut dyn FnMut(Said)) -> Record {
+pub fn only_good(record: Record, say: &mut dyn FnMut(InputMessage)) -> Record {
     let records = [record];
     let doubts = said(&records, say);
     good_rows(&in_figures(&records, &doubts)[0], records[0].rows(), say).into_owned()
@@ -375,7 +380,7 @@ pub fn only_good(record: Record, say: &mut dyn FnMut(Said)) -> Record {
 
 /// The rows of a record of [`in_figures`] in which every sensor has a reading.
 /// Reports how many of the `all` rows are left out.
-pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) -> Cow<'r, Record> {
+pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(InputMessage)) -> Cow<'r, Record> {
     let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
     let mut left = Cow::Borrowed(record);
     if record.columns.iter().any(|c| off(&c)) {
@@ -389,7 +394,7 @@ pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(Said)) 
     let out = all - left.rows();
     if out > 0 {
         let file = record.path.display();
-        say(Said::Warning(format!("{file}: {out} of {all} rows look misread and are in no figure")));
+        say(InputMessage::Warning(format!("{file}: {out} of {all} rows look misread and are in no figure")));
     }
     left
 }

@@ -2,9 +2,9 @@
 
 use super::stats::{distinct, median, middle_range, quantum, range, spread, steps};
 use super::{MistakeKind, Suspicion};
-use crate::iso230::{Round, correlation, line};
+use crate::iso230::{FittedCircle, correlation, line};
 use rtec_model::ballbar_circle::turn_rad;
-use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
 
 /// The longest axes of machine tools, mm.
 const LONGEST_MM: f64 = 30_000.0;
@@ -41,8 +41,8 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let between = steps(&t.data);
     let usual = median(between.iter().copied().filter(|d| *d > 0.0));
     let limit = match record.kind {
-        Kind::Drift => 3600.0,
-        Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep => 60.0,
+        RunKind::Drift => 3600.0,
+        RunKind::Dynamics | RunKind::Ballbar | RunKind::FeedSweep => 60.0,
         _ => 900.0,
     };
     // Whole seconds that are not whole minutes, over weeks: loggers are set to 1, 10 or 60 s, not to 1000 s.
@@ -50,14 +50,17 @@ fn clock(record: &Record, out: &mut Vec<Suspicion>) {
     let long = usual * t.data.len() as f64 > 20.0 * DAY_S && whole && usual % 60.0 != 0.0;
     let epoch_ms = t.data[0] > 5e11;
     // People read gauges by hand every quarter of an hour or a multiple of it, up to four hours.
-    let by_hand = record.kind == Kind::Drift && usual % 900.0 == 0.0 && usual <= 14_400.0;
+    let by_hand = record.kind == RunKind::Drift && usual % 900.0 == 0.0 && usual <= 14_400.0;
     if usual >= limit && !by_hand || long || epoch_ms {
         let text = format!("rows are {usual} s apart, which looks like milliseconds");
         out.push(Suspicion::new(record, &t.name, MistakeKind::Unit, &[], text));
         return;
     }
     // A spreadsheet counts days from 1900: 36 526 to 58 000 are dates of this century.
-    if record.kind == Kind::Drift && usual > 0.0 && usual < 0.05 && (36_526.0..58_000.0).contains(&t.data[0])
+    if record.kind == RunKind::Drift
+        && usual > 0.0
+        && usual < 0.05
+        && (36_526.0..58_000.0).contains(&t.data[0])
     {
         let start = t.data[0];
         let text = format!(
@@ -104,7 +107,7 @@ const OTHER_ANGLE_RAD: f64 = 0.0175;
 fn beside_positions(record: &Record, angle: &Column, out: &mut Vec<Suspicion>) {
     let Some(circle) = record.circle() else { return };
     let [Some(x), Some(y)] = circle.plane.each_ref().map(|a| record.position(a)) else { return };
-    let Some(round) = Round::through(x, y).filter(Round::is_met) else { return };
+    let Some(round) = FittedCircle::through(x, y).filter(FittedCircle::is_met) else { return };
     let places = x.iter().zip(y).map(|(x, y)| round.angle(*x, *y));
     let off = |sign: f64| {
         let of = |(p, a): (f64, &f64)| turn_rad(sign * a, p).abs();
@@ -209,9 +212,9 @@ fn exchanged(record: &Record, axis: &Axis, p: &Column, e: &Column, out: &mut Vec
     if n < 10 {
         return false;
     }
-    let way = record
-        .direction(axis)
-        .or_else(|| record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == Kind::Positioning));
+    let way = record.direction(axis).or_else(|| {
+        record.data(&Role::Velocity(axis.clone())).filter(|_| record.kind == RunKind::Positioning)
+    });
     let by_direction = way.is_some_and(|w| {
         let ((as_error, asked), (as_position, others)) = (agreement(&e.data, w), agreement(&p.data, w));
         // Reversal also makes an error move with the direction; within one direction only a position goes on.
@@ -247,16 +250,18 @@ fn position_unit(record: &Record, p: &Column, out: &mut Vec<Suspicion>) {
         let mut places = p.data.clone();
         places.sort_by(f64::total_cmp);
         places.dedup_by(|a, b| (*a - *b).abs() <= near);
-        let static_run =
-            matches!(record.kind, Kind::Positioning | Kind::Plate | Kind::FeedSweep | Kind::Ballbar);
+        let static_run = matches!(
+            record.kind,
+            RunKind::Positioning | RunKind::Plate | RunKind::FeedSweep | RunKind::Ballbar
+        );
         let (size, pitch) = (range(&p.data), median(sizes));
-        let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != Kind::FeedSweep;
-        let quick = matches!(record.kind, Kind::Ballbar) && size < 0.7;
+        let few = places.len() <= 45 && pitch >= 1e-3 && record.kind != RunKind::FeedSweep;
+        let quick = matches!(record.kind, RunKind::Ballbar) && size < 0.7;
         // In a positioning run one axis moves; others move by their own error or its correction.
         let is_measured = |a: &&Axis| record.column(&Role::Error((*a).clone())).is_some();
         let mut others =
             record.axes(Role::Position).filter(|a| Some(*a) != p.role.axis()).filter(is_measured);
-        let follows = record.kind == Kind::Positioning
+        let follows = record.kind == RunKind::Positioning
             && others.any(|a| record.position(a).is_some_and(|q| range(q) > 100.0 * size));
         if follows || !(static_run && size > 0.01 && size < 3.0 && places.len() >= 5 && (few || quick)) {
             return;
@@ -272,7 +277,7 @@ fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
     let place = |a: &Axis| record.column(&Role::Position(a.clone()));
     let moving: Vec<&Axis> = axes.iter().filter(|a| place(a).is_some_and(|p| range(&p.data) > 0.0)).collect();
     let [only] = moving[..] else { return };
-    let Some(p) = place(only).filter(|_| record.kind == Kind::Positioning && record.way(only).is_none())
+    let Some(p) = place(only).filter(|_| record.kind == RunKind::Positioning && record.way(only).is_none())
     else {
         return;
     };
@@ -301,11 +306,12 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
     let down = at_zero.iter().filter(|down| **down).count();
     let ups = moves.iter().flatten().filter(|m| **m > 0.0).count() as f64;
     let downs = moved - ups;
-    let one_sided =
-        matches!(record.kind, Kind::Positioning | Kind::FeedSweep | Kind::Ballbar | Kind::Dynamics)
-            && ups >= 0.3 * moved
-            && downs >= 0.3 * moved
-            && moved >= 10.0;
+    let one_sided = matches!(
+        record.kind,
+        RunKind::Positioning | RunKind::FeedSweep | RunKind::Ballbar | RunKind::Dynamics
+    ) && ups >= 0.3 * moved
+        && downs >= 0.3 * moved
+        && moved >= 10.0;
     // Rows sorted by position do not show how each was approached.
     let is_sorted = p.data.is_sorted() || p.data.iter().rev().is_sorted();
     let zeros = share(&|v| v == 0.0);
@@ -327,7 +333,8 @@ fn direction(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>)
 fn speed(record: &Record, axis: &Axis, p: &Column, out: &mut Vec<Suspicion>) {
     let Some(v) = record.column(&Role::Velocity(axis.clone())) else { return };
     let Some(t) = record.column(&Role::Time) else { return };
-    if !matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep) || p.data.len() < 30 {
+    if !matches!(record.kind, RunKind::Ballbar | RunKind::Dynamics | RunKind::FeedSweep) || p.data.len() < 30
+    {
         return;
     }
     let Some((ratio, r)) = per_second(&p.data, &t.data, &v.data) else { return };

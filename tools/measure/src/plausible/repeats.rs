@@ -3,7 +3,7 @@
 use super::physical_peaks::{read_along, stays};
 use super::stats::{distinct, median, range};
 use super::{MistakeKind, Suspicion};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 
 /// An approach is an outlier above this multiple of the approaches' robust spread.
 const FAR: f64 = 10.0;
@@ -13,7 +13,7 @@ const WORST: f64 = 14.0;
 /// Outliers among the approaches of a positioning run to the same target.
 /// Columns with known outliers are skipped.
 pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
-    for c in record.measured().filter(|_| record.kind == Kind::Positioning) {
+    for c in record.measured().filter(|_| record.kind == RunKind::Positioning) {
         let known = |s: &Suspicion| s.what == MistakeKind::Outliers && s.is_of(record, c);
         let Some(axis) = read_along(record, c).filter(|_| !out.iter().any(known)) else { continue };
         let (Some(p), Some(d)) = (record.position(axis), record.direction(axis)) else {

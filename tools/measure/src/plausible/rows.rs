@@ -4,7 +4,7 @@ use super::physical_peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays,
 use super::small_sample_outliers::{self, SmallSampleOutliers};
 use super::stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
 use super::{MistakeKind, Suspicion};
-use crate::steps::repeats;
+use crate::gauge_resolution::repeats;
 use rtec_model::record::{Column, Record, Role};
 use statrs::distribution::{Beta, Binomial, ContinuousCDF as _, DiscreteCDF as _};
 use std::collections::HashMap;

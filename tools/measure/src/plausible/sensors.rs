@@ -4,7 +4,7 @@ use super::rows::bridged;
 use super::small_sample_outliers;
 use super::stats::{distinct, median, quantum, spread, steps};
 use super::{MistakeKind, Suspicion, is_sensor};
-use rtec_model::limits::disconnected;
+use rtec_model::disconnected_sensors::disconnected;
 use rtec_model::record::{Column, Record, Role, span};
 
 /// Range of a sensor on a machine tool, °C.

@@ -149,7 +149,7 @@ fn with_a_digit_more(value: f64) -> impl Iterator<Item = f64> {
 mod tests {
     use super::*;
     use rtec_builders::{column, record};
-    use rtec_model::record::Kind;
+    use rtec_model::record::RunKind;
 
     /// A reading at a reversal may lie outside both neighbours, by less than a step.
     /// A lost digit lies farther off.
@@ -167,7 +167,7 @@ mod tests {
             let e = (0..x.len()).map(|i| (i as f64).sin()).collect();
             let columns = vec![column("x", "position.x", x), column("e", "error.x", e)];
             let mut out = Vec::new();
-            look(&record("r.run.toml", Kind::Dynamics, columns), &mut out);
+            look(&record("r.run.toml", RunKind::Dynamics, columns), &mut out);
             out.len()
         };
         assert_eq!((said(None), said(Some(100))), (0, 1));
@@ -197,7 +197,7 @@ mod tests {
                 vec![column("t", "time", t), column("y", "position.y", y), column("e", "error.y", e)];
             columns.extend(with_speed.then(|| column("v", "velocity.y", v)));
             let mut out = Vec::new();
-            look(&record("r.run.toml", Kind::FeedSweep, columns), &mut out);
+            look(&record("r.run.toml", RunKind::FeedSweep, columns), &mut out);
             out.len()
         };
         assert_eq!((said(false), said(true)), (1, 0));

@@ -9,7 +9,7 @@
 
 use super::physical_peaks::{LARGEST_PEAK_UM, causes, stays, ways};
 use super::stats::{median, quantum};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Rows from which a robust spread is used instead of this test.
@@ -69,7 +69,7 @@ pub(super) fn of_response(record: &Record, c: &Column) -> SmallSampleOutliers {
 fn returns_to_one_place(record: &Record) -> bool {
     let counts = |role: &Role| matches!(role, Role::Time | Role::Cycle) || role.is_response();
     let changes = |c: &Column| c.data.windows(2).any(|w| w[0].to_bits() != w[1].to_bits());
-    record.kind != Kind::Drift && !record.columns.iter().any(|c| !counts(&c.role) && changes(c))
+    record.kind != RunKind::Drift && !record.columns.iter().any(|c| !counts(&c.role) && changes(c))
 }
 
 /// The outlier of repeated readings of one place, and the scatter of the others.

@@ -3,7 +3,7 @@
 
 use super::physical_peaks::excused;
 use super::stats::{median, spread, steps};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 
 /// The step must exceed this multiple of the usual row-to-row step.
 const OVER_ALL: f64 = 12.0;
@@ -17,7 +17,7 @@ const SIDE: usize = 6;
 /// Reports steps in the errors of drift tests, one line each.
 /// Counts were lost, or a gauge or tool was moved.
 pub fn steps_of(records: &[Record]) -> Vec<String> {
-    let drifts = records.iter().filter(|r| r.kind == Kind::Drift);
+    let drifts = records.iter().filter(|r| r.kind == RunKind::Drift);
     let of = |r: &Record| {
         let own = r.responses().filter(|c| matches!(c.role, Role::Error(_)));
         own.filter_map(|c| step(r, c)).collect::<Vec<_>>()

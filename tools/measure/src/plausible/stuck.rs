@@ -256,7 +256,7 @@ fn fine(v: f64) -> bool {
 mod tests {
     use super::*;
     use rtec_builders::{column, record};
-    use rtec_model::record::Kind;
+    use rtec_model::record::RunKind;
 
     /// A step at the end of a run has not reached other sensors yet.
     #[test]
@@ -288,7 +288,7 @@ mod tests {
                 made("T2", "temperature", &body(200.0, 300)),
                 made("e", "error.x", &|i| 0.01 * i as f64),
             ];
-            record("run.run.toml", Kind::Drift, columns)
+            record("run.run.toml", RunKind::Drift, columns)
         };
         let said = |near: &dyn Fn(usize) -> f64| {
             let mut out = Vec::new();
@@ -316,7 +316,11 @@ mod tests {
             let (lively, calm) = (read(20.05, sigma), vec![20.3; 300]);
             let made = |name: &str, t: Vec<f64>| {
                 let e = (0..300).map(|i| f64::from(i).sin()).collect();
-                record(name, Kind::Ballbar, vec![column("T1", "temperature", t), column("e", "error.x", e)])
+                record(
+                    name,
+                    RunKind::Ballbar,
+                    vec![column("T1", "temperature", t), column("e", "error.x", e)],
+                )
             };
             let mut out = Vec::new();
             look(&[made("a", lively), made("b", calm)], &mut out);
@@ -331,7 +335,7 @@ mod tests {
         let made = |name: &str, near: Vec<f64>, far: Vec<f64>| {
             let e = column("e", "error.x", near.iter().map(|v| 0.1 * v).collect());
             let near = column("T1", "temperature", near);
-            record(name, Kind::Drift, vec![near, column("T2", "temperature", far), e])
+            record(name, RunKind::Drift, vec![near, column("T2", "temperature", far), e])
         };
         let ramp = |i: i32| 20.0 + 0.05 * f64::from(i);
         let other = made("a", (0..100).map(ramp).collect(), (0..100).map(ramp).collect());

@@ -2,8 +2,8 @@
 
 use super::stats::{distinct, median, range};
 use super::{MistakeKind, Suspicion};
-use crate::iso230::{Round, line};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use crate::iso230::{FittedCircle, line};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::collections::VecDeque;
 
 /// Shortest time in which a body warms through half its range, s.
@@ -48,8 +48,9 @@ fn small_circle(record: &Record, out: &mut Vec<Suspicion>) {
     let moves = |c: &&Column| matches!(c.role, Role::Position(_)) && range(&c.data) > 0.0;
     let moving: Vec<&Column> = record.columns.iter().filter(moves).collect();
     let [a, b] = moving[..] else { return };
-    let round = Round::through(&a.data, &b.data).filter(|r| record.kind == Kind::Ballbar && r.is_met());
-    let Some(Round { radius, .. }) = round.filter(|r| r.radius < SHORTEST_BAR_MM) else { return };
+    let round =
+        FittedCircle::through(&a.data, &b.data).filter(|r| record.kind == RunKind::Ballbar && r.is_met());
+    let Some(FittedCircle { radius, .. }) = round.filter(|r| r.radius < SHORTEST_BAR_MM) else { return };
     let whole = |mm: f64, of: f64| (mm / of - (mm / of).round()).abs() * of < OFF_RADIUS * mm;
     let inches = radius * MM_PER_INCH;
     if whole(inches, 10.0) && !whole(radius, 0.5) {
@@ -72,8 +73,8 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let travel = range(&p.data);
     // On a plate the residual of the line also holds the other axis's squareness and rotation.
     let (fewest, left_share, shortest_mm) = match record.kind {
-        Kind::Positioning => (5, 0.1, 5.0),
-        Kind::Plate => (3, 0.3, 3.0),
+        RunKind::Positioning => (5, 0.1, 5.0),
+        RunKind::Plate => (3, 0.3, 3.0),
         _ => return,
     };
     if travel < shortest_mm || distinct(&p.data) < fewest || out.iter().any(|s| s.is_of(record, p)) {
@@ -88,7 +89,7 @@ fn inches(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
     let steep = steep.filter(|(e, (_, slope, left))| {
         slope.abs() * 1000.0 > STEEPEST_PPM
             && *left < left_share * range(&e.data)
-            && !(record.kind == Kind::Plate && drifts(&e.data, *left))
+            && !(record.kind == RunKind::Plate && drifts(&e.data, *left))
     });
     let text = if whole(MM_PER_INCH) < 0.004 && whole(1.0) > 0.1 {
         format!("{travel:.3} mm of travel, whole millimetres if it were inches")
@@ -115,7 +116,7 @@ fn drifts(e: &[f64], left: f64) -> bool {
 /// Detects a temperature and an error in each other's column.
 /// The error begins at room temperature, and the sensor at the zero of a gauge.
 fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
-    if record.kind != Kind::Drift || record.rows() < 20 {
+    if record.kind != RunKind::Drift || record.rows() < 20 {
         return;
     }
     let sensors: Vec<&Column> = record.temperatures().collect();
@@ -138,7 +139,7 @@ fn exchanged(record: &Record, out: &mut Vec<Suspicion>) {
 
 /// Detects temperatures of a drift test that change faster than a machine warms.
 fn heat(record: &Record, out: &mut Vec<Suspicion>) {
-    let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 20)
+    let Some(t) = record.column(&Role::Time).filter(|t| record.kind == RunKind::Drift && t.data.len() >= 20)
     else {
         return;
     };
@@ -206,7 +207,7 @@ fn circle(record: &Record, out: &mut Vec<Suspicion>) {
     else {
         return;
     };
-    let Some(round) = Round::through(&a.data, &b.data).filter(Round::is_met) else { return };
+    let Some(round) = FittedCircle::through(&a.data, &b.data).filter(FittedCircle::is_met) else { return };
     let times = circle.radius_mm / round.radius;
     let is = |of: f64| (times / of - 1.0).abs() < OTHER_RADIUS;
     if is(1.0) {

@@ -7,7 +7,7 @@ use super::stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::{MistakeKind, Suspicion, motion, repeats};
 use crate::iso230::{correlation, mean_of};
 use rtec_model::effect::sign;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 
 /// Fewest moves of a run.
 const RUN: usize = 5;
@@ -31,12 +31,12 @@ pub(super) fn look(record: &Record, out: &mut Vec<Suspicion>) {
         runs(record, axis, out);
     }
     for c in record.responses().filter(|c| matches!(c.role, Role::Error(_))) {
-        let at = if record.kind == Kind::Drift { in_time(record, c) } else { by_place(record, c) };
+        let at = if record.kind == RunKind::Drift { in_time(record, c) } else { by_place(record, c) };
         if let Some(at) = at {
             let rows: Vec<usize> = (at..c.data.len()).collect();
             let text = "has the sign opposite to the rows before".to_owned();
             out.push(Suspicion::new(record, &c.name, MistakeKind::Sign, &rows, text));
-        } else if record.kind == Kind::Positioning
+        } else if record.kind == RunKind::Positioning
             && let Some(rows) = of_approaches(record, c)
         {
             let text = "has the sign opposite to the other approaches to the same places".to_owned();
@@ -170,7 +170,7 @@ fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
     if let Some(way) = record.way(axis) {
         return way.iter().map(|v| sign(*v)).collect();
     }
-    if record.kind != Kind::Ballbar {
+    if record.kind != RunKind::Ballbar {
         return vec![0.0; p.len()];
     }
     let near = |i: usize| (i.saturating_sub(1), (i + 1).min(p.len() - 1));
@@ -296,7 +296,7 @@ fn in_time(record: &Record, c: &Column) -> Option<usize> {
 
 /// Detects a clock put forward: a pause in which no temperature went on.
 fn clock(record: &Record, out: &mut Vec<Suspicion>) {
-    let Some(t) = record.column(&Role::Time).filter(|t| record.kind == Kind::Drift && t.data.len() >= 40)
+    let Some(t) = record.column(&Role::Time).filter(|t| record.kind == RunKind::Drift && t.data.len() >= 40)
     else {
         return;
     };

@@ -5,7 +5,7 @@
 use crate::circles::{Noise, Run, column, map_without_line, near, one};
 use rtec_measure::ballbar;
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Axis, Record, RunKind};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -235,7 +235,7 @@ fn two_axes_with_their_errors_are_a_circle_too() {
         column("ex", "error.x", by(&|a, w| 0.030 * 100.0 * a.sin() - 2.0 * w * a.sin().signum())),
         column("ey", "error.y", by(&|a, _| 0.010 * 100.0 * a.sin())),
     ];
-    let record = Record::new(Path::new("g.run.toml"), Kind::Ballbar, columns).unwrap();
+    let record = Record::new(Path::new("g.run.toml"), RunKind::Ballbar, columns).unwrap();
     let found = one(&[record]);
     near(found.radius_mm, 100.0, 0.01);
     near(found.diagnosis.squareness_urad, 30.0, 0.05);
@@ -261,7 +261,7 @@ fn an_arc_by_its_positions_has_its_own_centre() {
         column("ex", "error.x", by(&|a, w| 0.030 * 100.0 * a.sin() - 2.0 * w * a.sin().signum())),
         column("ey", "error.y", by(&|a, _| 0.010 * 100.0 * a.sin())),
     ];
-    let found = one(&[Record::new(Path::new("arc.run.toml"), Kind::Ballbar, columns).unwrap()]);
+    let found = one(&[Record::new(Path::new("arc.run.toml"), RunKind::Ballbar, columns).unwrap()]);
     near(found.radius_mm, 100.0, 1e-6);
     near(found.diagnosis.squareness_urad, 30.0, 0.05);
     near(found.diagnosis.scale_mismatch_ppm, -10.0, 0.05);
@@ -295,7 +295,7 @@ fn without_plane_and_radius_there_are_deviations_only() {
         column("a", "angle", rows.iter().map(|r| r[1]).collect()),
         column("e", "error.r", rows.iter().map(|r| 2.0 * (2.0 * r[1]).sin()).collect()),
     ];
-    let found = one(&[Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap()]);
+    let found = one(&[Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap()]);
     near(found.g_b, 4.0, 0.01);
     assert_eq!(found.diagnosis.squareness_urad, None);
     assert!(found.warnings.iter().any(|w| w.contains("radius_mm")), "{:?}", found.warnings);
@@ -316,7 +316,7 @@ fn a_circle_without_its_start_and_stop_is_a_full_one() {
             column("e", "error.r", angle.iter().map(|a| 2.0 * (2.0 * a).cos()).collect()),
             column("a", "angle", angle),
         ];
-        let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+        let record = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap();
         let circle =
             Circle { radius_mm: 150.0, plane: ["x", "y"].map(|n| Axis::new(n).unwrap()), centre_mm: None };
         let found = one(&[record.with_circle(circle).unwrap()]);
@@ -531,7 +531,7 @@ fn a_coarse_clock_makes_no_spike() {
             }
             let [t, a, e] = rows;
             let columns = vec![column("t", "time", t), column("a", "angle", a), column("e", "error.r", e)];
-            let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+            let record = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap();
             let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
             let found = one(&[record.with_circle(Circle { radius_mm, plane, centre_mm: None }).unwrap()]);
             let d = &found.diagnosis;

@@ -4,7 +4,7 @@
 
 use crate::circles::{Noise, Run, column, near, one};
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_model::record::{Axis, Record, Role, RunKind};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -25,7 +25,7 @@ fn known(name: &str, circles: &[(f64, f64)], arc: f64, seed: u64) -> Record {
     let of = |v: &[f64]| kept.iter().map(|i| v[*i]).collect::<Vec<f64>>();
     let columns =
         vec![column("t", "time", of(t)), column("a", "angle", of(a)), column("e", "error.r", of(e))];
-    let record = Record::new(Path::new(name), Kind::Ballbar, columns).unwrap();
+    let record = Record::new(Path::new(name), RunKind::Ballbar, columns).unwrap();
     let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
     record.with_circle(Circle { radius_mm: 150.0, plane, centre_mm: None }).unwrap()
 }
@@ -86,7 +86,7 @@ fn a_recorded_pause_takes_nothing_of_a_circle() {
                 read.iter().map(|a| 3.0 * (2.0 * a).sin() + 0.1 * noise.normal()).collect(),
             ),
         ];
-        let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+        let record = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap();
         let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
         let circle = Circle { radius_mm, plane, centre_mm: None };
         let found = one(&[record.with_circle(circle).unwrap()]);
@@ -143,7 +143,7 @@ fn a_gap_is_no_part_of_a_circle() {
         column("a", "angle", of("angle")),
         column("e", "error.r", of("error.r")),
     ];
-    let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+    let record = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap();
     let circle =
         Circle { radius_mm: 150.0, plane: ["x", "y"].map(|n| Axis::new(n).unwrap()), centre_mm: None };
     let found = one(&[record.with_circle(circle).unwrap()]);
@@ -304,7 +304,7 @@ fn rows_where_an_axis_turns_are_no_cause() {
             let columns =
                 roles.into_iter().zip(columns).map(|((name, role), data)| column(name, role, data)).collect();
             let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
-            let record = Record::new(Path::new("p.run.toml"), Kind::Ballbar, columns).unwrap();
+            let record = Record::new(Path::new("p.run.toml"), RunKind::Ballbar, columns).unwrap();
             let record = record.with_circle(Circle { radius_mm, plane, centre_mm: None }).unwrap();
             let d = one(&[record]).diagnosis;
             let said = format!("{n} rows from {first}, play {play:?}, at the turn {at_turn}: {d:?}");

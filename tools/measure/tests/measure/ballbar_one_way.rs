@@ -6,7 +6,7 @@
 use crate::circles::{Noise, Run, column, map_without_line, one};
 use rtec_measure::ballbar::{Ballbar, Contribution};
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Axis, Record, RunKind};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -92,7 +92,7 @@ fn rows_at_rest_are_no_motion() {
         column("a", "angle", rows.iter().map(|r| r[1].rem_euclid(TAU)).collect()),
         column("e", "error.r", vec![0.0; rows.len()]),
     ];
-    let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap();
+    let record = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap();
     let record = record.with_circle(moving.circle().unwrap().clone()).unwrap();
     let left = rtec_measure::ballbar::in_motion(&record).rows();
     assert!(left.abs_diff(2 * half) < 12, "{left} of {} rows", record.rows());
@@ -306,7 +306,7 @@ fn of_rows(rows: &[[f64; 3]]) -> Record {
     ];
     let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
     let circle = Circle { radius_mm: 150.0, plane, centre_mm: None };
-    Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns).unwrap().with_circle(circle).unwrap()
+    Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns).unwrap().with_circle(circle).unwrap()
 }
 
 /// Machines drawn from these seeds.

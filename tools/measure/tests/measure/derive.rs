@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_measure::derive::derive;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
 fn x() -> Axis {
@@ -20,7 +20,7 @@ fn noise(n: usize, mut state: u64) -> Vec<f64> {
     (0..n).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
 }
 
-fn record(kind: Kind, t: &[f64], p: &[f64]) -> Record {
+fn record(kind: RunKind, t: &[f64], p: &[f64]) -> Record {
     let columns = vec![
         Column::new("t", Role::Time, t.to_vec()),
         Column::new("px", Role::Position(x()), p.to_vec()),
@@ -57,7 +57,7 @@ fn judged(t: &[f64], noise_mm: f64, resolution_mm: f64) -> ([f64; 2], f64, Vec<S
         .map(|(s, z)| s[0] + noise_mm * z)
         .map(|p| if resolution_mm > 0.0 { (p / resolution_mm).round() * resolution_mm } else { p })
         .collect();
-    let mut record = record(Kind::Dynamics, t, &p);
+    let mut record = record(RunKind::Dynamics, t, &p);
     let notes = derive(&mut record);
     let (v, a) = (record.data(&Role::Velocity(x())).unwrap(), record.data(&Role::Acceleration(x())).unwrap());
     let ev = rms(v.iter().zip(&true_).map(|(v, s)| v - s[1]));
@@ -118,7 +118,7 @@ fn the_stated_error_is_the_real_one_and_noise_alone_is_no_motion() {
         }
     }
     let still: Vec<f64> = noise(2000, 5).iter().map(|z| 10.0 + 1e-3 * z).collect();
-    let mut at_rest = record(Kind::Dynamics, &t[..2000], &still);
+    let mut at_rest = record(RunKind::Dynamics, &t[..2000], &still);
     let notes = derive(&mut at_rest);
     assert!(at_rest.data(&Role::Acceleration(x())).is_none(), "{notes:?}");
     assert!(notes.iter().any(|n| n.contains("acceleration.x not derived: noise")), "{notes:?}");
@@ -128,7 +128,7 @@ fn the_stated_error_is_the_real_one_and_noise_alone_is_no_motion() {
 fn what_is_there_stays_and_what_is_no_motion_is_not_differentiated() {
     let t: Vec<f64> = (0..400).map(|n| f64::from(n) * 1e-3).collect();
     let p: Vec<f64> = t.iter().map(|t| stroke(*t)[0]).collect();
-    let mut given = record(Kind::Dynamics, &t, &p);
+    let mut given = record(RunKind::Dynamics, &t, &p);
     given.columns.push(Column::new("v", Role::Velocity(x()), vec![1.0; 400]));
     assert_eq!(derive(&mut given).len(), 1);
     assert_eq!(given.data(&Role::Velocity(x())).unwrap(), [1.0; 400]);
@@ -137,20 +137,21 @@ fn what_is_there_stays_and_what_is_no_motion_is_not_differentiated() {
     assert_eq!(given, once);
     // Targets visited every ten seconds.
     let stops: Vec<f64> = (0..40).map(|n| f64::from(n) * 10.0).collect();
-    let mut positioning = record(Kind::Positioning, &stops, &stops);
+    let mut positioning = record(RunKind::Positioning, &stops, &stops);
     let notes = derive(&mut positioning);
     assert_eq!(positioning.columns.len(), 3);
     assert!(notes[0].contains("10 s apart in a run of kind positioning are readings at stops"), "{notes:?}");
     // Without times, or standing still: nothing to say.
     let columns =
         vec![Column::new("px", Role::Position(x()), p.clone()), Column::new("e", Role::Error(x()), p)];
-    let mut timeless = Record::new(Path::new("m.run.toml"), Kind::Dynamics, columns).unwrap();
+    let mut timeless = Record::new(Path::new("m.run.toml"), RunKind::Dynamics, columns).unwrap();
     assert!(derive(&mut timeless).is_empty());
-    assert!(derive(&mut record(Kind::Dynamics, &t, &[5.0; 400])).is_empty());
+    assert!(derive(&mut record(RunKind::Dynamics, &t, &[5.0; 400])).is_empty());
     assert!(
-        derive(&mut record(Kind::Dynamics, &t[..6], &[1.0, 2.0, 3.0, 5.0, 6.0, 9.0]))[0].contains("too few")
+        derive(&mut record(RunKind::Dynamics, &t[..6], &[1.0, 2.0, 3.0, 5.0, 6.0, 9.0]))[0]
+            .contains("too few")
     );
-    let same = record(Kind::Dynamics, &[0.0; 400], &once.columns[1].data);
+    let same = record(RunKind::Dynamics, &[0.0; 400], &once.columns[1].data);
     assert!(derive(&mut same.clone())[0].contains("same time"));
 }
 
@@ -161,7 +162,7 @@ fn a_gap_in_time_parts_two_runs() {
     let t: Vec<f64> = (0..400).map(|n| f64::from(n) * 1e-3 + if n < 200 { 0.0 } else { 30.0 }).collect();
     let p: Vec<f64> =
         (0..400).map(|n| if n < 200 { f64::from(n) * 0.05 } else { 300.0 - f64::from(n) * 0.02 }).collect();
-    let mut parted = record(Kind::Dynamics, &t, &p);
+    let mut parted = record(RunKind::Dynamics, &t, &p);
     derive(&mut parted);
     let v = parted.data(&Role::Velocity(x())).unwrap();
     assert!(v[..200].iter().all(|v| (v - 50.0).abs() < 1e-6), "{:?}", &v[195..205]);
@@ -184,7 +185,7 @@ fn a_real_axis_has_the_mass_and_friction_that_its_owners_found() {
         Column::new("x", Role::Position(x()), get(2, 1000.0)),
         Column::new("f", Role::Force(x()), force.clone()),
     ];
-    let mut record = Record::new(Path::new("emps.run.toml"), Kind::Dynamics, columns).unwrap();
+    let mut record = Record::new(Path::new("emps.run.toml"), RunKind::Dynamics, columns).unwrap();
     let notes = derive(&mut record);
     println!("{notes:#?}");
     let (v, a) = (record.data(&Role::Velocity(x())).unwrap(), record.data(&Role::Acceleration(x())).unwrap());

@@ -6,7 +6,7 @@ use crate::circles::{Noise, Run, one};
 use rtec_builders::column;
 use rtec_measure::evaluation::{self, EvaluationRequest};
 use rtec_measure::iso230::{self, Conditions};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -44,7 +44,7 @@ fn a_circle_without_radius_says_what_has_no_uncertainty() {
         return;
     }
     let full = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, _]| 2.0 * (2.0 * a).sin());
-    let bare = Record::new(&full.path, Kind::Ballbar, full.columns.clone()).unwrap();
+    let bare = Record::new(&full.path, RunKind::Ballbar, full.columns.clone()).unwrap();
     let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
     let of = |record: Record| {
         let asked = EvaluationRequest { conditions: conditions.clone(), ..EvaluationRequest::default() };
@@ -66,7 +66,7 @@ fn a_drift_of_less_than_an_hour_has_no_hourly_change() {
         let t: Vec<f64> = (0..=minutes).map(|i| 60.0 * f64::from(i)).collect();
         let e = t.iter().map(|t| 0.01 * t).collect();
         let columns = vec![column("t", "time", t), column("e", "error.z", e)];
-        let r = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+        let r = Record::new(Path::new("d.run.toml"), RunKind::Drift, columns).unwrap();
         let whole = &iso230::drift(&r).unwrap()[0].whole;
         assert_eq!(whole.max_rate_per_h.is_some(), has, "{minutes} min");
         assert!((whole.rate_per_h - 36.0).abs() < 1e-9, "{minutes} min");
@@ -80,7 +80,7 @@ fn drift_ranges_and_rate() {
     let e: Vec<f64> = t.iter().map(|t| (t / 300.0).min(24.0)).collect();
     let warm = e.iter().map(|e| 20.0 + e / 4.0).collect();
     let columns = vec![column("t", "time", t), column("T1", "temperature", warm), column("e", "error.z", e)];
-    let r = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+    let r = Record::new(Path::new("d.run.toml"), RunKind::Drift, columns).unwrap();
     let d = &iso230::drift(&r).unwrap()[0];
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} and {b}");
     let w = &d.whole;
@@ -115,7 +115,7 @@ fn a_drift_test_is_evaluated_phase_by_phase() {
         column("T1", "temperature", of(&|m| 20.0 + m / 60.0)),
         column("e", "error.z", of(&e)),
     ];
-    let r = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+    let r = Record::new(Path::new("d.run.toml"), RunKind::Drift, columns).unwrap();
     let d = &iso230::drift(&r).unwrap()[0];
     let phases: Vec<(&str, Option<f64>, f64)> =
         d.phases.iter().map(|p| (p.phase, p.at_mm, p.from_min.round())).collect();
@@ -164,7 +164,7 @@ fn a_drifts_scatter_is_its_noise() {
             column("x", "position.x", of(&|m| if moving(m) { 500.0 } else { 100.0 })),
             column("e", "error.z", e),
         ];
-        let record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+        let record = Record::new(Path::new("d.run.toml"), RunKind::Drift, columns).unwrap();
         let asked = EvaluationRequest { conditions: conditions.clone(), ..EvaluationRequest::default() };
         let found = evaluation::evaluate(&[record], &asked, &mut |_| ()).unwrap().document;
         let scatter = found["scatter"].as_f64().unwrap();
@@ -193,7 +193,7 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
         column("ex", "error.x", of(&|x, y| (sx * x + c * y) / 1000.0 + 4.0)),
         column("ey", "error.y", of(&|x, y| (sy * y + d * x) / 1000.0 - 7.0)),
     ];
-    let record = Record::new(Path::new("p.run.toml"), Kind::Plate, columns).unwrap();
+    let record = Record::new(Path::new("p.run.toml"), RunKind::Plate, columns).unwrap();
     let p = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap();
     let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-6, "{got} and {want}");
     near(p.joint.terms.scale_x_ppm, sx);
@@ -221,7 +221,7 @@ fn holes_on_one_line_are_no_plate() {
             column("ex", "error.x", along.iter().map(|x| 0.03 * x).collect()),
             column("ey", "error.y", along.iter().map(|x| 0.02 * x).collect()),
         ];
-        let record = Record::new(Path::new("p.run.toml"), Kind::Plate, columns).unwrap();
+        let record = Record::new(Path::new("p.run.toml"), RunKind::Plate, columns).unwrap();
         let said = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap_err();
         assert!(said.to_string().contains("holes on one line"), "{said}");
     }
@@ -239,7 +239,7 @@ fn the_tilt_of_a_spindle_drifts_as_displacements_do() {
         column("x", "error.x", of(12.0)),
         column("b", "angle_error.s.b", of(80.0)),
     ];
-    let record = Record::new(Path::new("d.run.toml"), Kind::Drift, columns).unwrap();
+    let record = Record::new(Path::new("d.run.toml"), RunKind::Drift, columns).unwrap();
     let all = iso230::drift(&record).unwrap();
     let names: Vec<_> = all.iter().map(|d| (d.response.as_str(), d.unit.as_str())).collect();
     assert_eq!(names, [("error.x", "um"), ("angle_error.s.b", "urad")]);
@@ -274,7 +274,7 @@ fn straightness_is_what_is_off_the_line() {
         column("y", "error.y", y),
         column("z", "error.z", z),
     ];
-    let record = Record::new(Path::new("s.run.toml"), Kind::Positioning, columns).unwrap();
+    let record = Record::new(Path::new("s.run.toml"), RunKind::Positioning, columns).unwrap();
     let found = iso230::straightness(&record).unwrap();
     assert_eq!(found.iter().map(|s| s.symbol.as_str()).collect::<Vec<_>>(), ["EYX", "EZX"]);
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} and {b}");
@@ -291,9 +291,9 @@ fn straightness_is_what_is_off_the_line() {
     // Four places are a line and no straightness; an axis that stands has none.
     let columns =
         vec![column("x", "position.x", vec![0.0, 1.0, 2.0, 3.0]), column("y", "error.y", vec![0.0; 4])];
-    let few = Record::new(Path::new("f.run.toml"), Kind::Positioning, columns).unwrap();
+    let few = Record::new(Path::new("f.run.toml"), RunKind::Positioning, columns).unwrap();
     assert!(iso230::straightness(&few).unwrap_err().to_string().contains("4 places"));
     let columns = vec![column("x", "position.x", vec![1.0; 4]), column("y", "error.y", vec![0.0; 4])];
-    let still = Record::new(Path::new("f.run.toml"), Kind::Positioning, columns).unwrap();
+    let still = Record::new(Path::new("f.run.toml"), RunKind::Positioning, columns).unwrap();
     assert!(iso230::straightness(&still).is_err());
 }

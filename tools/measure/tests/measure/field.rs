@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_files::Said;
+use rtec_files::InputMessage;
 use rtec_measure::evaluation::{Evaluation, EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
@@ -12,7 +12,7 @@ use rtec_measure::import;
 use rtec_measure::iso230::{self, Returns};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::{Path, PathBuf};
 use test_needs::dice::Dice;
 
@@ -23,7 +23,8 @@ fn field(name: &str) -> PathBuf {
 fn evaluated(name: &str, standard: Standard) -> (Evaluation, Vec<String>) {
     let (asked, mut said) =
         (EvaluationRequest { standard: Some(standard), ..EvaluationRequest::default() }, Vec::new());
-    let found = evaluate_files(&[field(name)], &asked, &mut |s: Said| said.push(s.to_string())).unwrap();
+    let found =
+        evaluate_files(&[field(name)], &asked, &mut |s: InputMessage| said.push(s.to_string())).unwrap();
     (found, said)
 }
 
@@ -259,7 +260,7 @@ fn bidirectional(dice: &mut Dice, beside: impl Fn(f64) -> f64) -> Record {
     let columns = ["t", "x", "dir", "e"].into_iter().zip(["time", "position.x", "direction.x", "error.x"]);
     let columns =
         columns.zip(data).map(|((name, role), data)| Column::new(name, Role::parse(role).unwrap(), data));
-    Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap()
+    Record::new(Path::new("a.run.toml"), RunKind::Positioning, columns.collect()).unwrap()
 }
 
 /// A step is told with its row and cycle, a drift of any shape as a drift, and noise as neither.
@@ -330,7 +331,7 @@ fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
             ["t", "x", "dir", "e"].into_iter().zip(["time", "position.x", "direction.x", "error.x"]);
         let columns =
             columns.zip(data).map(|((name, role), data)| Column::new(name, Role::parse(role).unwrap(), data));
-        Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap()
+        Record::new(Path::new("a.run.toml"), RunKind::Positioning, columns.collect()).unwrap()
     };
     let mut changes = 0;
     for seed in 0..40 {
@@ -356,7 +357,7 @@ fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
             }
             c
         });
-        let pasted = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns.collect()).unwrap();
+        let pasted = Record::new(Path::new("a.run.toml"), RunKind::Positioning, columns.collect()).unwrap();
         let found = plausible::suspicions(&[pasted]);
         assert!(found.iter().any(|s| s.what == plausible::MistakeKind::Doubled), "{seed}: {found:?}");
     }
@@ -381,7 +382,7 @@ fn a_wild_reading_is_named_along_any_axis() {
                 c
             };
             let columns = both.columns.iter().map(own).collect();
-            let record = Record::new(Path::new("a.run.toml"), Kind::Positioning, columns).unwrap();
+            let record = Record::new(Path::new("a.run.toml"), RunKind::Positioning, columns).unwrap();
             let found = plausible::suspicions(&[record]);
             let is_it = |s: &&plausible::Suspicion| {
                 s.what == plausible::MistakeKind::Outliers && s.row_list() == [wild]
@@ -402,9 +403,12 @@ fn drift_of_one_way_runs_is_not_their_repeatability() {
             let data = c.data.iter().zip(&ways).filter(|(_, w)| **w * way > 0.0).map(|(v, _)| *v).collect();
             Column::new(&c.name, c.role.clone(), data)
         };
-        let record =
-            Record::new(Path::new("a.run.toml"), Kind::Positioning, both.columns.iter().map(own).collect())
-                .unwrap();
+        let record = Record::new(
+            Path::new("a.run.toml"),
+            RunKind::Positioning,
+            both.columns.iter().map(own).collect(),
+        )
+        .unwrap();
         let options = iso230::Options { one_way: true, ..iso230::Options::default() };
         let found = iso230::positioning_with(&record, &options).unwrap().remove(0);
         let (with, without) = if way > 0.0 { ("R_up", found.R_up) } else { ("R_down", found.R_down) };

@@ -5,7 +5,7 @@
 use rtec_builders::{column, record};
 use rtec_files::{InputError, Result};
 use rtec_measure::history::{Limits, history};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use std::path::Path;
 
 fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record>) {
@@ -22,7 +22,7 @@ fn run(name: &str, date: Option<&str>, scale_ppm: f64) -> (String, Result<Record
     }
     let columns =
         vec![column("x", "position.x", at), column("d", "direction.x", up), column("e", "error.x", e)];
-    let mut record = record(name, Kind::Positioning, columns);
+    let mut record = record(name, RunKind::Positioning, columns);
     record.date = date.map(str::to_owned);
     (name.to_owned(), Ok(record))
 }
@@ -65,7 +65,7 @@ fn power_on_readings_are_in_no_growth() {
         let t = (0..n).map(|i| 60.0 * f64::from(i)).collect();
         let columns =
             vec![column("t", "time", t), column("T1", "temperature", t1), column("e", "error.z", e)];
-        let mut record = record("d.run.toml", Kind::Drift, columns);
+        let mut record = record("d.run.toml", RunKind::Drift, columns);
         record.date = Some("2026-01-02".to_owned());
         let found = history("m", &[("d".to_owned(), Ok(record))], &Limits::default());
         found.figures.iter().find(|f| f.name == "z.growth_um_per_K").unwrap().points[0].value

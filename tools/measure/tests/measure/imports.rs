@@ -5,8 +5,8 @@
 
 use rtec_files::InputError;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::import::{self, Form, ImportColumn, Sampling, UserTableFormat};
-use rtec_model::record::{Axis, Kind, Record, Role};
+use rtec_measure::import::{self, ImportColumn, Sampling, TableSyntax, UserTableFormat};
+use rtec_model::record::{Axis, Record, Role, RunKind};
 use std::path::Path;
 
 const TO: &str = "g.run.toml";
@@ -38,7 +38,7 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
     };
     let read = |text: &str, columns: &[&str]| {
         let (file, to) = (Path::new("g.csv"), Path::new("g.run.toml"));
-        import::table(file, text, &wanted(columns), &Form::default(), Kind::Drift, to)
+        import::table(file, text, &wanted(columns), &TableSyntax::default(), RunKind::Drift, to)
     };
     let all = ["Zeit=time:min", "T1=temperature", "Luft=temperature:degF", "Weg=error.z:mm"];
     let record = read(text, &all).unwrap();
@@ -84,28 +84,31 @@ fn a_csv_comes_in_with_its_own_names_units_and_commas() {
 
 #[test]
 fn factors_names_and_times_as_they_are_written() {
-    let table = |text: &str, wanted: &[&str], form: &Form| {
-        import::table(Path::new("g.csv"), text, &columns(wanted), form, Kind::Dynamics, Path::new(TO))
+    let table = |text: &str, wanted: &[&str], form: &TableSyntax| {
+        import::table(Path::new("g.csv"), text, &columns(wanted), form, RunKind::Dynamics, Path::new(TO))
     };
     let text = "t,a=b,F\n2022-08-08T13:51:37.2515150Z,2,1\n2022-08-08T13:51:37.5Z,4,2\n2022-08-09 15:51:37.5+02:00,5,3\n";
     let wanted = ["t=time", "a=b=position.x:inch", "F=force.x:V*35.1507=N"];
-    let record = table(text, &wanted, &Form::default()).unwrap();
+    let record = table(text, &wanted, &TableSyntax::default()).unwrap();
     assert_eq!(data(&record, "time"), [0.0, 0.248_485, 86_400.248_485]);
     assert_eq!(data(&record, "position.x"), [50.8, 101.6, 127.0]);
     assert_eq!(data(&record, "force.x"), [35.1507, 70.3014, 105.4521]);
     assert_eq!(record.date.as_deref(), Some("2022-08-08"));
     assert!(record.note.unwrap().contains("time 0 is 2022-08-08T13:51:37.2515150Z"));
     // Times of the day go on past midnight.
-    let record =
-        table("t,F\n23:59:50,1\n00:00:05,2\n0:00:06.5,3\n", &["t=time", "F=force.x"], &Form::default());
+    let record = table(
+        "t,F\n23:59:50,1\n00:00:05,2\n0:00:06.5,3\n",
+        &["t=time", "F=force.x"],
+        &TableSyntax::default(),
+    );
     let record = record.unwrap();
     assert_eq!(data(&record, "time"), [0.0, 15.0, 16.5]);
     assert_eq!((record.date, record.note.as_deref()), (None, Some("time 0 is 23:59:50")));
     // A factor, then the unit's own.
-    let record = table("t,F\n0,1\n", &["t=time", "F=force.x:V*2=kN"], &Form::default()).unwrap();
+    let record = table("t,F\n0,1\n", &["t=time", "F=force.x:V*2=kN"], &TableSyntax::default()).unwrap();
     assert_eq!(data(&record, "force.x"), [2000.0]);
     // A channel keeps whatever unit it has.
-    let record = table("p,F\n1,1\n", &["p=channel:V*2.5=bar", "F=force.x"], &Form::default()).unwrap();
+    let record = table("p,F\n1,1\n", &["p=channel:V*2.5=bar", "F=force.x"], &TableSyntax::default()).unwrap();
     assert_eq!((record.columns[0].unit.as_str(), record.columns[0].data[0]), ("bar", 2.5));
     for (text, line, says) in [
         ("t,F\n2022-08-08T13:51:37Z,1\n12,1\n", 3, "a time as in the rows before"),
@@ -120,9 +123,9 @@ fn factors_names_and_times_as_they_are_written() {
         ("t,F\n23:59:50,1\n23:60:00,1\n", 3, "a time as in the rows before"),
         ("t,F\n12:00:10,1\n12:00:00,1\n", 3, "time that never decreases"),
     ] {
-        refused(table(text, &["t=time", "F=force.x"], &Form::default()), line, says);
+        refused(table(text, &["t=time", "F=force.x"], &TableSyntax::default()), line, says);
     }
-    let comma = Form { decimal_comma: Some(true), ..Form::default() };
+    let comma = TableSyntax { decimal_comma: Some(true), ..TableSyntax::default() };
     let record = table("t\tF\n0\t1,5\n1\t2\n", &["t=time", "F=force.x"], &comma).unwrap();
     assert_eq!(data(&record, "force.x"), [1.5, 2.0]);
     refused(
@@ -137,20 +140,23 @@ fn factors_names_and_times_as_they_are_written() {
         "t;F\n1767700000;1.5\n1767700001;1000.25\n",
         "t;F\n23.1.2021 10:23:57;1,5\n23.1.2021 10:23:58;1000,25\n",
     ] {
-        let record = table(text, &["t=time", "F=force.x"], &Form::default()).unwrap();
+        let record = table(text, &["t=time", "F=force.x"], &TableSyntax::default()).unwrap();
         assert_eq!(
             (data(&record, "time"), data(&record, "force.x")),
             (vec![0.0, 1.0], vec![1.5, 1000.25]),
             "{text}"
         );
     }
-    let record =
-        table("t,F\n1767700000123,1\n1767700000623,2\n", &["t=time:ms", "F=force.x"], &Form::default());
+    let record = table(
+        "t,F\n1767700000123,1\n1767700000623,2\n",
+        &["t=time:ms", "F=force.x"],
+        &TableSyntax::default(),
+    );
     let record = record.unwrap();
     assert_eq!((data(&record, "time"), record.date.as_deref()), (vec![0.0, 0.5], Some("2026-01-06")));
     // A log has no response, and is asked for as one.
-    refused(table("t,T\n0,20\n", &["t=time", "T=temperature"], &Form::default()), 0, "no response");
-    let log = Form { log: true, ..Form::default() };
+    refused(table("t,T\n0,20\n", &["t=time", "T=temperature"], &TableSyntax::default()), 0, "no response");
+    let log = TableSyntax { log: true, ..TableSyntax::default() };
     let record = table("t,T\n0,20\n", &["t=time", "T=temperature"], &log).unwrap();
     assert_eq!((record.columns.len(), record.temperature("T").unwrap()), (2, &[20.0][..]));
 }
@@ -270,8 +276,8 @@ fn halsampler_has_its_times_from_the_period() {
             text,
             &columns(wanted),
             &sampling,
-            &Form::default(),
-            Kind::Dynamics,
+            &TableSyntax::default(),
+            RunKind::Dynamics,
             Path::new(TO),
         )
     };
@@ -297,7 +303,7 @@ fn halsampler_has_its_times_from_the_period() {
     refused(read("", &["1=position.x", "2=error.x"], false), 0, "no rows");
     refused(read("1 2 \n", &["1=time", "2=error.x"], false), 0, "none: the samples' period");
     let zero = Sampling { period_s: 0.0, numbered: false };
-    let form = Form::default();
+    let form = TableSyntax::default();
     refused(
         import::halsampler(
             Path::new("s"),
@@ -305,7 +311,7 @@ fn halsampler_has_its_times_from_the_period() {
             &columns(&["1=error.x"]),
             &zero,
             &form,
-            Kind::Dynamics,
+            RunKind::Dynamics,
             Path::new(TO),
         ),
         0,
@@ -352,7 +358,7 @@ fn etalons_blocks_are_errors_over_an_axis() {
 fn shdr_values_hold_until_the_next_is_told() {
     let read = |text: &str| {
         let wanted = columns(&["Xpos=position.x", "e=error.x:mm", "Xtemp=temperature"]);
-        import::shdr(Path::new("l"), text, &wanted, Kind::Drift, false, Path::new(TO))
+        import::shdr(Path::new("l"), text, &wanted, RunKind::Drift, false, Path::new(TO))
     };
     let text = "* PING\n2022-08-08T13:51:37.2515150Z|Xpos|1|e|0.001\n2022-08-08T13:51:37.5Z|Xload|55\n\
                 2022-08-08T13:51:37.5Z|Xtemp|20\n2022-08-08T13:51:38.5Z|Xpos|2\n2022-08-08T13:51:38.5Z|e|0.002\n\
@@ -434,6 +440,6 @@ fn counts_that_no_file_holds_are_refused_at_once() {
 fn a_time_in_strange_letters_is_no_time() {
     let text = "2022-08-08T13:51:37+1\u{e9}1|e|1\n";
     let read =
-        import::shdr(Path::new("l"), text, &columns(&["e=error.x"]), Kind::Drift, false, Path::new(TO));
+        import::shdr(Path::new("l"), text, &columns(&["e=error.x"]), RunKind::Drift, false, Path::new(TO));
     refused(read, 1, "a time as");
 }

@@ -18,7 +18,7 @@ fn the_sequence_holds_what_the_patent_asks_for() {
     for want in runs {
         assert_eq!(steps.iter().filter(|s| s.record == want).count(), 1, "{want}");
     }
-    assert!(steps.iter().all(|s| rtec_model::record::Kind::parse(s.kind).is_some()));
+    assert!(steps.iter().all(|s| rtec_model::record::RunKind::parse(s.kind).is_some()));
     // Record names are those of the effects, and tilts of five gauges have roles.
     let bow = steps.iter().find(|s| s.record == "straightness_y_x").unwrap();
     assert!(["position.x", "error.y"].iter().all(|role| bow.columns.iter().any(|c| c == role)));

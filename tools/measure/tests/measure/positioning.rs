@@ -4,7 +4,7 @@
 
 use rtec_builders::column;
 use rtec_measure::iso230::{Conditions, Options, Positioning, diagonals, positioning, positioning_with};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
 use std::process::Command;
 
@@ -32,7 +32,7 @@ fn run(rows: &[(f64, f64)], error: impl FnMut((f64, f64)) -> f64) -> Record {
         column("dir", "direction.y", rows.iter().map(|r| r.1).collect()),
         column("e", "error.y", rows.iter().copied().map(error).collect()),
     ];
-    Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap()
+    Record::new(Path::new("y.run.toml"), RunKind::Positioning, columns).unwrap()
 }
 
 fn noisy(rows: &[(f64, f64)]) -> Record {
@@ -118,7 +118,7 @@ fn swapped_columns_are_named() {
         column("dir", "direction.y", get("dir")),
         column("e", "error.y", get("y")),
     ];
-    let wrong = Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap();
+    let wrong = Record::new(Path::new("y.run.toml"), RunKind::Positioning, columns).unwrap();
     let e = error_of(&wrong);
     assert!(
         e.contains("look swapped") && e.contains("targets in 110 rows") && e.contains("11 values"),
@@ -180,7 +180,7 @@ fn tilts_are_in_urad_and_arcsec() {
     let urad = columns[2].data.clone();
     columns[2] = column("rx", "angle_error.x.b", urad.clone());
     let record = |columns: &[Column]| {
-        positioning(&Record::new(Path::new("t.run.toml"), Kind::Positioning, columns.to_vec()).unwrap())
+        positioning(&Record::new(Path::new("t.run.toml"), RunKind::Positioning, columns.to_vec()).unwrap())
             .unwrap()
     };
     let as_urad = &record(&columns)[0];
@@ -204,7 +204,7 @@ fn lengths_are_reduced_to_20_degrees() {
         let mut columns = run(&rows, |(p, way)| ppm * p / 1000.0 + way).columns;
         columns.push(column("T3", "temperature", vec![23.0; rows.len()]));
         columns.push(column("T5", "temperature", vec![22.0; rows.len()]));
-        Record::new(Path::new("y.run.toml"), Kind::Positioning, columns).unwrap()
+        Record::new(Path::new("y.run.toml"), RunKind::Positioning, columns).unwrap()
     };
     let scale = "[thermal]\nscale = { sensor = \"T3\", ppm_per_K = 8.5 }\n";
     let piece = "workpiece = { sensor = \"T5\", ppm_per_K = 11.5 }\n";
@@ -259,7 +259,7 @@ fn body_diagonals_give_squareness() {
             let along = |r| (0..3).map(|k| error(r)[k] * signs[k] * size[k] / d).sum::<f64>();
             columns.push(column("e", "error.d", of(&along)));
         }
-        Record::new(Path::new("d.run.toml"), Kind::Positioning, columns).unwrap()
+        Record::new(Path::new("d.run.toml"), RunKind::Positioning, columns).unwrap()
     };
     for by_axis in [false, true] {
         let records: Vec<Record> = [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, -1.0, 1.0]]
@@ -305,7 +305,7 @@ fn a_diagonal_may_be_logged_from_its_other_end() {
         ];
         let way = if said == "direction.r" { 1.0 } else { y_way };
         columns.push(column("d", said, of(&|r| r.1 * way)));
-        Record::new(Path::new("d.run.toml"), Kind::Positioning, columns).unwrap()
+        Record::new(Path::new("d.run.toml"), RunKind::Positioning, columns).unwrap()
     };
     for [a, b] in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
         // The diagonal where both rise together, and the other one.
@@ -326,7 +326,7 @@ fn a_diagonal_may_be_logged_from_its_other_end() {
             let turned = if way < 0.0 && ["e", "d"].contains(&c.name.as_str()) { -1.0 } else { 1.0 };
             c.data = order.iter().map(|k| turned * c.data[*k]).collect();
         }
-        Record::new(Path::new("d.run.toml"), Kind::Positioning, r.columns).unwrap()
+        Record::new(Path::new("d.run.toml"), RunKind::Positioning, r.columns).unwrap()
     };
     let found = diagonals(&[sorted(1.0), sorted(-1.0)], &Options::default()).unwrap();
     assert!((found.squareness_urad["x.y"] - xy).abs() < 0.01, "{:?}", found.squareness_urad);

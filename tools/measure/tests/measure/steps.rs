@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::steps::ReadingResolution;
+use rtec_measure::gauge_resolution::ReadingResolution;
 use rtec_model::record::shared_step;
 
 #[test]

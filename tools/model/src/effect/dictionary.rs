@@ -2,10 +2,10 @@
 
 use super::laws::BUILT_IN;
 use super::{
-    Difference, Effect, Law, LawDescription, Naming, Need, Owner, Parameter, ParameterSearch, Probing,
-    ValueError,
+    Difference, Effect, Law, LawDescription, Naming, Owner, Parameter, ParameterSearch, Probing,
+    RequiredInput, ValueError,
 };
-use crate::record::{Axis, Kind, LINEAR, Record, Role};
+use crate::record::{Axis, LINEAR, Record, Role, RunKind};
 use std::sync::Arc;
 
 /// All laws by name: the built-in ones and a project's own.
@@ -154,7 +154,7 @@ impl<'r> Common<'r> {
             channels: named(Role::Channel),
             positions: positions.collect(),
             axes: axes.map(|(_, axis)| axis).collect(),
-            probing: records.iter().all(|r| r.kind == Kind::Probing),
+            probing: records.iter().all(|r| r.kind == RunKind::Probing),
         })
     }
 
@@ -187,10 +187,10 @@ impl<'r> Common<'r> {
     fn shows(&self, effect: &Effect) -> bool {
         let law = effect.description();
         let components = if law.naming == Naming::Pair { 2 } else { 1 };
-        let readable = |need: &Need| match need {
-            Need::Time | Need::Channel => true,
-            Need::Delta => !self.sensors.is_empty(),
-            Need::Direction => {
+        let readable = |need: &RequiredInput| match need {
+            RequiredInput::Time | RequiredInput::Channel => true,
+            RequiredInput::Delta => !self.sensors.is_empty(),
+            RequiredInput::Direction => {
                 let axis = effect.axes[0].clone();
                 self.everywhere(&Role::Direction(axis.clone())) || self.everywhere(&Role::Velocity(axis))
             }
@@ -200,7 +200,7 @@ impl<'r> Common<'r> {
         let circle = self.records.iter().any(|r| r.circle().is_some());
         // The bar's radial error is no axis of its own: what depends on a position acts on the two axes.
         let of_bar = effect.axes.first().is_some_and(|a| a.as_str() == "r")
-            && law.needs.iter().any(|n| matches!(n, Need::Position(_)));
+            && law.needs.iter().any(|n| matches!(n, RequiredInput::Position(_)));
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
             && !(circle && (law.owner != Owner::Machine || of_bar))
             && law.needs.iter().all(readable)
@@ -209,7 +209,7 @@ impl<'r> Common<'r> {
 
     /// The effect, or one per sensor and sensor pair if it reads a temperature.
     fn with_sensors(&self, effect: Effect) -> Vec<Effect> {
-        if !effect.description().needs.contains(&Need::Delta) {
+        if !effect.description().needs.contains(&RequiredInput::Delta) {
             return vec![effect];
         }
         let with = |delta: Difference| Effect { delta: Some(delta), ..effect.clone() };

@@ -6,7 +6,7 @@ use std::fmt;
 
 /// The temperature that a sensor is compared with.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Against {
+pub enum DifferenceReference {
     /// Another sensor: a differential pair.
     Sensor(String),
     /// A fixed temperature, °C.
@@ -24,7 +24,7 @@ pub struct Difference {
     /// The sensor's name.
     pub sensor: String,
     /// The temperature that it is compared with.
-    pub against: Against,
+    pub against: DifferenceReference,
 }
 
 impl Difference {
@@ -36,19 +36,19 @@ impl Difference {
     /// The sensor subtracted, if it is a pair.
     pub fn minus(&self) -> Option<&str> {
         match &self.against {
-            Against::Sensor(minus) => Some(minus),
-            Against::Reference(_) | Against::Standard => None,
+            DifferenceReference::Sensor(minus) => Some(minus),
+            DifferenceReference::Reference(_) | DifferenceReference::Standard => None,
         }
     }
 
     /// The fixed temperature subtracted, °C; of a pair the standard one.
     pub fn reference_degc(&self) -> f64 {
-        if let Against::Reference(degc) = self.against { degc } else { STANDARD_DEGC }
+        if let DifferenceReference::Reference(degc) = self.against { degc } else { STANDARD_DEGC }
     }
 
     /// The difference of two sensors.
     pub fn pair(sensor: &str, minus: &str) -> Self {
-        Self { sensor: sensor.to_owned(), against: Against::Sensor(minus.to_owned()) }
+        Self { sensor: sensor.to_owned(), against: DifferenceReference::Sensor(minus.to_owned()) }
     }
 
     /// Whether it is the difference of two sensors.
@@ -60,27 +60,27 @@ impl Difference {
     /// It is `T3-20` if the name alone is `T3`.
     pub fn in_full(&self) -> String {
         match self.against {
-            Against::Standard => format!("{}-{STANDARD_DEGC}", self.sensor),
+            DifferenceReference::Standard => format!("{}-{STANDARD_DEGC}", self.sensor),
             _ => self.to_string(),
         }
     }
 
     /// Sensor minus the standard 20 °C.
     pub fn single(sensor: &str) -> Self {
-        Self { sensor: sensor.to_owned(), against: Against::Standard }
+        Self { sensor: sensor.to_owned(), against: DifferenceReference::Standard }
     }
 }
 
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.against {
-            Against::Sensor(minus) => write!(f, "{}-{minus}", self.sensor),
-            Against::Reference(degc) => {
+            DifferenceReference::Sensor(minus) => write!(f, "{}-{minus}", self.sensor),
+            DifferenceReference::Reference(degc) => {
                 // Four decimals are enough: a fitted reference has more digits than anybody reads.
                 let text = format!("{degc:.4}");
                 write!(f, "{}-{}", self.sensor, text.trim_end_matches('0').trim_end_matches('.'))
             }
-            Against::Standard => f.write_str(&self.sensor),
+            DifferenceReference::Standard => f.write_str(&self.sensor),
         }
     }
 }
@@ -102,10 +102,10 @@ pub(crate) fn read_difference(table: Table<'_>) -> Result<Difference, InputError
             if minus == sensor.str("a sensor's name")? {
                 return Err(m.error(format!("`{minus}` minus itself"), "another sensor: this is always 0 K"));
             }
-            Against::Sensor(minus.to_owned())
+            DifferenceReference::Sensor(minus.to_owned())
         }
-        (None, Some(r)) => Against::Reference(reference_degc(r)?),
-        (None, None) => Against::Standard,
+        (None, Some(r)) => DifferenceReference::Reference(reference_degc(r)?),
+        (None, None) => DifferenceReference::Standard,
     };
     Ok(Difference { sensor: sensor.str("a sensor's name")?.to_owned(), against })
 }

@@ -25,7 +25,7 @@ pub enum Naming {
 /// An input of an effect, beside its parameters.
 /// Axis numbers count the axes of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Need {
+pub enum RequiredInput {
     /// Time, s.
     Time,
     /// Position of the n-th axis, mm.
@@ -50,7 +50,7 @@ pub enum Need {
     Channel,
 }
 
-impl Need {
+impl RequiredInput {
     /// The role of the column with this quantity, for an effect of these axes.
     pub fn role(self, axes: &[Axis]) -> Role {
         let axis = |n: usize| axes[n].clone();
@@ -106,7 +106,7 @@ pub enum Probing {
 
 /// How an effect depends on heat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Heat {
+pub enum ThermalDependence {
     /// It does not.
     #[default]
     None,
@@ -125,7 +125,7 @@ pub enum Heat {
 /// It is part of an axis' mechanics or of the probe. A simulation builds it in, and the effect on the
 /// position follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mechanism {
+pub enum MechanicalParameter {
     /// Moved mass, kg.
     Mass,
     /// Viscous friction, N·s/m.
@@ -340,15 +340,15 @@ pub struct LawDescription {
     /// Its parameters, in the order of [`super::Effect::values`].
     pub parameters: Vec<Parameter>,
     /// The quantities that it reads.
-    pub needs: Vec<Need>,
+    pub needs: Vec<RequiredInput>,
     /// What it belongs to.
     pub owner: Owner,
     /// How probing changes whether it acts.
     pub probing: Probing,
     /// How it depends on heat.
-    pub heat: Heat,
+    pub heat: ThermalDependence,
     /// The mechanism that a simulated machine builds in for it.
-    pub mechanism: Option<Mechanism>,
+    pub mechanism: Option<MechanicalParameter>,
     /// The law that acts on a run like another reference temperature of this one.
     /// `None` for a law without a temperature.
     pub companion: Option<&'static str>,

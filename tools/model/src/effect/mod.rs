@@ -22,10 +22,9 @@
 //! | [`laws`] | the built-in effects |
 //! | `linear`, `wave`, `knots`, `lag` | parts that several laws share |
 //! | `grid` | the points at which a search begins |
-//! | `bound` | an effect over a record |
+//! | `record_columns` | an effect over a record |
 //! | `dictionary`, `own` | all laws by name; laws from a file |
 
-mod bound;
 mod dictionary;
 mod difference;
 mod grid;
@@ -35,23 +34,24 @@ mod law_description;
 pub mod laws;
 mod linear;
 mod project_laws;
+mod record_columns;
 mod wave;
 
 pub use crate::role::sign;
-use bound::RADIAL;
-pub(crate) use bound::States;
-pub use bound::{EffectColumns, Missing};
 pub use dictionary::Dictionary;
 pub(crate) use difference::read_difference;
-pub use difference::{Against, Difference, STANDARD_DEGC};
+pub use difference::{Difference, DifferenceReference, STANDARD_DEGC};
 pub use grid::{Extent, GridHypothesis};
 pub use lag::{Lag, Lags};
 pub use law_description::{
-    Heat, LawDescription, Mechanism, Naming, Need, Owner, Parameter, ParameterSearch, Probing, Quantity,
-    Refine, Searched, Wave,
+    LawDescription, MechanicalParameter, Naming, Owner, Parameter, ParameterSearch, Probing, Quantity,
+    Refine, RequiredInput, Searched, ThermalDependence, Wave,
 };
+use record_columns::RADIAL;
+pub(crate) use record_columns::States;
+pub use record_columns::{EffectColumns, MissingInput};
 
-use crate::record::{Axis, Kind, Record, Role};
+use crate::record::{Axis, Record, Role, RunKind};
 use linear::Linear;
 use rtec_files::text::short;
 use std::fmt::{self, Write as _};
@@ -480,7 +480,7 @@ impl Effect {
     /// Responses of a record on which the effect acts: role and component.
     /// The component is 0 or 1 of a pair, or 2 for the projection of both on the radial error of a circle.
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
-        if self.description().probing == Probing::Only && record.kind != Kind::Probing {
+        if self.description().probing == Probing::Only && record.kind != RunKind::Probing {
             return Vec::new();
         }
         let roles: Vec<&Role> = record.responses().map(|c| &c.role).collect();
@@ -500,7 +500,7 @@ impl Effect {
     ///
     /// # Panics
     /// When `out` does not have one place per row.
-    pub fn add(&self, record: &Record, response: &Role, out: Out<'_>) -> Result<(), Missing> {
+    pub fn add(&self, record: &Record, response: &Role, out: Out<'_>) -> Result<(), MissingInput> {
         if let Some((_, component)) = self.acts_on(record).into_iter().find(|(role, _)| role == response) {
             self.bind(record)?.add(self, component, out);
         }

@@ -19,7 +19,8 @@
 //! ```
 
 use super::{
-    Dictionary, Effect, Input, Law, LawDescription, Naming, Need, Out, Parameter, Quantity, State, laws,
+    Dictionary, Effect, Input, Law, LawDescription, Naming, Out, Parameter, Quantity, RequiredInput, State,
+    laws,
 };
 use rtec_files::InputError;
 use rtec_files::toml::{Document, Entry, Table};
@@ -29,20 +30,20 @@ use std::sync::Arc;
 type Read = fn(&Input) -> f64;
 
 /// The inputs that a term may read, by key.
-const QUANTITIES: [(&str, Need, Read); 13] = [
-    ("p", Need::Position(0), |i| i.p_mm[0]),
-    ("p_B", Need::Position(1), |i| i.p_mm[1]),
-    ("p_C", Need::Position(2), |i| i.p_mm[2]),
-    ("t", Need::Time, |i| i.t_s),
-    ("dir", Need::Direction, |i| i.dir),
-    ("v", Need::Velocity, |i| i.v_mm_s),
-    ("a", Need::Acceleration, |i| i.a_mm_s2),
-    ("load", Need::Load, |i| i.load_n),
-    ("dT", Need::Delta, |i| i.delta_k),
-    ("rpm", Need::SpindleSpeed, |i| i.rpm),
-    ("wet", Need::Coolant, |i| f64::from(i.coolant > 0.5)),
-    ("angle", Need::Angle, |i| i.angle_rad),
-    ("channel", Need::Channel, |i| i.channel),
+const QUANTITIES: [(&str, RequiredInput, Read); 13] = [
+    ("p", RequiredInput::Position(0), |i| i.p_mm[0]),
+    ("p_B", RequiredInput::Position(1), |i| i.p_mm[1]),
+    ("p_C", RequiredInput::Position(2), |i| i.p_mm[2]),
+    ("t", RequiredInput::Time, |i| i.t_s),
+    ("dir", RequiredInput::Direction, |i| i.dir),
+    ("v", RequiredInput::Velocity, |i| i.v_mm_s),
+    ("a", RequiredInput::Acceleration, |i| i.a_mm_s2),
+    ("load", RequiredInput::Load, |i| i.load_n),
+    ("dT", RequiredInput::Delta, |i| i.delta_k),
+    ("rpm", RequiredInput::SpindleSpeed, |i| i.rpm),
+    ("wet", RequiredInput::Coolant, |i| f64::from(i.coolant > 0.5)),
+    ("angle", RequiredInput::Angle, |i| i.angle_rad),
+    ("channel", RequiredInput::Channel, |i| i.channel),
 ];
 
 #[derive(Debug)]
@@ -140,7 +141,7 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
         Some((_, Ok("force"))) => Quantity::Force,
         Some((e, _)) => return Err(e.error(e.text(), "\"error\" or \"force\"")),
     };
-    let mut needs: Vec<Need> = Vec::new();
+    let mut needs: Vec<RequiredInput> = Vec::new();
     let mut parameters = Vec::new();
     let mut terms = Vec::new();
     let form = "parameters = [{ name, unit, plausible, terms = [{ factor, p = 1, … }] }]";
@@ -167,7 +168,7 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
     if parameters.is_empty() {
         return Err(name.error(format!("law `{id}` without parameters"), form));
     }
-    let companion = needs.contains(&Need::Delta).then_some(laws::offset::NAME);
+    let companion = needs.contains(&RequiredInput::Delta).then_some(laws::offset::NAME);
     let description = LawDescription {
         name: id.to_owned(),
         law: text("law", "the formula, for people")?,
@@ -183,7 +184,12 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
     Ok(FileLaw { description, terms })
 }
 
-fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -> Result<Term, InputError> {
+fn read_term(
+    t: Table<'_>,
+    naming: Naming,
+    axes: usize,
+    needs: &mut Vec<RequiredInput>,
+) -> Result<Term, InputError> {
     let mut term = Term { factor: 1.0, powers: Vec::new(), harmonic: None, hat: None };
     let (mut corners, mut over) = (None, None);
     for e in t.entries() {
@@ -191,8 +197,8 @@ fn read_term(t: Table<'_>, naming: Naming, axes: usize, needs: &mut Vec<Need>) -
             "factor" => term.factor = e.number("a number")?,
             key @ ("cos" | "sin") => {
                 term.harmonic = Some((e.number("a multiple of the angle")?, key == "cos"));
-                if !needs.contains(&Need::Angle) {
-                    needs.push(Need::Angle);
+                if !needs.contains(&RequiredInput::Angle) {
+                    needs.push(RequiredInput::Angle);
                 }
             }
             "hat" => {
@@ -234,15 +240,15 @@ fn read_quantity(
     key: &str,
     naming: Naming,
     axes: usize,
-    needs: &mut Vec<Need>,
+    needs: &mut Vec<RequiredInput>,
 ) -> Result<Read, InputError> {
     let Some((_, need, read)) = QUANTITIES.iter().find(|q| q.0 == key) else {
         let known = QUANTITIES.map(|q| q.0).join(", ");
         return Err(e.unknown_key(&format!("factor, cos, sin, hat with of, or one of {known}")));
     };
     let suits = match need {
-        Need::Position(n) => *n < axes,
-        Need::Channel => naming == Naming::Channel,
+        RequiredInput::Position(n) => *n < axes,
+        RequiredInput::Channel => naming == Naming::Channel,
         _ => true,
     };
     if !suits {

@@ -3,7 +3,7 @@
 
 use super::evaluate::differences;
 use super::relative_paths::folder_of;
-use super::{FitNote, Listed, Machine, Validity};
+use super::{FitNote, ListedEffect, Machine, Validity};
 use crate::effect::{Difference, Effect, States};
 use crate::record::{Axis, Record, Role, sha256_of};
 use rtec_files::date;
@@ -31,7 +31,7 @@ impl Machine {
             }
         }
         // An older model may have been fitted before zeros were marked.
-        let of_a_gauge = |l: &&Listed| {
+        let of_a_gauge = |l: &&ListedEffect| {
             let by_fit = l.provenance.added_by.as_deref() == Some("model fit");
             l.effect.description().may_be_set_up() && by_fit && !l.provenance.set_up
         };
@@ -268,8 +268,8 @@ impl MapRange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::machine::Reach;
-    use crate::record::Kind;
+    use crate::machine::RecordRanges;
+    use crate::record::RunKind;
     use rtec_files::InputError;
     use std::path::Path;
 
@@ -309,17 +309,17 @@ mod tests {
                 column("T1", Role::Temperature, (0..10).map(|i| 20.0 + warm * f64::from(i) / 9.0).collect()),
                 column("e", Role::parse("error.x").unwrap(), vec![0.0; 10]),
             ];
-            Record::new(Path::new("r.run.toml"), Kind::Drift, columns).unwrap()
+            Record::new(Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()
         };
         let response = Role::parse("error.x").unwrap();
         let cold = parse(&format!("name = \"m\"\n{note}{effect}")).unwrap();
         assert!(cold.half_widths_um(&run(0.5), &response).is_some());
         assert!(cold.half_widths_um(&run(12.0), &response).is_none());
-        let said = cold.stating(&Reach::of(&run(12.0)), &response).unwrap_err();
+        let said = cold.stating(&RecordRanges::of(&run(12.0)), &response).unwrap_err();
         assert!(said.contains("saw no temperature"), "{said}");
         let none = parse(&format!("name = \"m\"\n{effect}")).unwrap();
         assert_eq!(
-            none.stating(&Reach::of(&run(0.5)), &response).unwrap_err(),
+            none.stating(&RecordRanges::of(&run(0.5)), &response).unwrap_err(),
             "the model states no interval"
         );
         let warm = parse(&format!("name = \"m\"\n{note}{valid}{effect}")).unwrap();
@@ -342,12 +342,12 @@ mod tests {
                 crate::record::Column::new("p", at, vec![-reach_mm, reach_mm]),
                 crate::record::Column::new("e", response.clone(), vec![0.0; 2]),
             ];
-            let run = Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap();
+            let run = Record::new(Path::new("r.run.toml"), RunKind::Positioning, columns).unwrap();
             assert_eq!(
                 m.half_widths_um(&run, &response).is_some(),
-                m.stating(&Reach::of(&run), &response).is_ok()
+                m.stating(&RecordRanges::of(&run), &response).is_ok()
             );
-            m.stating(&Reach::of(&run), &response).err()
+            m.stating(&RecordRanges::of(&run), &response).err()
         };
         assert_eq!(said("y", 160.0), None, "a tenth of the range beyond");
         let far = said("y", 286.4).unwrap();
@@ -391,7 +391,7 @@ mod tests {
                 column("T1", Role::Temperature, (0..10).map(|i| 20.0 + warm * f64::from(i) / 9.0).collect()),
                 column("e", Role::parse("error.z").unwrap(), vec![0.0; 10]),
             ];
-            Record::new(Path::new("r.run.toml"), Kind::Drift, columns).unwrap()
+            Record::new(Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()
         };
         assert_eq!(m.out_of_range(&run(1.0)), [""; 0]);
         let said = m.out_of_range(&run(7.75));

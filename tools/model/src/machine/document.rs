@@ -1,6 +1,6 @@
 //! A model as JSON for programs.
 
-use super::{Listed, Machine};
+use super::{ListedEffect, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ impl Machine {
     }
 }
 
-fn effect_json(l: &Listed) -> Value {
+fn effect_json(l: &ListedEffect) -> Value {
     let parameters: BTreeMap<&str, Value> = l
         .effect
         .description()

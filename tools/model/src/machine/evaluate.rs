@@ -1,9 +1,9 @@
 //! A model's prediction of a record, and its interval.
 
 use super::fit_note::unknown_um;
-use super::{FitNote, Listed, Machine, Reach};
+use super::{FitNote, ListedEffect, Machine, RecordRanges};
 use crate::effect::laws::reversal;
-use crate::effect::{Effect, Heat, States};
+use crate::effect::{Effect, States, ThermalDependence};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
@@ -20,7 +20,7 @@ impl Machine {
 
     /// Whether a listed effect acts in a run that goes so far.
     /// The zero of a set-up is the gauges' of the runs that it was fitted on; every other run has its own.
-    pub fn acts_in(&self, listed: &Listed, reach: &Reach) -> bool {
+    pub fn acts_in(&self, listed: &ListedEffect, reach: &RecordRanges) -> bool {
         let of = |note: &&FitNote| {
             let response = note.response.strip_prefix("error.");
             listed.effect.axes().first().is_some_and(|a| response == Some(a.as_str()))
@@ -65,14 +65,14 @@ impl Machine {
     /// The interval is wider just after the record's start, because the state of the lags is unknown. It is
     /// also wider where a difference is held at the bound of its fitted range.
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
-        Some(HalfWidths::of(self, &Reach::of(record), response)?.next(record))
+        Some(HalfWidths::of(self, &RecordRanges::of(record), response)?.next(record))
     }
 
     /// The fit that states a response's interval for a record's reach.
     ///
     /// # Errors
     /// The reason why no fit does, in words.
-    pub fn stating(&self, reach: &Reach, response: &Role) -> Result<&FitNote, String> {
+    pub fn stating(&self, reach: &RecordRanges, response: &Role) -> Result<&FitNote, String> {
         let note = self.fits.iter().find(|f| f.response == response.to_string());
         let note = note.ok_or("the model states no interval")?;
         note.not_of(reach).map_or(Ok(note), |why| Err(format!("no interval: {why}")))
@@ -96,7 +96,7 @@ pub struct HalfWidths<'m> {
 impl<'m> HalfWidths<'m> {
     /// The state before the first piece of a record with this reach.
     /// `None` if [`Machine::half_widths_um`] gives no interval.
-    pub fn of(machine: &'m Machine, reach: &Reach, response: &Role) -> Option<Self> {
+    pub fn of(machine: &'m Machine, reach: &RecordRanges, response: &Role) -> Option<Self> {
         let note = machine.stating(reach, response).ok()?;
         let states = vec![States::default(); machine.effects().count()];
         let (response, own_um) = (response.clone(), note.half_width_for_um(reach));
@@ -159,7 +159,7 @@ impl<'m> PiecewisePrediction<'m> {
         let mut columns: Vec<(String, Vec<f64>)> =
             record.responses().map(|c| (c.name.clone(), vec![0.0; record.rows()])).collect();
         let mut taken_as_zero = Vec::new();
-        let reach = Reach::of(record);
+        let reach = RecordRanges::of(record);
         for (listed, states) in self.machine.listed().iter().zip(&mut self.states) {
             let effect = &listed.effect;
             let acts = effect.acts_on(record);
@@ -193,7 +193,7 @@ impl<'m> PiecewisePrediction<'m> {
 /// The (lagged) temperature difference of growth at every row, not held at a bound.
 /// `None` for other laws, or if the record lacks a sensor. The states are those after the previous rows.
 pub(super) fn differences(effect: &Effect, record: &Record, states: &mut States) -> Option<Vec<f64>> {
-    if effect.delta.is_none() || effect.description().heat != Heat::Growth {
+    if effect.delta.is_none() || effect.description().heat != ThermalDependence::Growth {
         return None;
     }
     let n = effect.coefficient_count();
@@ -220,7 +220,7 @@ pub struct Prediction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{Axis, Column, Kind};
+    use crate::record::{Axis, Column, RunKind};
     use std::path::Path;
 
     /// A bug once: the zero of a drift test was taken off a plate.
@@ -232,7 +232,7 @@ mod tests {
                     [[effect]]\nname = \"offset.x\"\num = 2.9\nset_up = true\n";
         let machine = Machine::parse(Path::new("m.toml"), text).unwrap();
         let x = Axis::new("x").unwrap();
-        let says = |machine: &Machine, kind: Kind, to_mm: f64, um: f64| {
+        let says = |machine: &Machine, kind: RunKind, to_mm: f64, um: f64| {
             let place = (0..9).map(|i| f64::from(i) * to_mm / 8.0).collect();
             let columns = vec![
                 Column::new("x", Role::Position(x.clone()), place),
@@ -242,10 +242,10 @@ mod tests {
             let said = machine.predict(&record).unwrap().columns[0].1[0];
             assert!((said - um).abs() < 1e-12, "{kind:?} to {to_mm} mm: {said} and {um}");
         };
-        says(&machine, Kind::Drift, 0.0, 2.9);
-        says(&machine, Kind::Drift, 300.0, 0.0);
-        says(&machine, Kind::Plate, 0.0, 0.0);
+        says(&machine, RunKind::Drift, 0.0, 2.9);
+        says(&machine, RunKind::Drift, 300.0, 0.0);
+        says(&machine, RunKind::Plate, 0.0, 0.0);
         let own = Machine::parse(Path::new("m.toml"), &text.replace("set_up = true\n", "")).unwrap();
-        says(&own, Kind::Plate, 300.0, 2.9);
+        says(&own, RunKind::Plate, 300.0, 2.9);
     }
 }

@@ -1,7 +1,7 @@
 //! The record of a fit: its sources, dates, intervals and range of validity.
 
 use crate::effect::{Difference, Effect};
-use crate::record::{Kind, Record, Role};
+use crate::record::{Record, Role, RunKind};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub fn unknown_um(
 
 /// A record that a fit used.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Source {
+pub struct SourceRecord {
     /// Name of the record's CSV.
     pub file: String,
     /// SHA-256 of it, in hexadecimal.
@@ -38,7 +38,7 @@ pub struct Source {
     pub folder: Option<PathBuf>,
 }
 
-impl Source {
+impl SourceRecord {
     /// The source entry of a record.
     pub fn of(record: &Record) -> Self {
         let folder = Some(folder_of(&record.path));
@@ -54,7 +54,7 @@ pub struct Provenance {
     /// The date, as ISO 8601.
     pub date: Option<String>,
     /// The records it was fitted on.
-    pub from: Vec<Source>,
+    pub from: Vec<SourceRecord>,
     /// Interval of each parameter, one pair per value.
     pub interval: BTreeMap<String, Vec<[f64; 2]>>,
     /// Whether it is the zero of the gauges and not an error of the machine.
@@ -64,14 +64,14 @@ pub struct Provenance {
 
 /// An effect of a machine.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Listed {
+pub struct ListedEffect {
     /// The effect with its parameters.
     pub effect: Effect,
     /// Its records, dates and intervals.
     pub provenance: Provenance,
 }
 
-impl Listed {
+impl ListedEffect {
     /// The name that identifies it among a machine's effects.
     /// The zero of a set-up and the machine's own offset have different ones.
     pub fn identity(&self) -> String {
@@ -134,7 +134,7 @@ pub struct FitNote {
     /// A kind that no run has shown gets the largest of all.
     pub by_kind_um: BTreeMap<String, f64>,
     /// The records that it was fitted on.
-    pub from: Vec<Source>,
+    pub from: Vec<SourceRecord>,
 }
 
 /// An axis that moves by less counts as standing still, mm.
@@ -147,15 +147,15 @@ const WARMS_K: f64 = 2.0;
 /// The ranges of a record's axes and temperatures, gathered piece by piece.
 /// An interval depends on the ranges of all rows.
 #[derive(Debug, Clone, Default)]
-pub struct Reach {
-    kind: Option<Kind>,
+pub struct RecordRanges {
+    kind: Option<RunKind>,
     /// Range of every axis, mm.
     at_mm: BTreeMap<String, [f64; 2]>,
     /// Range of every sensor, °C.
     degc: BTreeMap<String, [f64; 2]>,
 }
 
-impl Reach {
+impl RecordRanges {
     /// The ranges of a whole record.
     pub fn of(record: &Record) -> Self {
         let mut reach = Self::default();
@@ -190,8 +190,8 @@ impl Reach {
 
     /// The kind of the record for an interval.
     /// `None` for a drift in which an axis moves, because that resembles no kind.
-    fn kind(&self) -> Option<Kind> {
-        self.kind.filter(|kind| *kind != Kind::Drift || self.places().next().is_none())
+    fn kind(&self) -> Option<RunKind> {
+        self.kind.filter(|kind| *kind != RunKind::Drift || self.places().next().is_none())
     }
 }
 
@@ -211,7 +211,7 @@ impl FitNote {
 
     /// The range of each axis that moves in these records, mm.
     pub fn places(records: &[&Record]) -> BTreeMap<String, [f64; 2]> {
-        let mut reach = Reach::default();
+        let mut reach = RecordRanges::default();
         for record in records {
             reach.see(record);
         }
@@ -221,7 +221,7 @@ impl FitNote {
     /// The reason why the interval does not apply to a record; `None` if it does.
     /// The fit must have seen the range of every axis that moves; a tenth of the range beyond is allowed. If
     /// the fit has seen no temperature, it does not apply to a machine that warms.
-    pub fn not_of(&self, reach: &Reach) -> Option<String> {
+    pub fn not_of(&self, reach: &RecordRanges) -> Option<String> {
         if self.valid.is_empty() && reach.warms() {
             return Some(format!(
                 "the fit saw no temperature, and one moves by more than {WARMS_K} K in this run"
@@ -244,8 +244,8 @@ impl FitNote {
 
     /// Whether a run is of a kind and at places that it was fitted on.
     /// The gauges of such a run have the fit's zero.
-    pub fn has_zero_of(&self, reach: &Reach) -> bool {
-        let known = |kind: Kind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
+    pub fn has_zero_of(&self, reach: &RecordRanges) -> bool {
+        let known = |kind: RunKind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
         reach.kind().is_none_or(known) && self.not_of(reach).is_none()
     }
 
@@ -259,11 +259,11 @@ impl FitNote {
     /// The kind of a record for an interval.
     /// `None` for a drift in which an axis moves, because that resembles no kind.
     pub fn kind_of(record: &Record) -> Option<String> {
-        Reach::of(record).kind().map(|kind| kind.name().to_owned())
+        RecordRanges::of(record).kind().map(|kind| kind.name().to_owned())
     }
 
     /// Half width of the 95 % interval for a record, µm.
-    pub fn half_width_for_um(&self, reach: &Reach) -> f64 {
+    pub fn half_width_for_um(&self, reach: &RecordRanges) -> f64 {
         let own = reach.kind().and_then(|kind| self.by_kind_um.get(kind.name()));
         own.copied().unwrap_or(self.half_width_um)
     }

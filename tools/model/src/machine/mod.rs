@@ -22,7 +22,9 @@ mod write;
 
 pub use check::FitRangeCheck;
 pub use evaluate::{HalfWidths, PiecewisePrediction, Prediction};
-pub use fit_note::{FitNote, Listed, NORMAL_95, Provenance, Reach, Source, Validity, unknown_um};
+pub use fit_note::{
+    FitNote, ListedEffect, NORMAL_95, Provenance, RecordRanges, SourceRecord, Validity, unknown_um,
+};
 
 use crate::chain::Chain;
 use crate::effect::{Dictionary, Difference, Effect};
@@ -36,7 +38,7 @@ pub struct Machine {
     pub path: PathBuf,
     sha256: String,
     name: String,
-    listed: Vec<Listed>,
+    listed: Vec<ListedEffect>,
     fits: Vec<FitNote>,
     chain: Option<Chain>,
     /// The laws given by the calling program; those of the model's own file are added.
@@ -77,7 +79,7 @@ impl Machine {
     }
 
     /// The effects with their provenance, in the file's order.
-    pub fn listed(&self) -> &[Listed] {
+    pub fn listed(&self) -> &[ListedEffect] {
         &self.listed
     }
 

@@ -1,14 +1,14 @@
 //! Reads `machine.toml`, strictly.
 
 use super::Machine;
-use super::fit_note::{FitNote, Listed, Provenance, Source, Validity};
+use super::fit_note::{FitNote, ListedEffect, Provenance, SourceRecord, Validity};
 use crate::chain::Chain;
-use crate::effect::{Dictionary, Effect, Need, Parameter, read_difference};
+use crate::effect::{Dictionary, Effect, Parameter, RequiredInput, read_difference};
 use crate::file_kind::FileKind;
-use crate::record::{Kind, hex};
+use crate::record::{RunKind, hex};
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_files::stamp;
+use rtec_files::format_stamp;
 use rtec_files::text::short;
 use rtec_files::toml::{Document, Entry, Table};
 use sha2::{Digest, Sha256};
@@ -86,7 +86,7 @@ impl Machine {
         let root = doc.root();
         root.only(&["name", "note", "dictionary", "chain", "fit", "effect", "format", "by"])
             .map_err(mistaken)?;
-        stamp::check(&root)?;
+        format_stamp::check(&root)?;
         let name = root.required("name", "the machine's name, as name = \"…\"")?.str("the machine's name")?;
         if let Some(note) = root.get("note") {
             note.str("free text")?;
@@ -119,7 +119,7 @@ impl Machine {
         let sha256 = hex(&hash.finalize());
         let fits = root.get("fit").map(|e| e.tables("[[fit]] tables")).transpose()?.unwrap_or_default();
         let fits = fits.into_iter().map(read_fit).collect::<Result<Vec<_>, _>>()?;
-        let mut listed: Vec<Listed> = Vec::new();
+        let mut listed: Vec<ListedEffect> = Vec::new();
         let mut identities = BTreeSet::new();
         let tables =
             root.get("effect").map(|e| e.tables("[[effect]] tables")).transpose()?.unwrap_or_default();
@@ -145,12 +145,12 @@ impl Machine {
 
 const PROVENANCE: [&str; 5] = ["added_by", "date", "from", "interval", "set_up"];
 
-fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, InputError> {
+fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<ListedEffect, InputError> {
     let entry = table.required("name", "the effect's name, as name = \"scale.x\"")?;
     let mut effect =
         dictionary.effect(entry.str("the effect's name")?).map_err(|e| entry.error(e.found, e.expected))?;
     let parameters: Vec<Parameter> = effect.description().parameters.clone();
-    let thermal = effect.description().needs.contains(&Need::Delta);
+    let thermal = effect.description().needs.contains(&RequiredInput::Delta);
     let mut known: Vec<&str> = vec!["name"];
     known.extend(parameters.iter().map(|p| p.name.as_str()));
     if thermal {
@@ -200,10 +200,10 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<Listed, Inpu
     })?;
 
     let provenance = read_provenance(table, &effect)?;
-    Ok(Listed { effect, provenance })
+    Ok(ListedEffect { effect, provenance })
 }
 
-fn read_sources(table: Table<'_>) -> Result<Vec<Source>, InputError> {
+fn read_sources(table: Table<'_>) -> Result<Vec<SourceRecord>, InputError> {
     let Some(from) = table.get("from") else { return Ok(Vec::new()) };
     let form = "{ file = \"…\", sha256 = \"…\" }, or an array of them";
     let tables = from.table(form).map(|t| vec![t]).or_else(|_| from.tables(form))?;
@@ -212,7 +212,7 @@ fn read_sources(table: Table<'_>) -> Result<Vec<Source>, InputError> {
         let get =
             |key: &str| -> Result<String, InputError> { Ok(t.required(key, form)?.str(form)?.to_owned()) };
         let folder = t.get("folder").map(|e| e.str("a folder, as seen from the model")).transpose()?;
-        Ok(Source { file: get("file")?, sha256: get("sha256")?, folder: folder.map(PathBuf::from) })
+        Ok(SourceRecord { file: get("file")?, sha256: get("sha256")?, folder: folder.map(PathBuf::from) })
     };
     tables.into_iter().map(read).collect()
 }
@@ -278,7 +278,7 @@ fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
 /// Reads `{ positioning = 1.5 }`.
 fn read_kinds(entry: Entry<'_>) -> Result<BTreeMap<String, f64>, InputError> {
     let form = "a half width by kind of run, as by_kind_um = { positioning = 1.5 }";
-    let of = |e: Entry<'_>| match Kind::parse(e.key()) {
+    let of = |e: Entry<'_>| match RunKind::parse(e.key()) {
         Some(_) => Ok((e.key().to_owned(), e.within([f64::MIN_POSITIVE, MOST_UM], "a number above zero")?)),
         None => Err(e.error(format!("`{}`", e.key()), form)),
     };

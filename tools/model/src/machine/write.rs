@@ -1,19 +1,19 @@
 //! Changes and writes `machine.toml` without losing anything that the user wrote.
 
 use super::Machine;
-use super::fit_note::{FitNote, Listed, Provenance, Source, Validity};
+use super::fit_note::{FitNote, ListedEffect, Provenance, SourceRecord, Validity};
 use super::relative_paths::{folder_of, named_from, whole};
-use crate::effect::{Against, Dictionary, Difference, Effect, ValueError};
+use crate::effect::{Dictionary, Difference, DifferenceReference, Effect, ValueError};
 use rtec_files::InputError;
-use rtec_files::stamp;
+use rtec_files::format_stamp;
 use std::path::{Path, PathBuf};
 use toml_edit::{Array, InlineTable, Item, TableLike, Value, value};
 
 impl Machine {
     /// Writes the format and the writer into the file, once the program changes it.
     fn stamp(&mut self) {
-        self.doc["format"] = value(i64::from(stamp::FORMAT));
-        self.doc["by"] = value(stamp::by());
+        self.doc["format"] = value(i64::from(format_stamp::FORMAT));
+        self.doc["by"] = value(format_stamp::by());
     }
 
     /// Adds the note of a fit.
@@ -85,7 +85,7 @@ impl Machine {
     /// # Errors
     /// The model already has it.
     pub fn push(&mut self, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
-        let next = Listed { effect, provenance };
+        let next = ListedEffect { effect, provenance };
         if self.listed.iter().any(|l| l.identity() == next.identity()) {
             let found = format!("`{}` a second time", next.effect.name());
             return Err(ValueError::new("name", found, "one of a name"));
@@ -173,13 +173,14 @@ impl Machine {
                 replace(moved.doc.as_table_mut(), key, named.display().to_string().into());
             }
         }
-        let place = |s: &Source| {
+        let place = |s: &SourceRecord| {
             let lies = s.folder.as_ref().map_or_else(|| from.clone(), |f| whole(&from.join(f)));
             let folder = named_from(&to, &lies);
             (!folder.as_os_str().is_empty()).then_some(folder)
         };
-        let rename = |table: &mut toml_edit::Table, old: &[Source]| {
-            let new: Vec<Source> = old.iter().map(|s| Source { folder: place(s), ..s.clone() }).collect();
+        let rename = |table: &mut toml_edit::Table, old: &[SourceRecord]| {
+            let new: Vec<SourceRecord> =
+                old.iter().map(|s| SourceRecord { folder: place(s), ..s.clone() }).collect();
             if new != old {
                 table["from"] = sources(&new);
             }
@@ -250,9 +251,9 @@ fn pair(pair: &[f64; 2]) -> Value {
 fn put_difference(table: &mut dyn TableLike, difference: &Difference) {
     table.insert("sensor", value(&difference.sensor));
     match &difference.against {
-        Against::Sensor(minus) => drop(table.insert("minus", value(minus))),
-        Against::Reference(degc) => drop(table.insert("reference_degC", value(*degc))),
-        Against::Standard => {}
+        DifferenceReference::Sensor(minus) => drop(table.insert("minus", value(minus))),
+        DifferenceReference::Reference(degc) => drop(table.insert("reference_degC", value(*degc))),
+        DifferenceReference::Standard => {}
     }
 }
 
@@ -261,8 +262,8 @@ fn pairs(interval: &[[f64; 2]], array: bool) -> Value {
 }
 
 /// One source becomes a table, several become an array of tables.
-fn sources(from: &[Source]) -> Item {
-    let source = |s: &Source| {
+fn sources(from: &[SourceRecord]) -> Item {
+    let source = |s: &SourceRecord| {
         let mut t = InlineTable::new();
         t.insert("file", s.file.as_str().into());
         t.insert("sha256", s.sha256.as_str().into());
@@ -330,7 +331,7 @@ mod tests {
         let provenance = Provenance {
             added_by: Some("reconcile".into()),
             date: Some("2026-05-01".into()),
-            from: vec![Source { file: "y.csv".into(), sha256: "ab".into(), folder: None }],
+            from: vec![SourceRecord { file: "y.csv".into(), sha256: "ab".into(), folder: None }],
             interval: [("um".to_owned(), vec![[5.8, 6.4]])].into(),
             set_up: false,
         };
@@ -383,7 +384,7 @@ mod tests {
         };
         let record = Record::new(
             Path::new("r.run.toml"),
-            crate::record::Kind::Positioning,
+            crate::record::RunKind::Positioning,
             vec![
                 column("z", crate::record::Role::Position(axis("z")), &[0.0, 200.0]),
                 column("e", crate::record::Role::Error(axis("x")), &[0.0, 0.0]),
@@ -409,7 +410,7 @@ mod tests {
             ],
             at_mm: Some(BTreeMap::from([("x".to_owned(), [-10.0, 200.5])])),
             by_kind_um: BTreeMap::from([("drift".to_owned(), 0.3)]),
-            from: vec![Source { file: "a.csv".into(), sha256: "00".into(), folder: None }],
+            from: vec![SourceRecord { file: "a.csv".into(), sha256: "00".into(), folder: None }],
         });
         let again = Machine::parse(&dir.path().join("m.toml"), &m.to_text()).unwrap();
         assert_eq!(again.fits(), m.fits());
@@ -449,7 +450,8 @@ mod tests {
         );
         std::fs::write(at("a/m.toml"), text).unwrap();
         let mut m = Machine::read(&at("a/m.toml")).unwrap();
-        let record = |file: &str| Source { file: file.into(), sha256: hash.clone(), folder: Some(at("a")) };
+        let record =
+            |file: &str| SourceRecord { file: file.into(), sha256: hash.clone(), folder: Some(at("a")) };
         let note = |from| FitNote {
             response: "error.x".into(),
             date: "2026-05-01".into(),

@@ -4,7 +4,7 @@
 
 use crate::contour::{Segment, Spline};
 use crate::dxf::{Drawing, Entity};
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 use rtec_files::InputError;
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;

@@ -4,7 +4,7 @@
 
 use super::{Cleaned, Piece, PointGrid};
 use crate::contour::{FeatureKind, Segment};
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 
 /// Largest distance of two ends that are one, as a share of the shorter piece.
 const REACH: f64 = 1.0 / 3.0;

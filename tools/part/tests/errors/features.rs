@@ -1,9 +1,9 @@
 //! Tapers, bores, faces and arcs.
 
 use super::{CIRCLE, Files, quadrant};
-use rtec_part::cor::{error_cor, read_arc};
-use rtec_part::errors::{Nominal, Probed};
-use rtec_part::fit::Zx;
+use rtec_part::error_cor_file::{error_cor, read_arc};
+use rtec_part::errors::{NominalShape, ProbedPoints};
+use rtec_part::geometric_fit::Zx;
 use std::fmt::Write as _;
 
 #[test]
@@ -18,8 +18,8 @@ fn a_taper_and_a_bore_face_the_probe() {
             let _ = writeln!(text, "{:.7},{:.7},{},{}", p.z, p.x + 20.0, sin * side, -cos * side);
             text
         });
-        let probed = Probed::read(&files.with("p.csv", &text)).unwrap();
-        let report = probed.errors(Nominal::Line { taper_deg: Some(5.0) }, 2.0).unwrap();
+        let probed = ProbedPoints::read(&files.with("p.csv", &text)).unwrap();
+        let report = probed.errors(NominalShape::Line { taper_deg: Some(5.0) }, 2.0).unwrap();
         assert!((report.inclination_deg.unwrap() - 5.0).abs() < 1e-4, "{side} {:?}", report.inclination_deg);
         assert!(report.inclination_error_deg.unwrap().abs() < 1e-4);
         assert!((report.errors[5].error_um - 10.0).abs() < 0.1, "{side}: {:?}", report.errors[5]);
@@ -34,7 +34,7 @@ fn a_taper_and_a_bore_face_the_probe() {
 #[test]
 fn a_gross_false_trip_is_no_straight_feature() {
     let files = Files::new();
-    let probed = Probed::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
+    let probed = ProbedPoints::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
     for off_mm in [5.0, 30.0, 200.0] {
         let mut one = probed.clone();
         one.tip_centre[9] = one.tip_centre[9] + Zx::new(off_mm, -off_mm);
@@ -52,8 +52,8 @@ fn a_gross_false_trip_is_no_straight_feature() {
 #[test]
 fn the_size_by_the_robust_fit_stands_beside() {
     let files = Files::new();
-    let probed = Probed::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
-    let larger = Nominal::Circle { radius_mm: 38.09 };
+    let probed = ProbedPoints::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
+    let larger = NominalShape::Circle { radius_mm: 38.09 };
     let report = probed.errors(larger, 0.0).unwrap();
     assert!((report.robust.size_error_um.unwrap() - 10.0).abs() < 0.1, "{:?}", report.robust.size_error_um);
 }
@@ -69,9 +69,9 @@ fn size_and_errors_of_a_straight_feature_make_the_distance() {
         let _ = writeln!(text, "{:.6},{:.6},0,-1", 10.0 + 5.0 * f64::from(k), 27.5 + (6.0 + bump(k)) * 1e-3);
         text
     });
-    let probed = Probed::read(&files.with("cy.csv", &text)).unwrap();
+    let probed = ProbedPoints::read(&files.with("cy.csv", &text)).unwrap();
     let expected: Vec<Zx> = (0..12).map(|k| Zx::new(10.0 + 5.0 * f64::from(k), 27.5)).collect();
-    let report = probed.errors(Nominal::Line { taper_deg: None }, 2.5).unwrap();
+    let report = probed.errors(NominalShape::Line { taper_deg: None }, 2.5).unwrap();
     let size = probed.outside_um(&report, &expected).unwrap();
     assert!((size - 6.0).abs() < 0.01, "{size}");
     for (k, e) in report.errors.iter().enumerate() {
@@ -101,7 +101,7 @@ fn straight(along_z: bool, place_mm: f64, outward: f64, tilt_um: f64, approach: 
 fn the_tilt_of_a_face_does_not_say_where_outward_is() {
     let files = Files::new();
     let read = |along_z, place, outward, tilt, approach: &str| {
-        Probed::read(&files.with("p.csv", &straight(along_z, place, outward, tilt, approach))).unwrap()
+        ProbedPoints::read(&files.with("p.csv", &straight(along_z, place, outward, tilt, approach))).unwrap()
     };
     // Front face at Z 5, rear face at Z −5, bore of 20 mm: outward is +Z, −Z, −X.
     for (along_z, place, outward, approach) in
@@ -113,7 +113,7 @@ fn the_tilt_of_a_face_does_not_say_where_outward_is() {
             let mut by_path = read(along_z, place, outward, tilt_um, "");
             by_path.touched_by(&[way; 12]).unwrap();
             for probed in [given, by_path] {
-                let r = probed.errors(Nominal::Line { taper_deg: None }, 2.5).unwrap();
+                let r = probed.errors(NominalShape::Line { taper_deg: None }, 2.5).unwrap();
                 let (e, robust) = (r.errors[5].error_um, r.robust.errors_um[5]);
                 assert!(
                     (e - 12.0).abs() < 0.2 && (robust - 12.0).abs() < 0.2,
@@ -129,8 +129,9 @@ fn the_tilt_of_a_face_does_not_say_where_outward_is() {
         }
     }
     for tilt_um in [0.2, -0.2] {
-        let e =
-            read(false, 7.5, 1.0, tilt_um, "").errors(Nominal::Line { taper_deg: None }, 2.5).unwrap_err();
+        let e = read(false, 7.5, 1.0, tilt_um, "")
+            .errors(NominalShape::Line { taper_deg: None }, 2.5)
+            .unwrap_err();
         assert!(e.found.contains("face") && e.expected.contains("approach_z"), "{e}");
     }
     // A path of another part, or of the other side.
@@ -151,7 +152,7 @@ fn points_of_two_features_are_refused() {
             1..=10 => format!("{row},F1\n"),
             _ => format!("{row},{second}\n"),
         });
-        Probed::read(&files.with("p.csv", &rows.collect::<String>()))
+        ProbedPoints::read(&files.with("p.csv", &rows.collect::<String>()))
     };
     assert!(named("F1").is_ok());
     let e = named("F3").unwrap_err();
@@ -163,7 +164,7 @@ fn points_of_two_features_are_refused() {
 /// direction, and nothing appears beside the arc.
 #[test]
 fn an_arc_across_the_turn_keeps_its_order() {
-    use rtec_part::table::{AxisCounts, FinishCut, FinishTable};
+    use rtec_part::table::{AxisCounts, FinishArc, FinishTable};
     let files = Files::new();
     let centre = Zx::new(50.0, 30.0);
     let planted = |a: f64| 8.0 * (6.0 * a).cos();
@@ -175,15 +176,15 @@ fn an_arc_across_the_turn_keeps_its_order() {
             let p = centre + n * (4.0 + planted(angle(k)) * 1e-3);
             text + &format!("{:.7},{:.7},{:.5},{:.5}\n", p.z, p.x, n.z, n.x)
         });
-        let nominal = Nominal::Circle { radius_mm: 5.0 };
-        let report = Probed::read(&files.with("p.csv", &text)).unwrap().errors(nominal, 1.0).unwrap();
+        let nominal = NominalShape::Circle { radius_mm: 5.0 };
+        let report = ProbedPoints::read(&files.with("p.csv", &text)).unwrap().errors(nominal, 1.0).unwrap();
         let file = files.with("error.cor", &error_cor(&report.errors));
         let errors = read_arc(&file).unwrap();
         for pair in errors.windows(2) {
             assert!((pair[1].angle_rad - pair[0].angle_rad - 0.0683).abs() < 0.002, "{start_deg}: {pair:?}");
         }
         assert!((errors[0].error_um - report.errors[0].error_um).abs() < 1e-3, "{start_deg}");
-        let cut = FinishCut { centre, radius_mm: 5.0, nose_mm: 0.0, origin: Zx::new(0.0, 0.0) };
+        let cut = FinishArc { centre, radius_mm: 5.0, nose_mm: 0.0, origin: Zx::new(0.0, 0.0) };
         let axes = [AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 }; 2];
         let table = FinishTable::new(cut, axes, errors);
         for (k, e) in report.errors.iter().enumerate() {

@@ -1,16 +1,16 @@
 //! Files of points and errors, the tip, and the drawing of errors.
 
 use super::{CIRCLE, Files, quadrant};
-use rtec_part::cor::{FeatureErrors, error_cor, read_arc};
-use rtec_part::errors::Probed;
-use rtec_part::fit::Zx;
+use rtec_part::error_cor_file::{FeatureErrors, error_cor, read_arc};
+use rtec_part::errors::ProbedPoints;
+use rtec_part::geometric_fit::Zx;
 use std::fmt::Write as _;
 
 #[test]
 fn the_tip_is_taken_off_on_the_side_it_came_from() {
     let files = Files::new();
     for (tip_mm, side) in [(0.0, 1.0), (2.5, 1.0), (2.5, -1.0)] {
-        let probed = Probed::read(&files.with("p.csv", &quadrant(tip_mm, side))).unwrap();
+        let probed = ProbedPoints::read(&files.with("p.csv", &quadrant(tip_mm, side))).unwrap();
         let report = probed.errors(CIRCLE, tip_mm).unwrap();
         let radius_mm = report.radius_mm.unwrap();
         let off_mm = (report.centre_mm[0] - 100.0).hypot(report.centre_mm[1] - 0.5);
@@ -58,7 +58,7 @@ fn error_cor_is_read_as_a_spreadsheet_saves_it() {
 fn error_cor_is_read_as_it_is_written() {
     let files = Files::new();
     let report =
-        Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
+        ProbedPoints::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
     let text = error_cor(&report.errors);
     let back = read_arc(&files.with("error.cor", &text)).unwrap();
     assert_eq!(back.len(), 20);
@@ -120,7 +120,7 @@ fn the_geometric_thermal_correction_takes_the_machines_error_out() {
         let _ = writeln!(text, "{:.7},{:.7},{az:.6},{ax:.6},{k},{t8:.1},{t18}", read.z, read.x);
     }
     let file = files.with("p.csv", &text);
-    let mut probed = Probed::read(&file).unwrap();
+    let mut probed = ProbedPoints::read(&file).unwrap();
     let off = probed.errors(CIRCLE, 0.0).unwrap();
     assert!((off.centre_mm[0] - 100.0).abs() > 0.010, "uncorrected, the centre is {:?}", off.centre_mm);
     probed.correct_geometric_thermal(&machine, origin).unwrap();
@@ -128,7 +128,7 @@ fn the_geometric_thermal_correction_takes_the_machines_error_out() {
     let [z, x] = report.centre_mm;
     assert!((z - 100.0).abs() < 2e-5 && (x - 0.5).abs() < 2e-5, "{z} {x}");
     assert!(report.form_um < 0.1, "{}", report.form_um);
-    let mut bare = Probed::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
+    let mut bare = ProbedPoints::read(&files.with("p.csv", &quadrant(0.0, 1.0))).unwrap();
     assert!(bare.correct_geometric_thermal(&machine, origin).unwrap_err().found.contains("T8"));
 }
 
@@ -139,14 +139,14 @@ fn bad_points_are_named_by_their_line() {
     let mut lines: Vec<&str> = good.lines().collect();
     let other_side = "138.1,0.5,1,0";
     lines[2] = other_side;
-    let probed = Probed::read(&files.with("p.csv", &lines.join("\n"))).unwrap();
+    let probed = ProbedPoints::read(&files.with("p.csv", &lines.join("\n"))).unwrap();
     assert_eq!(probed.errors(CIRCLE, 2.5).unwrap_err().line, 3);
     lines[2] = "138.1,0.5,0,0";
-    assert_eq!(Probed::read(&files.with("p.csv", &lines.join("\n"))).unwrap_err().line, 3);
-    assert!(Probed::read(&files.with("p.csv", "z_mm,x_mm,approach_z\n1,2,3\n")).is_err());
-    let two = Probed::read(&files.with("p.csv", "z_mm,x_mm,T3\n1,2,20.1\n2,1,20.2\n")).unwrap();
+    assert_eq!(ProbedPoints::read(&files.with("p.csv", &lines.join("\n"))).unwrap_err().line, 3);
+    assert!(ProbedPoints::read(&files.with("p.csv", "z_mm,x_mm,approach_z\n1,2,3\n")).is_err());
+    let two = ProbedPoints::read(&files.with("p.csv", "z_mm,x_mm,T3\n1,2,20.1\n2,1,20.2\n")).unwrap();
     assert!(two.errors(CIRCLE, 0.0).unwrap_err().found.contains("2 points"));
-    let probed = Probed::read(&files.with("p.csv", &good)).unwrap();
+    let probed = ProbedPoints::read(&files.with("p.csv", &good)).unwrap();
     assert!(probed.check_expected(&probed.tip_centre, 0.1).is_ok());
     let mut fewer = probed.tip_centre.clone();
     fewer.remove(4);
@@ -163,7 +163,7 @@ fn bad_points_are_named_by_their_line() {
 fn whiskers_are_drawn_at_two_hundred_and_fifty() {
     let files = Files::new();
     let report =
-        Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
+        ProbedPoints::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap().errors(CIRCLE, 2.5).unwrap();
     let text = report.whisker_dxf();
     assert_eq!(text, report.whisker_dxf());
     // A CAD library finds nothing to report or repair.
@@ -201,7 +201,7 @@ fn whiskers_are_drawn_at_two_hundred_and_fifty() {
 #[test]
 fn exchanged_columns_diameters_and_inches_are_told() {
     let files = Files::new();
-    let probed = Probed::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap();
+    let probed = ProbedPoints::read(&files.with("p.csv", &quadrant(2.5, 1.0))).unwrap();
     let right = probed.tip_centre.clone();
     for (slip, said) in [
         ((|p| Zx::new(p.x, p.z)) as fn(Zx) -> Zx, "z_mm and x_mm exchanged"),

@@ -6,12 +6,12 @@
 mod features;
 mod files;
 
-use rtec_part::errors::Nominal;
-use rtec_part::fit::Zx;
+use rtec_part::errors::NominalShape;
+use rtec_part::geometric_fit::Zx;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-const CIRCLE: Nominal = Nominal::Circle { radius_mm: 38.1 };
+const CIRCLE: NominalShape = NominalShape::Circle { radius_mm: 38.1 };
 
 struct Files(tempfile::TempDir);
 

@@ -4,9 +4,9 @@
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
 use rtec_model::effect::{Dictionary, Effect, Law};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, reconcile};
 use std::path::Path;
 use std::sync::Arc;
@@ -49,7 +49,7 @@ fn run() -> Record {
         column("z", Role::Position(axis("z")), &|i| 200.0 + 200.0 * (i / 37.0).cos()),
         column("e", Role::Error(axis("x")), &|_| 0.0),
     ];
-    Record::new(Path::new("run.run.toml"), Kind::Positioning, columns).unwrap()
+    Record::new(Path::new("run.run.toml"), RunKind::Positioning, columns).unwrap()
 }
 
 /// The run of a machine with one effect, with noise of 0.5 µm.
@@ -81,11 +81,18 @@ fn live_is_the_record(effect: &Effect) {
     let record = run();
     let mut sum = vec![0.0; record.rows()];
     effect.add(&record, &Role::Error(axis("x")), &mut sum).unwrap();
-    let layout = Layout { axes: vec![axis("x"), axis("z")], ..Layout::default() };
-    let mut live = Live::new([effect], layout).unwrap();
+    let layout = StateLayout { axes: vec![axis("x"), axis("z")], ..StateLayout::default() };
+    let mut live = LiveModel::new([effect], layout).unwrap();
     for (row, want) in sum.iter().enumerate() {
-        let at = |n: usize| AxisNow { position_mm: record.columns[n].data[row], ..AxisNow::default() };
-        live.evaluate(&Frame { t_s: record.time_s()[row], axes: &[at(1), at(2)], ..Frame::default() });
+        let at = |n: usize| AxisMotionState {
+            position_mm: record.columns[n].data[row],
+            ..AxisMotionState::default()
+        };
+        live.evaluate(&MachineState {
+            t_s: record.time_s()[row],
+            axes: &[at(1), at(2)],
+            ..MachineState::default()
+        });
         assert!((live.errors_um()[0] - want).abs() < 1e-12, "row {row}");
     }
     assert!(sum.iter().any(|e| e.abs() > 1.0));

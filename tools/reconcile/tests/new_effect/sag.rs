@@ -3,7 +3,7 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch, State,
+    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ pub(crate) fn sample() -> Sample {
                 .within([-1e4, 1e4], "no reach is longer than ten metres")
                 .refined(Refine::Step(20.0)),
         ],
-        needs: vec![Need::Position(1)],
+        needs: vec![RequiredInput::Position(1)],
         ..LawDescription::default()
     }));
     Sample { law, name: "sag.x.z", values: &[4.0, 130.0] }

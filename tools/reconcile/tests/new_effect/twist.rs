@@ -2,7 +2,7 @@
 //! The error is seen at the lever of A.
 
 use crate::Sample;
-use rtec_model::effect::{LawDescription, Effect, Input, Law, Naming, Need, Out, Parameter, State};
+use rtec_model::effect::{LawDescription, Effect, Input, Law, Naming, RequiredInput, Out, Parameter, State};
 use std::sync::Arc;
 
 #[derive(Debug)]
@@ -19,7 +19,7 @@ pub(crate) fn sample() -> Sample {
             Parameter::linear("um", "um", 5.0)
                 .within([-100.0, 100.0], "a bed twists by milliradians, not by tenths"),
         ],
-        needs: vec![Need::Position(0), Need::Position(1)],
+        needs: vec![RequiredInput::Position(0), RequiredInput::Position(1)],
         ..LawDescription::default()
     }));
     Sample { law, name: "twist.x.z", values: &[0.6] }

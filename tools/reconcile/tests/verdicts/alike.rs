@@ -3,7 +3,7 @@
 use crate::noise::noise;
 use crate::{answer, record};
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Axis, Record, RunKind};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::TAU;
 use test_needs::repetitions;
@@ -22,7 +22,7 @@ fn wave(name: &str, targets: &[f64], cycles: usize, period_mm: f64, seed: u64) -
         ("d", "direction.y", (0..n).map(way).collect()),
         ("y", "position.y", places.clone()),
     ];
-    record(name, Kind::Positioning, columns)
+    record(name, RunKind::Positioning, columns)
 }
 
 fn periods_mm(r: &Reconciliation) -> Vec<f64> {
@@ -95,7 +95,7 @@ fn a_bow_that_a_circle_shows_has_the_angular_error_as_its_rival() {
         ];
         let plane = [Axis::new("z").unwrap(), Axis::new("x").unwrap()];
         let circle = Circle { radius_mm: 150.0, plane, centre_mm: None };
-        let run = record("bow", Kind::Ballbar, columns).with_circle(circle).unwrap();
+        let run = record("bow", RunKind::Ballbar, columns).with_circle(circle).unwrap();
         let r = answer("", &[run], &[]);
         let (found, _) = &r.effects[0];
         let rivals: Vec<&str> = found.rivals.iter().map(|r| r.name.as_str()).collect();

@@ -6,7 +6,7 @@
 use crate::noise::noise;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, reconcile};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -40,7 +40,7 @@ fn circles_from_rest(seed: u64, rest: i32, error: impl Fn(f64, f64) -> f64) -> R
     let names = [("t", "time"), ("a", "angle"), ("e", "error.r")];
     let columns = names.iter().zip(columns).map(|((n, r), d)| Column::new(n, Role::parse(r).unwrap(), d));
     let plane = [Axis::new("x").unwrap(), Axis::new("y").unwrap()];
-    let record = Record::new(Path::new("b.run.toml"), Kind::Ballbar, columns.collect()).unwrap();
+    let record = Record::new(Path::new("b.run.toml"), RunKind::Ballbar, columns.collect()).unwrap();
     record.with_circle(Circle { radius_mm: R, plane, centre_mm: None }).unwrap()
 }
 
@@ -228,7 +228,7 @@ fn a_circle_at_round_angles_is_fitted() {
         ];
         let columns = roles.into_iter().zip(columns).enumerate();
         let columns = columns.map(|(i, (role, data))| Column::new(&format!("c{i}"), role, data)).collect();
-        let record = Record::new(Path::new("c.run.toml"), Kind::Ballbar, columns).unwrap();
+        let record = Record::new(Path::new("c.run.toml"), RunKind::Ballbar, columns).unwrap();
         let model = "[[effect]]\nname = \"scale.x\"\nppm = 30.0\n[[effect]]\nname = \"scale.y\"\nppm = -20.0\n\
                      [[effect]]\nname = \"reversal.x\"\num = 6.0\n[[effect]]\nname = \"reversal.y\"\num = -4.0\n\
                      [[effect]]\nname = \"squareness.x.y\"\nurad = 40.0\n";

@@ -8,7 +8,7 @@ use crate::names;
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::Path;
 use test_needs::dice::Dice;
@@ -41,7 +41,7 @@ fn run(name: &str, seed: u64, n: usize) -> Record {
         ("T8", Role::Temperature),
     ];
     let columns = named.into_iter().zip(columns).map(|((n, r), v)| Column::new(n, r, v)).collect();
-    Record::new(Path::new(&format!("{name}.run.toml")), Kind::Positioning, columns).unwrap()
+    Record::new(Path::new(&format!("{name}.run.toml")), RunKind::Positioning, columns).unwrap()
 }
 
 fn spoil(record: &mut Record, column: &str, f: impl Fn(usize, f64) -> f64) {
@@ -70,7 +70,7 @@ fn a_quiet_stand_says_nothing_about_the_clock() {
         columns.extend(
             named.map(|(axis, um)| Column::new(axis, Role::Error(Axis::new(axis).unwrap()), rough(um))),
         );
-        let run = Record::new(Path::new("a.run.toml"), Kind::Drift, columns).unwrap();
+        let run = Record::new(Path::new("a.run.toml"), RunKind::Drift, columns).unwrap();
         let said = reconcile(&[run], &[], &model, &Options::default()).unwrap();
         assert_eq!((said.suspicions, said.verdict), (vec![], Verdict::NothingMissing), "seed {seed}");
     }
@@ -91,7 +91,7 @@ fn doubled_rows_of_a_circle_are_said() {
     let columns = vec![("t", "time", column(0)), ("a", "angle", column(1)), ("e", "error.r", column(2))];
     let [x, y] = ["x", "y"].map(|a| Axis::new(a).unwrap());
     let circle = Circle { radius_mm: 100.0, plane: [x, y], centre_mm: Some([0.0, 0.0]) };
-    let record = crate::record("a", Kind::Ballbar, columns).with_circle(circle).unwrap();
+    let record = crate::record("a", RunKind::Ballbar, columns).with_circle(circle).unwrap();
     let said = crate::answer("", &[record], &[]);
     let [s] = &said.suspicions[..] else { panic!("{:?}", said.suspicions) };
     assert!(s.what == MistakeKind::Doubled && s.text.starts_with("40 of 240 rows"), "{s:?}");

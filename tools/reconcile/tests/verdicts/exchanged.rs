@@ -5,7 +5,7 @@
 use crate::names;
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -17,7 +17,7 @@ fn with_model(text: &str, train: &Record) -> Reconciliation {
     reconcile(std::slice::from_ref(train), &[], &model, &Options::default()).unwrap()
 }
 
-fn parsed(name: &str, kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
+fn parsed(name: &str, kind: RunKind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
     let of = |(n, r, v)| Column::new(n, Role::parse(r).unwrap(), v);
     let columns = columns.into_iter().map(of).collect();
     Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()
@@ -49,7 +49,7 @@ fn plate(seed: u64, more: impl Fn(f64, f64) -> [f64; 2]) -> Record {
     let [x, y]: [Vec<f64>; 2] = [places.iter().map(|p| p.0).collect(), places.iter().map(|p| p.1).collect()];
     let columns =
         vec![("x", "position.x", x), ("y", "position.y", y), ("ex", "error.x", ex), ("ey", "error.y", ey)];
-    parsed("plate", Kind::Plate, columns)
+    parsed("plate", RunKind::Plate, columns)
 }
 
 /// Two exchanged axes are neither squareness nor rotation.
@@ -88,7 +88,7 @@ fn inches_that_only_the_model_shows_are_said() {
         let p: Vec<f64> = (0..123).map(|i: i32| 12.4 * f64::from(20 - ((i % 41) - 20).abs()) + 3.7).collect();
         let e = p.iter().map(|p| ppm * p / 1000.0 + 0.5 * d.normal()).collect();
         let p = p.iter().map(|p| p / per).collect();
-        parsed("off", Kind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)])
+        parsed("off", RunKind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)])
     };
     let model = |ppm: f64| format!("name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = {ppm}\n");
     for (given, ppm) in [(25.0, 24.0), (24.0, 24.0), (16.0, 24.0), (0.3, 24.0), (1.5, 24.0)] {
@@ -116,7 +116,7 @@ fn inches_beside_a_missing_effect_are_said() {
             e.push(22.0 * at / 1000.0 + if up { -3.0 } else { 3.0 } + 0.1 * d.normal());
         }
         let columns = vec![("x", "position.x", p), ("way", "direction.x", way), ("e", "error.x", e)];
-        parsed("strokes", Kind::Positioning, columns)
+        parsed("strokes", RunKind::Positioning, columns)
     };
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 23.1\n";
     let clean = with_model(model, &run(1.0));
@@ -157,7 +157,7 @@ fn circle(seed: u64) -> Record {
         ("ex", "error.x"),
         ("ez", "error.z"),
     ];
-    parsed("circle", Kind::Ballbar, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
+    parsed("circle", RunKind::Ballbar, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
 }
 
 /// The errors of a circle are exchanged beside a model that lacks much.
@@ -204,7 +204,7 @@ fn warming(seed: u64, minutes: bool, revolutions: bool) -> Record {
         ("ex", "error.x", next()),
         ("ez", "error.z", next()),
     ];
-    parsed("drift", Kind::Drift, columns)
+    parsed("drift", RunKind::Drift, columns)
 }
 
 const WARM: &str = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.x\"\nsensor = \"T1\"\num_per_K = 3.1\num_per_K2 = 0.0\ntau_s = 1450.0\n\
@@ -247,7 +247,7 @@ fn an_axis_that_stands_is_no_other_unit() {
             [Role::Time, Role::Position(axis.clone()), Role::Direction(axis.clone()), Role::Error(axis)];
         let columns = ["t", "x", "dir", "e"].into_iter().zip(roles).zip(columns);
         let columns = columns.map(|((n, r), v)| Column::new(n, r, v)).collect();
-        let record = Record::new(Path::new("r.run.toml"), Kind::Positioning, columns).unwrap();
+        let record = Record::new(Path::new("r.run.toml"), RunKind::Positioning, columns).unwrap();
         let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 54.0\n[[effect]]\nname = \"reversal.x\"\num = 10.2\n";
         let model = Machine::parse(Path::new("m.toml"), model).unwrap();
         let r = reconcile(&[record], &[], &model, &Options::default()).unwrap();
@@ -285,7 +285,7 @@ fn inputs_that_only_the_model_shows_as_mistaken_are_said() {
             ("ex", "error.x"),
             ("ez", "error.z"),
         ];
-        parsed("press", Kind::Drift, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
+        parsed("press", RunKind::Drift, roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect())
     };
     for seed in repetitions(1..=3) {
         let clean = with_model(model, &run(seed, ""));
@@ -320,7 +320,7 @@ fn accelerations_in_metres_that_only_the_model_shows_are_said() {
         ];
         let run = parsed(
             "swing",
-            Kind::Dynamics,
+            RunKind::Dynamics,
             roles.into_iter().zip(columns).map(|((n, r), v)| (n, r, v)).collect(),
         );
         let r = with_model(model, &run);

@@ -17,13 +17,13 @@ mod weighed;
 mod zeros;
 
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, reconcile};
 use std::path::Path;
 
 /// A record of columns: name, role, values.
 #[expect(clippy::unwrap_used, reason = "a test's own helper")]
-fn record(name: &str, kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
+fn record(name: &str, kind: RunKind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
     let of = |(n, r, v)| Column::new(n, Role::parse(r).unwrap(), v);
     let columns = columns.into_iter().map(of).collect();
     Record::new(Path::new(&format!("{name}.run.toml")), kind, columns).unwrap()

@@ -7,7 +7,7 @@ use crate::{answer, names, record};
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Axis, Record, RunKind};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
@@ -25,7 +25,7 @@ fn drift(name: &str, seed: u64, of: impl Fn(f64) -> f64) -> Record {
     let mut d = Dice::new(seed);
     let t: Vec<f64> = (0..240).map(|i| 20.0 * f64::from(i)).collect();
     let e = t.iter().map(|t| of(*t) + 0.1 * d.normal()).collect();
-    record(name, Kind::Drift, vec![("t", "time", t), ("e", "error.x", e)])
+    record(name, RunKind::Drift, vec![("t", "time", t), ("e", "error.x", e)])
 }
 
 #[test]
@@ -55,7 +55,8 @@ fn a_saw_over_time_is_missing() {
         let t: Vec<f64> = (0..72).map(|i| 20.0 * f64::from(i)).collect();
         let saw = |t: f64| 10.0 * ((t / 198.0 + 0.3).rem_euclid(1.0) - 0.5);
         let e = t.iter().map(|t| saw(*t) + 0.4 * d.normal()).collect();
-        let said = answer("", &[record("a", Kind::Drift, vec![("t", "time", t), ("e", "error.x", e)])], &[]);
+        let said =
+            answer("", &[record("a", RunKind::Drift, vec![("t", "time", t), ("e", "error.x", e)])], &[]);
         let manners: Vec<&str> = said.unexplained.iter().map(|s| s.manner.as_str()).collect();
         assert_eq!((said.verdict, manners), (Verdict::UnknownEffect, vec!["saw-tooth"]));
     }
@@ -79,7 +80,7 @@ fn what_differs_from_cycle_to_cycle_is_no_lost_count() {
         let roles =
             [("t", "time"), ("x", "position.x"), ("d", "direction.x"), ("n", "cycle"), ("e", "error.x")];
         let columns = roles.into_iter().zip(rows).map(|((n, r), v)| (n, r, v)).collect();
-        record(name, Kind::Positioning, columns)
+        record(name, RunKind::Positioning, columns)
     };
     for seed in repetitions(1..9) {
         nameless("", &[line("a", seed, 5), line("b", seed + 50, 3)]);
@@ -99,8 +100,11 @@ fn a_vibration_of_each_run_is_no_map() {
         };
         let e = n.clone().map(|i| vibration(f64::from(i)) + 0.3 * d.normal()).collect();
         let t = n.map(|i| 0.1 * f64::from(i)).collect();
-        let r =
-            record(name, Kind::Ballbar, vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)]);
+        let r = record(
+            name,
+            RunKind::Ballbar,
+            vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)],
+        );
         let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
         r.with_circle(Circle { radius_mm: 100.0, plane, centre_mm: Some([0.0, 0.0]) }).unwrap()
     };
@@ -128,7 +132,7 @@ fn a_wave_of_changing_size_is_not_two_waves() {
         let way = (0..1240).map(|i| if i < 620 { 1.0 } else { -1.0 }).collect();
         let columns =
             vec![("t", "time", t), ("x", "position.x", x), ("d", "direction.x", way), ("e", "error.x", e)];
-        nameless("", &[record("line", Kind::Positioning, columns)]);
+        nameless("", &[record("line", RunKind::Positioning, columns)]);
     }
 }
 
@@ -143,7 +147,7 @@ fn a_resonance_is_one_error_without_a_name() {
         let e = rpm.iter().map(|n| bell(*n) + 0.1 * d.normal()).collect();
         let t = (0..270).map(|i| 20.0 * f64::from(i)).collect();
         let columns = vec![("t", "time", t), ("n", "spindle_speed", rpm), ("e", "error.z", e)];
-        nameless("", &[record("speeds", Kind::Drift, columns)]);
+        nameless("", &[record("speeds", RunKind::Drift, columns)]);
     }
 }
 
@@ -166,7 +170,7 @@ fn what_repeats_at_its_places_is_seen_whatever_its_form() {
         }
         let roles = [("t", "time"), ("x", "position.x"), ("d", "direction.x"), ("e", "error.x")];
         let columns = roles.into_iter().zip(rows).map(|((n, r), v)| (n, r, v)).collect();
-        let said = answer("", &[record("line", Kind::Positioning, columns)], &[]);
+        let said = answer("", &[record("line", RunKind::Positioning, columns)], &[]);
         assert!(!said.unexplained.is_empty(), "{:?}", said.verdict);
     }
 }
@@ -199,7 +203,7 @@ fn a_force_that_swings_with_the_place_is_missing() {
             ("f", "force.x"),
         ];
         let columns = roles.into_iter().zip(columns).map(|((name, role), data)| (name, role, data)).collect();
-        let said = answer(&model, &[record("dyn", Kind::Dynamics, columns)], &[]);
+        let said = answer(&model, &[record("dyn", RunKind::Dynamics, columns)], &[]);
         assert_eq!(said.verdict, Verdict::UnknownEffect, "{period_mm} mm");
         assert!(said.effects.is_empty(), "{period_mm} mm: {:?}", said.effects);
         let of_place = said.unexplained.iter().any(|s| s.against == ["position.x"]);
@@ -221,7 +225,7 @@ fn what_the_model_explains_is_no_misread_row() {
     let e = angle.iter().map(|a| bump(*a) + 0.3 * d.normal()).collect();
     let t = (0..96).map(|i| f64::from(i) * 2.0).collect();
     let columns = vec![("t", "time", t), ("a", "angle", angle), ("e", "error.r", e)];
-    let said = answer(model, &[record("ring", Kind::Part, columns)], &[]);
+    let said = answer(model, &[record("ring", RunKind::Part, columns)], &[]);
     assert_eq!(said.suspicions.iter().map(ToString::to_string).collect::<Vec<_>>(), Vec::<String>::new());
 }
 
@@ -241,7 +245,7 @@ fn line(name: &str, seed: u64, noise_um: f64) -> Record {
     }
     let roles = [("t", "time"), ("x", "position.x"), ("d", "direction.x"), ("e", "error.x")];
     let columns = roles.into_iter().zip(rows).map(|((n, r), v)| (n, r, v)).collect();
-    record(name, Kind::Positioning, columns)
+    record(name, RunKind::Positioning, columns)
 }
 
 /// The air is quiet on one day and not on another.
@@ -264,7 +268,7 @@ fn a_gauge_that_stands_still_says_nothing() {
         let moves = t.iter().map(|_| 0.3 * d.normal()).collect();
         let still = vec![40.0; 240];
         let columns = vec![("t", "time", t), ("e", "error.x", moves), ("f", "error.z", still)];
-        record(name, Kind::Drift, columns)
+        record(name, RunKind::Drift, columns)
     };
     let said = answer("", &[steady("a", 1), steady("b", 2)], &[]);
     assert_eq!(said.verdict, Verdict::NothingMissing, "{:?}", said.unexplained);
@@ -286,7 +290,11 @@ fn a_curve_that_helps_nothing_is_not_written() {
         let t: Vec<f64> = (0..240).map(|i| 5.0 * f64::from(i)).collect();
         let e = t.iter().map(|t| of(*t) + 0.3 * dice.normal()).collect();
         let p = (0..240).map(|i| f64::from(i * 37 % 101)).collect();
-        record(name, Kind::Positioning, vec![("t", "time", t), ("x", "position.x", p), ("e", "error.x", e)])
+        record(
+            name,
+            RunKind::Positioning,
+            vec![("t", "time", t), ("x", "position.x", p), ("e", "error.x", e)],
+        )
     };
     let helps = with_curve(run("a", 1, &saw(450.0)), &[]);
     assert!(helps.curve.is_some() && helps.no_curve.is_none(), "{:?}", helps.no_curve);
@@ -333,7 +341,7 @@ fn growth_read_in_coarse_steps_is_no_shape() {
         let zero = 30.0 + 0.1 * seed as f64;
         let error = warm.iter().map(|k| (zero - 0.32 * (k - 20.0) + 0.2 * d.normal()).round()).collect();
         let columns = vec![("t", "time", t), ("T1", "temperature", warm), ("e", "error.x", error)];
-        let r = answer(model, &[record("drift", Kind::Drift, columns)], &[]);
+        let r = answer(model, &[record("drift", RunKind::Drift, columns)], &[]);
         if r.verdict != Verdict::NothingMissing {
             loud.push((seed, names(&r), r.unexplained));
         }
@@ -358,7 +366,7 @@ fn a_map_of_a_few_rows_is_no_noise() {
             let roles = [format!("position.{axis}"), format!("error.{axis}")];
             let columns =
                 vec![("t", "time", time), ("p", &*roles[0], place), ("e", &*roles[1], error.collect())];
-            record(axis, Kind::Positioning, columns)
+            record(axis, RunKind::Positioning, columns)
         };
         let r = answer("", &[line("x", 120, 0.3), line("y", 12, 0.7), line("z", 120, 0.3)], &[]);
         if r.verdict != Verdict::NothingMissing {

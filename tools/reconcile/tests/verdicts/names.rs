@@ -6,13 +6,13 @@ use crate::names;
 use crate::noise::noise;
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
 use test_needs::repetitions;
 
-fn record(kind: Kind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
+fn record(kind: RunKind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
     let columns = columns.into_iter().map(|(n, role, data)| Column::new(n, Role::parse(role).unwrap(), data));
     Record::new(Path::new("r.run.toml"), kind, columns.collect()).unwrap()
 }
@@ -30,7 +30,7 @@ fn a_signal_period_is_found_in_one_even_sweep() {
     let e = p.iter().map(|p| 2.9 * (TAU * p / 0.1).sin() + 0.6 * normal()).collect();
     let t = (0..390).map(f64::from).collect();
     let r = answer(record(
-        Kind::Positioning,
+        RunKind::Positioning,
         vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)],
     ));
     assert_eq!(names(&r), ["subdivision.x"], "{} {:?}", r.verdict, r.unexplained);
@@ -48,7 +48,7 @@ fn warm(error: impl Fn(f64, f64) -> f64, sd: f64) -> Record {
     let mut read = |v: &[f64]| v.iter().map(|v| v + 0.01 * normal()).collect::<Vec<_>>();
     let (a, b) = (read(&a), read(&b));
     record(
-        Kind::Drift,
+        RunKind::Drift,
         vec![("t", "time", t), ("A", "temperature", a), ("B", "temperature", b), ("e", "error.z", e)],
     )
 }
@@ -89,7 +89,7 @@ fn leads_that_the_targets_cannot_tell_apart_are_weighed() {
     let e = ways.iter().map(|p| 4.0 * (TAU * p / 10.0 + 0.5).sin() + 0.5 * normal()).collect();
     let t = (0..ways.len()).map(|i| 5.0 * i as f64).collect();
     let r = answer(record(
-        Kind::Positioning,
+        RunKind::Positioning,
         vec![("t", "time", t), ("p", "position.x", ways), ("e", "error.x", e)],
     ));
     let (finding, _) = &r.effects[0];
@@ -114,7 +114,7 @@ fn drift(seed: u64, degc: impl Fn(f64) -> f64) -> Record {
     let t: Vec<f64> = (0..200).map(|i| 60.0 * f64::from(i)).collect();
     let a: Vec<f64> = t.iter().map(|t| degc(*t)).collect();
     let e = a.iter().map(|a| 1.8 * (a - 20.0) + 0.4 * normal()).collect();
-    record(Kind::Drift, vec![("t", "time", t), ("A", "temperature", a), ("e", "error.z", e)])
+    record(RunKind::Drift, vec![("t", "time", t), ("A", "temperature", a), ("e", "error.z", e)])
 }
 
 /// One warm-up does not distinguish growth from a drift in time.
@@ -157,7 +157,7 @@ fn bidirectional(error: impl Fn(f64) -> f64) -> Record {
     let p: Vec<f64> = (0..5).flat_map(|_| cycle.clone()).collect();
     let e = p.iter().map(|p| error(*p) + 0.3 * normal()).collect();
     let t = (0..p.len()).map(|i| 10.0 * i as f64).collect();
-    record(Kind::Positioning, vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)])
+    record(RunKind::Positioning, vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)])
 }
 
 /// A scale far from the model's value is corrected, not added a second time.
@@ -218,7 +218,7 @@ fn a_knee_over_the_temperature_is_no_growth_that_turns_back() {
         let t: Vec<f64> = (0..120).map(|i| 60.0 * f64::from(i)).collect();
         let degc: Vec<f64> = t.iter().map(|t| 20.0 + 4.0 * (t / 1300.0).sin()).collect();
         let e = degc.iter().map(|d| error(d - 20.0) + 0.4 * normal()).collect();
-        record(Kind::Drift, vec![("t", "time", t), ("A", "temperature", degc), ("e", "error.x", e)])
+        record(RunKind::Drift, vec![("t", "time", t), ("A", "temperature", degc), ("e", "error.x", e)])
     };
     let (mut unknown, mut grown) = (Vec::new(), Vec::new());
     for seed in 1..13 {
@@ -241,7 +241,7 @@ fn a_row_of_bumps_is_no_name() {
         let mut normal = noise(41);
         let angle: Vec<f64> = (0..240).map(|i| TAU * f64::from(i) / 240.0).collect();
         let e = angle.iter().map(|w| error(*w) + 0.2 * normal()).collect();
-        answer(record(Kind::Probing, vec![("w", "angle", angle), ("e", "error.r", e)]))
+        answer(record(RunKind::Probing, vec![("w", "angle", angle), ("e", "error.r", e)]))
     };
     let r = of(&|w| 4.0 * (2.0 * w + 1.3 * w * w).sin());
     assert_eq!(r.verdict, Verdict::UnknownEffect, "{:?}", names(&r));
@@ -262,7 +262,7 @@ fn a_phase_is_open_by_half_a_turn_at_most() {
     let e = p.iter().map(|p| 1.0 * (TAU * p / 0.02).sin() + 0.5 * normal()).collect();
     let t = (0..400).map(f64::from).collect();
     let r = answer(record(
-        Kind::Positioning,
+        RunKind::Positioning,
         vec![("t", "time", t), ("p", "position.x", p), ("e", "error.x", e)],
     ));
     let (finding, half) = &r.effects[0];
@@ -298,7 +298,7 @@ fn a_zero_is_no_drift_that_has_ended_after_two_rows() {
         let t = (0..240).map(|i| 10.0 * f64::from(i)).collect();
         let columns =
             vec![("t", "time", t), ("p", "position.x", p), ("dir", "direction.x", dir), ("e", "error.x", e)];
-        let found = names(&answer(record(Kind::Positioning, columns)));
+        let found = names(&answer(record(RunKind::Positioning, columns)));
         assert!(!found.iter().any(|n| n.starts_with("warm_up")), "{seed}: {found:?}");
     }
 }
@@ -314,13 +314,13 @@ fn a_record_at_rest_leaves_a_map_as_it_is() {
     let e = p.iter().map(|p| bend(*p) + 0.4 * normal()).collect();
     let t = |n: i32| (0..n).map(|i| 8.0 * f64::from(i)).collect::<Vec<f64>>();
     let columns = vec![("t", "time", t(186)), ("p", "position.z", p), ("e", "error.z", e)];
-    let line = record(Kind::Positioning, columns);
+    let line = record(RunKind::Positioning, columns);
     let load: Vec<f64> = (0..100).map(|i| 50.0 * f64::from(i % 9)).collect();
     let e = load.iter().map(|f| 31.0 + 0.02 * f + 0.4 * normal()).collect();
     let at = vec![-146.0; 100];
     let columns =
         vec![("t", "time", t(100)), ("p", "position.z", at), ("f", "load.z", load), ("e", "error.z", e)];
-    let mut rest = record(Kind::Drift, columns);
+    let mut rest = record(RunKind::Drift, columns);
     rest.path = "rest.run.toml".into();
     let r = reconcile(&[line, rest], &[], &Machine::ideal("m"), &Options::default()).unwrap();
     let mut found = names(&r);
@@ -339,7 +339,8 @@ fn a_wave_beside_a_known_one_has_an_uncertain_period() {
     let wave = |p: f64| (2.0 + 0.02 * p) * (TAU * p / 12.0 + 0.4).sin();
     let e = p.iter().map(|p| wave(*p) + 0.3 * normal()).collect();
     let t = (0..300).map(|i| 8.0 * f64::from(i)).collect();
-    let run = record(Kind::Positioning, vec![("t", "time", t), ("p", "position.y", p), ("e", "error.y", e)]);
+    let run =
+        record(RunKind::Positioning, vec![("t", "time", t), ("p", "position.y", p), ("e", "error.y", e)]);
     let text = "name = \"m\"\n[[effect]]\nname = \"screw_periodic.y\"\nperiod_mm = 12.0\num = 2.0\nphase_rad = 0.4\n";
     let model = Machine::parse(Path::new("m.toml"), text).unwrap();
     let r = reconcile(&[run], &[], &model, &Options::default()).unwrap();
@@ -356,8 +357,10 @@ fn a_spindle_of_one_speed_has_its_name() {
     let t: Vec<f64> = (0..120).map(|i| 20.0 * f64::from(i)).collect();
     let rpm: Vec<f64> = (0..120).map(|i| if i / 15 % 2 == 0 { 0.0 } else { 6000.0 }).collect();
     let e = rpm.iter().map(|n| 0.35 * n / 1000.0 + 0.5 * normal()).collect();
-    let r =
-        answer(record(Kind::Drift, vec![("t", "time", t), ("n", "spindle_speed", rpm), ("e", "error.z", e)]));
+    let r = answer(record(
+        RunKind::Drift,
+        vec![("t", "time", t), ("n", "spindle_speed", rpm), ("e", "error.z", e)],
+    ));
     assert_eq!((names(&r), r.verdict), (vec!["spindle_speed.z".to_owned()], Verdict::Named));
 }
 
@@ -369,7 +372,7 @@ fn a_period_written_short_is_no_second_wave() {
         let mut normal = noise(seed);
         let p: Vec<f64> = (0..1500).map(|i| -150.0 + 0.2 * f64::from(i) + 0.05 * normal()).collect();
         let e = p.iter().map(|p| 17.5 * (TAU * p / period_mm + 0.8).sin() + 0.8 * normal()).collect();
-        let r = record(Kind::Positioning, vec![("p", "position.x", p), ("e", "error.x", e)]);
+        let r = record(RunKind::Positioning, vec![("p", "position.x", p), ("e", "error.x", e)]);
         let written = period_mm * (1.0 + 0.9e-4);
         let wave = format!("period_mm = {written}\num = 18.1\nphase_rad = 0.8\n");
         let model = format!("name = \"m\"\n[[effect]]\nname = \"screw_periodic.x\"\n{wave}");
@@ -392,7 +395,7 @@ fn an_expansion_from_another_temperature_needs_no_scale() {
     let e = p.iter().zip(&warm).map(|(p, w)| 0.04 * (w - 24.0) * p + 0.6 * normal()).collect();
     let t = (0..240).map(|i| 10.0 * f64::from(i)).collect();
     let r = answer(record(
-        Kind::Positioning,
+        RunKind::Positioning,
         vec![("t", "time", t), ("p", "position.x", p), ("T", "temperature", warm), ("e", "error.x", e)],
     ));
     assert_eq!(names(&r), ["thermal_expansion.x"], "{}", r.verdict);

@@ -7,7 +7,7 @@ use crate::noise::noise;
 use rtec_measure::plan::{PlanAxis, TargetRun};
 use rtec_model::effect::{Difference, Effect};
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, ReversalPoint, Role};
+use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
 use rtec_reconcile::{NextRuns, Options, UnresolvedEffect, Verdict, next_runs, reconcile};
 use std::path::Path;
 
@@ -35,7 +35,8 @@ fn measured(name: &str, run: &TargetRun, (effect, degc): (&Effect, f64), seed: u
         Column::new("n", Role::Cycle, column(&|r| r.0 as f64)),
         Column::new("e", Role::Error(x), vec![0.0; readings.len()]),
     ];
-    let mut record = Record::new(Path::new(&format!("{name}.run.toml")), Kind::Positioning, columns).unwrap();
+    let mut record =
+        Record::new(Path::new(&format!("{name}.run.toml")), RunKind::Positioning, columns).unwrap();
     record.turns = Some(ReversalPoint::Overtravel(None));
     let mut truth = Machine::ideal("truth");
     truth.push(effect.clone(), rtec_model::machine::Provenance::default()).unwrap();
@@ -67,7 +68,7 @@ fn planned(r: &rtec_reconcile::Reconciliation) -> NextRuns {
 
 /// The run of a plan's step, as a person would make it.
 /// Targets and cycles are read from the step's words.
-fn run_of(step: &rtec_measure::plan::Step) -> TargetRun {
+fn run_of(step: &rtec_measure::plan::PlannedRun) -> TargetRun {
     let words: Vec<&str> = step.run.split_whitespace().collect();
     let targets_mm = words[1..].iter().map_while(|w| w.parse().ok()).collect();
     let cycles = words.iter().position(|w| *w == "cycles,").map(|i| words[i - 1].parse().unwrap()).unwrap();

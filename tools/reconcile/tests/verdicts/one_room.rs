@@ -6,7 +6,7 @@
 
 use rtec_fit::thermal;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, reconcile};
 use std::path::Path;
 use test_needs::dice::Dice;
@@ -129,7 +129,7 @@ impl Plan {
             columns.push(Column::new(&name, Role::Temperature, data));
         }
         columns.push(Column::new("e", Role::Error(Axis::new("z").unwrap()), error));
-        Record::new(Path::new(&format!("drift{}.run.toml", self.seed)), Kind::Drift, columns).unwrap()
+        Record::new(Path::new(&format!("drift{}.run.toml", self.seed)), RunKind::Drift, columns).unwrap()
     }
 }
 
@@ -138,7 +138,7 @@ type Law = (String, Vec<(String, [f64; 3])>);
 
 fn by_fit(record: &Record) -> (Vec<Law>, Vec<String>) {
     let (_, reports) = thermal::fit(&[record], &[], &thermal::Options::default()).unwrap();
-    let of = |e: &thermal::Fitted| {
+    let of = |e: &thermal::FittedEffect| {
         let sensor = e.sensor.clone()?;
         let values = e.parameters.iter().map(|(k, p)| (k.clone(), [p.value, p.low, p.high])).collect();
         Some((format!("{sensor}-{}", e.minus.clone().unwrap_or("20".into())), values))
@@ -238,6 +238,6 @@ fn a_real_spindle_has_one_choice_or_both_say_why_not() {
         _ => Role::Temperature,
     };
     let columns = names.iter().zip(data).map(|(n, v)| Column::new(n, role(n), v)).collect();
-    let record = Record::new(Path::new("spindle.run.toml"), Kind::Drift, columns).unwrap();
+    let record = Record::new(Path::new("spindle.run.toml"), RunKind::Drift, columns).unwrap();
     agree(&record);
 }

@@ -5,7 +5,7 @@
 use crate::noise::noise;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, html, pictures, reconcile};
 use std::path::Path;
 
@@ -35,7 +35,7 @@ fn bowed() -> Record {
         Column::new("d", Role::Direction(axis.clone()), d),
         Column::new("e", Role::Error(axis), e),
     ];
-    let mut record = Record::new(Path::new("bow.run.toml"), Kind::Positioning, columns).unwrap();
+    let mut record = Record::new(Path::new("bow.run.toml"), RunKind::Positioning, columns).unwrap();
     record.date = Some("2026-05-04".to_owned());
     record
 }
@@ -97,7 +97,7 @@ fn circle() -> Record {
         vec![Column::new("a", Role::Angle, angle), Column::new("e", Role::Error(Axis::new("r").unwrap()), e)];
     let plane = ["x", "y"].map(|n| Axis::new(n).unwrap());
     let circle = Circle { radius_mm: 150.0, plane, centre_mm: None };
-    let record = Record::new(Path::new("c.run.toml"), Kind::Ballbar, columns).unwrap();
+    let record = Record::new(Path::new("c.run.toml"), RunKind::Ballbar, columns).unwrap();
     record.with_circle(circle).unwrap()
 }
 

@@ -6,7 +6,7 @@
 use crate::noise::noise;
 use rtec_model::effect::{Dictionary, Effect, ParameterSearch};
 use rtec_model::machine::{Machine, Provenance};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use rtec_reconcile::{Options, ResidualStructure, Verdict, find, reconcile};
 use std::f64::consts::TAU;
 
@@ -42,7 +42,7 @@ fn everything(seed: u64) -> Record {
         ("level", "channel", of(&|i| (TAU * i / 51.0).sin())),
         ("e", "error.x", error),
     ];
-    crate::record("run", Kind::Positioning, columns)
+    crate::record("run", RunKind::Positioning, columns)
 }
 
 /// The record with an effect of a given RMS, µm.

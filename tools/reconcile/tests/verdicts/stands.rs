@@ -5,7 +5,7 @@
 
 use crate::{answer, record};
 use rtec_measure::plausible::MistakeKind;
-use rtec_model::record::{Kind, Record, Role};
+use rtec_model::record::{Record, Role, RunKind};
 use rtec_reconcile::Verdict;
 use test_needs::dice::Dice;
 use test_needs::repetitions;
@@ -29,7 +29,7 @@ fn line(seed: u64, creep_um: f64, timed: bool) -> Record {
     if timed {
         columns.insert(0, ("t", "time", of(&mut |i| 90.0 * i as f64)));
     }
-    record("line", Kind::Positioning, columns)
+    record("line", RunKind::Positioning, columns)
 }
 
 /// Rows take time even if the record does not log it.
@@ -66,7 +66,7 @@ fn plate_of(name: &str, seed: u64, turn_urad: f64, square_urad: f64) -> Record {
         ("e_x", "error.x", of(&mut |i| (square_urad - turn_urad) * 1e-3 * at(i)[1] + 0.2 * d.normal())),
         ("e_y", "error.y", of(&mut |i| turn_urad * 1e-3 * at(i)[0] + 0.2 * d.normal())),
     ];
-    record(name, Kind::Plate, columns)
+    record(name, RunKind::Plate, columns)
 }
 
 /// The next plate lies differently, but the machine is the same.
@@ -112,7 +112,7 @@ fn the_saw_of_a_gauge_in_steps_is_no_finding() {
             ("v", "velocity.x", of(&mut |i| 20.0 + 0.1 * (i % 7) as f64)),
             ("e", "error.x", of(&mut |i| (0.031 * at(i) + 0.06 * d.normal() + 0.3).round())),
         ];
-        let run = record("saw", Kind::FeedSweep, columns);
+        let run = record("saw", RunKind::FeedSweep, columns);
         let said = answer("[[effect]]\nname = \"scale.x\"\nppm = 30.0\n", &[run], &[]);
         assert_eq!(
             said.verdict,

@@ -5,7 +5,7 @@
 
 use crate::{answer, names, record};
 use rtec_measure::plausible::MistakeKind;
-use rtec_model::record::{Column, Kind, Record};
+use rtec_model::record::{Column, Record, RunKind};
 use rtec_reconcile::{Reconciliation, Verdict};
 use std::f64::consts::{PI, TAU};
 use test_needs::dice::Dice;
@@ -36,7 +36,7 @@ fn arc(seed: u64, radius: f64, centre: [f64; 2], (from, to): (f64, f64), law: &L
     }
     let roles = ["time", "position.x", "position.z", "error.x", "error.z"];
     let named = ["t", "px", "pz", "ex", "ez"].into_iter().zip(roles).zip(rows);
-    record("circle", Kind::Ballbar, named.map(|((n, r), v)| (n, r, v)).collect())
+    record("circle", RunKind::Ballbar, named.map(|((n, r), v)| (n, r, v)).collect())
 }
 
 /// Two effects that resemble a mistake but are none.
@@ -79,7 +79,7 @@ fn line(seed: u64, axis: &str, at: f64, law: &dyn Fn([f64; 2]) -> [f64; 2]) -> R
         ("ex", "error.x", ex),
         ("ez", "error.z", ez),
     ];
-    record("line", Kind::Positioning, columns)
+    record("line", RunKind::Positioning, columns)
 }
 
 /// Strokes of 400 mm, two out and two back, with a scale and a reversal.
@@ -94,7 +94,7 @@ fn strokes(name: &str, seed: u64, roles: [&str; 3], per_um: f64) -> Record {
         way.push(if up { 1.0 } else { -1.0 });
         e.push((22.0 * at / 1000.0 + if up { 3.0 } else { -3.0 } + 0.2 * d.normal()) / per_um);
     }
-    record(name, Kind::Positioning, vec![("p", roles[0], p), ("way", roles[1], way), ("e", roles[2], e)])
+    record(name, RunKind::Positioning, vec![("p", roles[0], p), ("way", roles[1], way), ("e", roles[2], e)])
 }
 
 const STROKES: &str =
@@ -197,7 +197,7 @@ fn a_wave_on_a_grid_of_targets_is_not_separable() {
     let mut d = Dice::new(4);
     let p: Vec<f64> = (0..205).map(|i: i32| 7.3 * f64::from(20 - (i % 41 - 20).abs())).collect();
     let e = p.iter().map(|p| 4.0 * (TAU * p / 17.1 + 0.4).sin() + 0.5 * d.normal()).collect();
-    let run = record("grid", Kind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)]);
+    let run = record("grid", RunKind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)]);
     let r = answer("effect = []\n", &[run], &[]);
     assert_eq!(names(&r), ["screw_periodic.x"], "{}", r.to_json());
     let near = r.effects[0].0.rivals.iter().any(|r| r.differs.is_some() && r.margin < 0.7);
@@ -213,7 +213,7 @@ fn a_wave_of_a_size_that_is_not_told_is_not_separable() {
         let mut d = Dice::new(seed);
         let p: Vec<f64> = (0..205).map(|i: i32| 10.0 * f64::from(20 - (i % 41 - 20).abs())).collect();
         let e = p.iter().map(|p| 4.0 * (TAU * p / 20.0 + 0.3).cos() + 0.5 * d.normal()).collect();
-        let run = record("grid", Kind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)]);
+        let run = record("grid", RunKind::Positioning, vec![("x", "position.x", p), ("e", "error.x", e)]);
         let r = answer("effect = []\n", &[run], &[]);
         assert_eq!(r.verdict, Verdict::NotSeparable, "{}", r.to_json());
     }
@@ -236,7 +236,7 @@ fn a_reversal_opposite_to_the_model_s_is_no_mistake_in_the_directions() {
         }
         let named = ["t", "x", "dir", "e"].into_iter();
         let named = named.zip(["time", "position.x", "direction.x", "error.x"]).zip(rows);
-        record("line", Kind::Positioning, named.map(|((n, r), v)| (n, r, v)).collect())
+        record("line", RunKind::Positioning, named.map(|((n, r), v)| (n, r, v)).collect())
     };
     for seed in repetitions(1..=3) {
         let r = answer(model, &[run(seed, -3.5, 1.0)], &[]);
@@ -263,7 +263,7 @@ fn what_the_better_model_leaves_as_given_stays_in_the_gap() {
         ("T1", "temperature", of(&mut |_| 25.0)),
         ("e", "error.x", of(&mut |i| 4.0 * way(i) + 0.212 * 25.0 * at(i) + 0.3 * d.normal())),
     ];
-    let run = record("line", Kind::Positioning, columns);
+    let run = record("line", RunKind::Positioning, columns);
     let model = "[[effect]]\nname = \"scale.x\"\nppm = 100.0\n\
         [[effect]]\nname = \"thermal_expansion.x\"\nsensor = \"T1\"\nppm_per_K = 20.0\n";
     let r = answer(model, &[run], &[]);

@@ -6,7 +6,7 @@
 use crate::noise::noise;
 use rtec_model::effect::ParameterSearch;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
 use std::path::Path;
 use test_needs::repetitions;
@@ -23,7 +23,7 @@ fn run(name: &str, from_s: f64, rows: usize, error: impl FnMut(f64, f64) -> f64)
         Column::new("x", Role::Position(axis.clone()), p),
         Column::new("e", Role::Error(axis), e),
     ];
-    Record::new(Path::new(&format!("{name}.run.toml")), Kind::Positioning, columns).unwrap()
+    Record::new(Path::new(&format!("{name}.run.toml")), RunKind::Positioning, columns).unwrap()
 }
 
 fn answer(train: &[Record]) -> Reconciliation {
@@ -82,7 +82,7 @@ fn what_is_of_no_size_without_another_is_not_named() {
         ),
         Column::new("e", Role::Error(Axis::new("x").unwrap()), e.to_vec()),
     ];
-    let record = Record::new(Path::new("p.run.toml"), Kind::Probing, columns).unwrap();
+    let record = Record::new(Path::new("p.run.toml"), RunKind::Probing, columns).unwrap();
     let text = "name = \"m\"\n[[effect]]\nname = \"reversal.x\"\num = -5.8105\n";
     let machine = Machine::parse(Path::new("m.toml"), text).unwrap();
     let r = reconcile(&[record], &[], &machine, &Options::default()).unwrap();

@@ -1,13 +1,13 @@
 //! `rtecctl bugreport`: an archive that lets others analyse a problem.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::archive::{Archive, now_s};
-use crate::daemon::{Daemon, observe};
+use crate::daemon::{DaemonArgs, observe};
 use crate::document::{pretty, say_line};
 use anyhow::Context;
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
 use rtec_control::setup_files::{self, SetupFile};
-use rtec_rt::setup::System;
+use rtec_rt::setup::SystemRoot;
 use std::fmt::Write as _;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     of: Option<PathBuf>,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 /// Amount that is taken from the end of a log.
@@ -53,7 +53,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let said = format!("{} is written without {}", out.display(), missing.join(", "));
-    Err(if missing.contains(&STATE) { Outcome::Unreachable(said) } else { Outcome::No(said) }.into())
+    Err(if missing.contains(&STATE) { CommandFailure::Unreachable(said) } else { CommandFailure::No(said) }
+        .into())
 }
 
 /// Contents of the archive in words, and the parts that are missing.
@@ -97,7 +98,7 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     let none = || anyhow::anyhow!("the journal has no line of the service rtecd since the boot");
     put("log.txt", log.and_then(|text| Some(text).filter(some).ok_or_else(none)))?;
     put("kernel.txt", output("uname", &["-a"]))?;
-    let system = System::live();
+    let system = SystemRoot::live();
     let cpu = system.default_cpu();
     put("platform.json", pretty(&system.inspect(cpu, 80)))?;
     put("devices.txt", Ok(devices()))?;
@@ -165,7 +166,7 @@ fn devices() -> String {
 
 fn versions() -> String {
     let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
-    format!("{}\n{release}", rtec_files::stamp::by())
+    format!("{}\n{release}", rtec_files::format_stamp::by())
 }
 
 /// A file's text; of a long file only the end.

@@ -2,19 +2,19 @@
 
 mod watch;
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_pretty;
 use clap::Subcommand;
-use rtec_control::card::{self, Access, Found, OpenError};
+use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::line_readings;
 use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{PciPlace, Profile, Register, Space, WordBit};
+use rtec_driver::profile::{AddressSpace, PciBarSpec, Profile, Register, WordBit};
 use rtec_files::InputError;
-use rtec_rt::event::MAX_AXES;
+use rtec_rt::link_messages::MAX_AXES;
 use serde_json::{Value, json};
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             if *live {
                 if *json && during.is_none() {
                     let text = "--watch --json needs --for TIME: the document comes at its end";
-                    return Err(Outcome::Bad(text.to_owned()).into());
+                    return Err(CommandFailure::Bad(text.to_owned()).into());
                 }
                 // A counter is latched to be read, and its flags are cleared, which the daemon would then
                 // miss.
@@ -123,7 +123,7 @@ fn load(file: &Path) -> Result<Config, ConfigFindings> {
 
 /// The backend for a profile's registers.
 fn backend(profile: &Profile, name: &str) -> &'static str {
-    let ports = profile.pci.is_some_and(|p| p.space == Space::Io) || name == "parallel-port";
+    let ports = profile.pci.is_some_and(|p| p.space == AddressSpace::Io) || name == "parallel-port";
     if ports { "port" } else { "mapped" }
 }
 
@@ -222,7 +222,7 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
         return Ok(());
     }
     let p = profile::parse(path, &text)?;
-    let space = |space| if space == Space::Io { "I/O ports" } else { "memory" };
+    let space = |space| if space == AddressSpace::Io { "I/O ports" } else { "memory" };
     if as_json {
         let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});
         let registers = |list: &[Register]| list.iter().map(register).collect::<Vec<_>>();
@@ -237,7 +237,7 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
             json!({"a": c.lines.0, "b": c.lines.1, "offset": c.count.offset, "bits": c.count.width.bits(),
                    "overflow": c.overflow.is_some(), "error": c.error.is_some()})
         });
-        let pci = |p: PciPlace| json!({"id": hex(p.id), "bar": p.bar, "space": space(p.space)});
+        let pci = |p: PciBarSpec| json!({"id": hex(p.id), "bar": p.bar, "space": space(p.space)});
         return say_pretty(&json!({
             "name": p.name, "source": p.source, "backend": backend(&p, name), "pci": p.pci.map(pci),
             "inputs": registers(&p.inputs), "outputs": registers(&p.outputs), "lines": lines.collect::<Vec<_>>(),
@@ -247,7 +247,7 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
     println!("{}", p.name);
     println!("  source   {}", p.source);
     println!("  backend  {}", backend(&p, name));
-    if let Some(PciPlace { id, bar, space: of }) = p.pci {
+    if let Some(PciBarSpec { id, bar, space: of }) = p.pci {
         println!("  pci      {}, BAR {bar}, {}", hex(id), space(of));
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
@@ -293,26 +293,28 @@ fn refused(config: &Config, error: OpenError) -> anyhow::Error {
          `rtecctl card list` what [card] of rtec.toml may name",
         config.card.backend()
     );
-    Outcome::Bad(text).into()
+    CommandFailure::Bad(text).into()
 }
 
 pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
-    Outcome::Unreachable(error.to_string()).into()
+    CommandFailure::Unreachable(error.to_string()).into()
 }
 
 /// Keeps the daemon from starting while the value lives.
 /// It would correct with the lines that are switched here.
 pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<LockGuard>> {
-    let stop =
-        |e: LockError| Outcome::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"));
+    let stop = |e: LockError| {
+        CommandFailure::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"))
+    };
     let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
     if let CardConfig::Registers { place, profile } = &config.card
-        && place.space() == Space::Memory
-        && let Found::Map(file, _) = card::find(place, profile, Access::Drive).map_err(unreachable)?
+        && place.space() == AddressSpace::Memory
+        && let LocatedRegisters::Map(file, _) =
+            card::find(place, profile, CardAccess::Drive).map_err(unreachable)?
     {
         held.push(lock::card(&file).map_err(|e| match e {
             LockError::Taken { .. } => stop(e),
-            LockError::Io { .. } => Outcome::Unreachable(e.to_string()),
+            LockError::Io { .. } => CommandFailure::Unreachable(e.to_string()),
         })?);
     }
     Ok(held)
@@ -329,7 +331,7 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     let mut answer = String::new();
     std::io::stdin().lock().read_line(&mut answer)?;
     if answer.trim() != PHRASE {
-        return Err(Outcome::No("nothing was written".to_owned()).into());
+        return Err(CommandFailure::No("nothing was written".to_owned()).into());
     }
     Ok(())
 }
@@ -381,5 +383,5 @@ fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
     if wrong == 0 {
         return Ok(());
     }
-    Err(Outcome::No(format!("{wrong} outputs do not read back what was written to them")).into())
+    Err(CommandFailure::No(format!("{wrong} outputs do not read back what was written to them")).into())
 }

@@ -1,6 +1,6 @@
 //! `rtecctl clear`: release latched faults.
 
-use crate::daemon::{Daemon, NO_EVENTS, ask, observe};
+use crate::daemon::{DaemonArgs, NO_EVENTS, ask, observe};
 use rtec_control::protocol::{ClientRequest, DaemonStatus, word};
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -62,7 +62,7 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
 mod tests {
     use super::*;
     use rtec_control::protocol::HoldReport;
-    use rtec_rt::event::Fault;
+    use rtec_rt::link_messages::Fault;
 
     #[test]
     fn what_was_released_and_what_is_to_be_done() {

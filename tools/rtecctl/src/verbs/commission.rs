@@ -11,13 +11,13 @@
 //! However it ends (an answer, a signal, no answer), the total is requested back to zero. Any part that still
 //! waits for a motion of the axis is reported.
 
-use crate::Outcome;
-use crate::daemon::{self, Daemon};
+use crate::CommandFailure;
+use crate::daemon::{self, DaemonArgs};
 use crate::document::say_line;
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
-use rtec_correct::commission::{
+use rtec_correct::jog_check::{
     JogFinding, JogReading, compensation_um, judge_compensation, judge_insertion, judge_jog, largest_step_um,
 };
 use rtec_model::machine::Machine;
@@ -53,7 +53,7 @@ pub(crate) struct Args {
     #[arg(long)]
     by_hand: bool,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 /// Time without a change after which the scale is at rest.
@@ -90,7 +90,7 @@ impl<'a> Guide<'a> {
         let name = &self.args.axis;
         let axis = status.axes.iter().find(|a| a.name == *name).cloned().ok_or_else(|| {
             let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
-            Outcome::Bad(format!("found axis {name:?}, expected one of {}", names.join(", ")))
+            CommandFailure::Bad(format!("found axis {name:?}, expected one of {}", names.join(", ")))
         })?;
         Ok((status, axis))
     }
@@ -102,7 +102,7 @@ impl<'a> Guide<'a> {
         loop {
             let (status, axis) = self.status()?;
             if status.mode != "run" {
-                return Err(Outcome::No(format!("the mode is {} now", status.mode)).into());
+                return Err(CommandFailure::No(format!("the mode is {} now", status.mode)).into());
             }
             if last != Some(axis.position_counts) {
                 (last, since) = (Some(axis.position_counts), Instant::now());
@@ -116,7 +116,7 @@ impl<'a> Guide<'a> {
                 eprintln!("{} moves: waiting {} s for it to stand{jogged}", axis.name, PATIENCE.as_secs());
             }
             if begun.elapsed() > PATIENCE {
-                return Err(Outcome::No("the axis does not come to rest".to_owned()).into());
+                return Err(CommandFailure::No("the axis does not come to rest".to_owned()).into());
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -260,7 +260,7 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
         let mut line = String::new();
         if from.read_line(&mut line)? == 0 {
             eprintln!();
-            return Err(Outcome::No("nobody answers; nothing is proved".to_owned()).into());
+            return Err(CommandFailure::No("nobody answers; nothing is proved".to_owned()).into());
         }
         let found: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
         if let Ok(found) = found
@@ -318,7 +318,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let counts = args.counts.map_or_else(String::new, |counts| format!(" --counts {counts}"));
         let found = format!("--jog-mm {} --far-mm {}{counts}", args.jog_mm, args.far_mm);
         let expected = "a jog beyond ten times the tolerance, and counts that are not 0";
-        return Err(Outcome::Bad(format!("found {found}, expected {expected}")).into());
+        return Err(CommandFailure::Bad(format!("found {found}, expected {expected}")).into());
     }
     let model = args.model.as_deref().map(Machine::read).transpose()?;
     let mut guide = Guide::connect(args)?;
@@ -327,10 +327,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     guide.step_um = model.map(|m| largest_step_um(&m, &args.axis, places_mm)).transpose()?;
     guide.counts = args.counts.unwrap_or_else(|| USUAL_COUNTS.min(axis.window_counts));
     if status.mode == "fault" {
-        return Err(Outcome::Fault(status.why_not.join("; ")).into());
+        return Err(CommandFailure::Fault(status.why_not.join("; ")).into());
     }
     if let Some(why) = in_the_way(&status, &axis) {
-        return Err(Outcome::No(why).into());
+        return Err(CommandFailure::No(why).into());
     }
     guide.simulated = status.rt.card == "mock" && !args.by_hand;
     on_signal(args, guide.simulated)?;
@@ -353,7 +353,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if found.verdict == "right" {
         return Ok(());
     }
-    Err(Outcome::No(format!("axis {}: {}", args.axis, found.verdict.replace('_', " "))).into())
+    Err(CommandFailure::No(format!("axis {}: {}", args.axis, found.verdict.replace('_', " "))).into())
 }
 
 /// Why the axis cannot be commissioned now.

@@ -1,6 +1,6 @@
 //! `rtecctl completions SHELL`: shell completions on standard output.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use clap_complete::Shell;
 use std::fmt::Write as _;
 
@@ -20,7 +20,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         crate::say(&script(shell));
         return Ok(());
     }
-    for name in Daemon::at(None).axes() {
+    for name in DaemonArgs::at(None).axes() {
         println!("{name}");
     }
     Ok(())

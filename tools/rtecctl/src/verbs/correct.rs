@@ -1,6 +1,6 @@
 //! `rtecctl correct`: the total correction of an axis.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Request the total correction of an axis, in counts since homing
@@ -15,7 +15,7 @@ pub(crate) struct Args {
     #[arg(long)]
     large: bool,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

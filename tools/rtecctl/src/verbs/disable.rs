@@ -1,13 +1,13 @@
 //! `rtecctl disable`: corrections off.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Switch corrections off: they freeze where they are, nothing moves
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

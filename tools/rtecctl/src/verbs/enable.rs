@@ -1,6 +1,6 @@
 //! `rtecctl enable`: corrections on.
 
-use crate::daemon::{Daemon, describe};
+use crate::daemon::{DaemonArgs, describe};
 use rtec_control::protocol::{ClientRequest, Response};
 
 /// Switch corrections on; shows what moves, and refuses a jump beyond the belief window
@@ -10,7 +10,7 @@ pub(crate) struct Args {
     #[arg(long)]
     accept_jump: bool,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

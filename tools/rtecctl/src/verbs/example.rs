@@ -1,6 +1,6 @@
 //! `rtecctl example`: a simulated machine to begin with.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_line;
 use anyhow::Context;
 use rtec_sim::example::{EXAMPLES, Example};
@@ -84,10 +84,12 @@ fn empty(dir: &Path) -> anyhow::Result<()> {
         Ok(Some(entry)) => entry.with_context(|| format!("reading {folder}"))?.file_name(),
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
         Err(e) => {
-            return Err(Outcome::Bad(format!("{folder}: {e}; expected an empty folder, or none")).into());
+            return Err(
+                CommandFailure::Bad(format!("{folder}: {e}; expected an empty folder, or none")).into()
+            );
         }
     };
     let found = found.to_string_lossy();
     let text = format!("{folder}: found {found} in it, expected an empty folder, or none: name another");
-    Err(Outcome::Bad(text).into())
+    Err(CommandFailure::Bad(text).into())
 }

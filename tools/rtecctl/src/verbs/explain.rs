@@ -1,7 +1,7 @@
 //! `rtecctl explain`: the components of each axis's correction.
 
-use crate::daemon::{Daemon, NO_EVENTS, observe};
-use rtec_control::protocol::{ClientRequest, Contribution, Explained, Reading, Response};
+use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
+use rtec_control::protocol::{AxisExplanation, ClientRequest, Contribution, Response, SensorReading};
 use std::fmt::Write as _;
 
 /// Split each axis's correction now into its effects, with sensor values and their age
@@ -12,7 +12,7 @@ pub(crate) struct Args {
     /// The axis [default: all]
     axis: Option<String>,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -38,14 +38,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 const NO_EFFECTS: [&str; 6] =
     ["part table", "operator", "on its way", "rounding", "not followed now", "beyond max_correction_counts"];
 
-fn without_effect(axes: &[Explained]) -> bool {
+fn without_effect(axes: &[AxisExplanation]) -> bool {
     let mut parts = axes.iter().flat_map(|a| &a.parts);
     parts.all(|p| NO_EFFECTS.contains(&p.name.as_str()))
 }
 
-fn table(axes: &[Explained]) -> String {
+fn table(axes: &[AxisExplanation]) -> String {
     let mut text = String::new();
-    for Explained { axis, requested, total_um, parts, holds } in axes {
+    for AxisExplanation { axis, requested, total_um, parts, holds } in axes {
         let _ = writeln!(text, "axis {axis}: {} µm, {requested:+} counts", um_text(*total_um));
         for Contribution { name, um, sensors, outside_k, weight } in parts {
             let sensors: Vec<String> = sensors.iter().map(shown).collect();
@@ -68,7 +68,7 @@ fn um_text(um: f64) -> String {
     if um.abs() < 1e6 { format!("{um:+.3}") } else { format!("{um:+.3e}") }
 }
 
-fn shown(r: &Reading) -> String {
+fn shown(r: &SensorReading) -> String {
     let value = match (r.degc, r.age_s) {
         (Some(degc), Some(age_s)) => format!("{degc:.2} °C, {age_s:.1} s old"),
         _ => "never read".to_owned(),
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn parts_sensors_and_why_it_holds() {
-        let axes: Vec<Explained> =
+        let axes: Vec<AxisExplanation> =
             serde_json::from_str(include_str!("../../tests/golden/explain.json")).unwrap();
         crate::golden("explain.txt", &table(&axes));
         assert!(!without_effect(&axes) && !without_effect(&axes[1..]));

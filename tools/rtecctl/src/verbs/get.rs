@@ -1,7 +1,7 @@
 //! `rtecctl get`: one value of the status, for scripts.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, observe};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
 use serde_json::{Map, Value};
 
 /// Print one value of the status, as axes.x.completed or mode
@@ -14,7 +14,7 @@ pub(crate) struct Args {
     /// Which value, as axes.x.completed, `rt.poll_gap_ns.p9999`, sensors.T8.degc
     name: Option<String>,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 /// Values that a status may lack, and what to do then.
@@ -51,9 +51,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Err(text) => {
             let first = name.split('.').next().unwrap_or_default();
             return Err(match SOMETIMES.iter().find(|(of, _)| *of == first) {
-                Some((_, none)) if status.get(first).is_none() => Outcome::No((*none).to_owned()),
-                Some(_) => Outcome::No(text),
-                None => Outcome::Bad(text),
+                Some((_, none)) if status.get(first).is_none() => CommandFailure::No((*none).to_owned()),
+                Some(_) => CommandFailure::No(text),
+                None => CommandFailure::Bad(text),
             }
             .into());
         }

@@ -1,6 +1,6 @@
 //! `rtecctl history`: one machine's figures of merit over time.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::pretty;
 use anyhow::Context;
 use rtec_files::InputError;
@@ -68,13 +68,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "no record here has {}: nothing is within a limit that nothing was held against",
             unjudged.join(", ")
         );
-        return Err(Outcome::No(text).into());
+        return Err(CommandFailure::No(text).into());
     }
     let beyond: Vec<&str> = found.beyond().map(|f| f.name.as_str()).collect();
     if beyond.is_empty() {
         return Ok(());
     }
-    Err(Outcome::No(format!("beyond its limit: {}", beyond.join(", "))).into())
+    Err(CommandFailure::No(format!("beyond its limit: {}", beyond.join(", "))).into())
 }
 
 /// The sidecars below a folder, in order.

@@ -1,6 +1,6 @@
 //! `rtecctl hold`: feed hold.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use crate::verbs::probe::Switch;
 use rtec_control::protocol::ClientRequest;
 
@@ -10,7 +10,7 @@ pub(crate) struct Args {
     /// On or off
     switch: Switch,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

@@ -1,6 +1,6 @@
 //! `rtecctl home`: declares that the axis is at its home position.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Set the counters at the known home place and read them back
@@ -18,7 +18,7 @@ pub(crate) struct Args {
     #[arg(long, conflicts_with = "controller_homed")]
     controller_not_homed: bool,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

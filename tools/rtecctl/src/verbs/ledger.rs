@@ -1,7 +1,7 @@
 //! `rtecctl ledger`: requests and insertions of each axis, as files for a replay.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, ask, observe, unexpected};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, NO_EVENTS, ask, observe, unexpected};
 use crate::document::{pretty, say_line};
 use anyhow::Context;
 use clap::Subcommand;
@@ -46,7 +46,7 @@ enum LedgerAction {
         #[arg(long, value_name = "TIME", value_parser = crate::duration::duration)]
         last: Option<Duration>,
         #[command(flatten)]
-        daemon: Daemon,
+        daemon: DaemonArgs,
     },
 }
 
@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if axes.is_empty() {
         let names: Vec<_> = status.axes.iter().map(|a| a.name.as_str()).collect();
         let (found, names) = (axis.as_deref().unwrap_or(""), names.join(", "));
-        return Err(Outcome::Bad(format!("--axis: found {found:?}, expected one of {names}")).into());
+        return Err(CommandFailure::Bad(format!("--axis: found {found:?}, expected one of {names}")).into());
     }
     let not_homed: Vec<_> = axes.iter().filter(|a| !a.homed).map(|a| a.name.clone()).collect();
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             let text = format!(
                 "axis {name}: {edges} edges since {whole_from_ns} ns, more than {MOST_EDGES}: --last TIME for fewer"
             );
-            return Err(Outcome::No(text).into());
+            return Err(CommandFailure::No(text).into());
         }
         let [trace, requests, table] = ["trace", "requests", "insertions"].map(files);
         told.write(&kept, [&trace, &requests, &table])?;
@@ -138,7 +138,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let text = format!("axis {}: replayed, the files do not give the totals of the daemon", other.join(", "));
-    Err(Outcome::No(text).into())
+    Err(CommandFailure::No(text).into())
 }
 
 /// Fetches all kept changes of an axis's ledger.

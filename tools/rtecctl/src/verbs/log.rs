@@ -1,12 +1,12 @@
 //! `rtecctl log`: the record of every command.
 
-use crate::Outcome;
-use crate::daemon::Daemon;
+use crate::CommandFailure;
+use crate::daemon::DaemonArgs;
 use crate::document::say_line;
 use crate::terminal;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use rtec_control::audit::{self, Anchor, Entry, Line};
+use rtec_control::audit::{self, Anchor, ChainLine, Entry};
 use rtec_files::InputError;
 use rtec_files::message_text::is_hidden;
 use serde_json::{Value, json};
@@ -43,7 +43,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     file: Option<PathBuf>,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 const EVERY: Duration = Duration::from_millis(250);
@@ -66,7 +66,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     // The first is of the record, the second of the refusals.
     let (mut all, mut last_n, mut last_t) = (Vec::new(), [0; 2], None);
     let (mut shown, mut broken) = (0_u64, 0_u64);
-    let mut show = |line: Line, all: Option<&mut Vec<Value>>| match line.entry {
+    let mut show = |line: ChainLine, all: Option<&mut Vec<Value>>| match line.entry {
         Ok(entry) => {
             if !wanted(&entry) {
                 return;
@@ -111,7 +111,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if broken > 0 {
         let text = format!("{broken} lines are not as they were written: `rtecctl log --verify`");
-        return Err(Outcome::No(text).into());
+        return Err(CommandFailure::No(text).into());
     }
     if shown == 0 && !args.follow && !document {
         eprintln!("rtecctl: {}", nothing(since_s, args.axis.as_deref(), last_t.as_deref(), &zone));
@@ -128,7 +128,7 @@ fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
         return Ok(());
     }
     let known = axes.into_iter().collect::<Vec<_>>().join(", ");
-    Err(Outcome::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into())
+    Err(CommandFailure::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into())
 }
 
 /// Reason why no line is shown, and where lines are.
@@ -184,7 +184,7 @@ fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> 
     }
     match found.broken.len() {
         0 => Ok(()),
-        n => Err(Outcome::No(format!("{n} findings: the record is not as it was written")).into()),
+        n => Err(CommandFailure::No(format!("{n} findings: the record is not as it was written")).into()),
     }
 }
 

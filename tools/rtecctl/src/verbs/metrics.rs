@@ -1,14 +1,14 @@
 //! `rtecctl metrics`: the status as metrics.
 //! They are printed, written for a collector, or served.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, observe};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
 use crate::http::{Answer, Handler, Request, Server};
 use anyhow::Context;
 use rtec_control::metrics::{MetricsFormat, text};
 use rtec_control::protocol::DaemonSnapshot;
 use rtec_files::InputError;
-use rtec_files::stamp::VERSION;
+use rtec_files::format_stamp::VERSION;
 use std::fs::{Permissions, remove_file};
 use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
@@ -40,13 +40,13 @@ pub(crate) struct Args {
     #[arg(long, requires = "listen")]
     beyond_loopback: bool,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.daemon.json {
         let text = "metrics are text: `rtecctl status --json` has the same as JSON";
-        return Err(Outcome::Bad(text.to_owned()).into());
+        return Err(CommandFailure::Bad(text.to_owned()).into());
     }
     if let Some(address) = &args.listen {
         return serve(&args.daemon, address, args.beyond_loopback);
@@ -59,11 +59,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn seen(daemon: &Daemon) -> anyhow::Result<DaemonSnapshot> {
+fn seen(daemon: &DaemonArgs) -> anyhow::Result<DaemonSnapshot> {
     observe(&mut daemon.view()?, NO_EVENTS)
 }
 
-fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Result<()> {
+fn write(daemon: &DaemonArgs, file: &Path, every: Option<Duration>) -> anyhow::Result<()> {
     if file.extension().is_none_or(|e| e != "prom") {
         let found = format!("the name {}", file.display());
         let expected = "a name that ends in .prom: collectors read no other";
@@ -82,7 +82,7 @@ fn write(daemon: &Daemon, file: &Path, every: Option<Duration>) -> anyhow::Resul
     }
 }
 
-fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Result<()> {
+fn serve(daemon: &DaemonArgs, address: &str, beyond_loopback: bool) -> anyhow::Result<()> {
     let server =
         if address.contains('/') { at_path(Path::new(address))? } else { at_port(address, beyond_loopback)? };
     eprintln!("metrics at {address}");
@@ -93,20 +93,21 @@ fn serve(daemon: &Daemon, address: &str, beyond_loopback: bool) -> anyhow::Resul
 fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
     let Ok(at) = address.parse::<SocketAddr>() else {
         let expected = "ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket";
-        return Err(Outcome::Bad(format!("--listen: found {address:?}, expected {expected}")).into());
+        return Err(CommandFailure::Bad(format!("--listen: found {address:?}, expected {expected}")).into());
     };
     if !at.ip().is_loopback() && !beyond_loopback {
         let expected =
             format!("a loopback address as 127.0.0.1:{}, or --beyond-loopback beside it", at.port());
         let text = format!("--listen: found {at}, which others can reach; expected {expected}");
-        return Err(Outcome::Bad(text).into());
+        return Err(CommandFailure::Bad(text).into());
     }
-    Server::tcp(at).map_err(|e| Outcome::No(format!("cannot listen at {at}: {e}")).into())
+    Server::tcp(at).map_err(|e| CommandFailure::No(format!("cannot listen at {at}: {e}")).into())
 }
 
 /// Creates a Unix socket, also in place of one at which nothing listens.
 fn at_path(path: &Path) -> anyhow::Result<Server> {
-    let no = |e: &dyn std::fmt::Display| Outcome::No(format!("cannot listen at {}: {e}", path.display()));
+    let no =
+        |e: &dyn std::fmt::Display| CommandFailure::No(format!("cannot listen at {}: {e}", path.display()));
     if let Ok(found) = std::fs::symlink_metadata(path) {
         if !found.file_type().is_socket() {
             return Err(no(&"found something that is no socket").into());
@@ -123,7 +124,7 @@ fn at_path(path: &Path) -> anyhow::Result<Server> {
 
 /// Asks the daemon once for all clients that wait at a time.
 struct MetricsHandler {
-    daemon: Daemon,
+    daemon: DaemonArgs,
     /// Its last answer, and the time of that.
     last: Mutex<Option<(Instant, Option<DaemonSnapshot>)>>,
 }

@@ -17,7 +17,7 @@ pub(crate) struct Args {
 
 super::verbs_below! {
     /// Take the model up again that was unloaded last, as it was read when it was loaded
-    Again crate::daemon::Daemon => load::again;
+    Again crate::daemon::DaemonArgs => load::again;
     Compare show::CompareArgs => show::compare;
     Export export::Args => export::run;
     Fit fit::FitArgs => fit::run;
@@ -28,6 +28,6 @@ super::verbs_below! {
     SelectSensors fit::SelectArgs => fit::select;
     Show show::ShowArgs => show::show;
     /// Run without a model: corrections go back in a ramp
-    Unload crate::daemon::Daemon => load::unload;
+    Unload crate::daemon::DaemonArgs => load::unload;
     Validate validate::ValidateArgs => validate::validate;
 }

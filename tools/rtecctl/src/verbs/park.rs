@@ -1,9 +1,9 @@
 //! `rtecctl park`: ends corrections, with the counts kept or withdrawn.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, ask, explained, status};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, ask, explained, status};
 use rtec_control::client::Client;
-use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Explained};
+use rtec_control::protocol::{AxisExplanation, AxisReport, ClientRequest, DaemonStatus};
 use std::time::{Duration, Instant};
 
 /// Freeze the corrections where they are and disarm; with --to-zero take them out first, step by step
@@ -23,7 +23,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = crate::duration::duration)]
     patience: Duration,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 const EVERY: Duration = Duration::from_millis(100);
@@ -39,14 +39,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             return Ok(());
         }
         let why = "a model or part table has moved it on meanwhile; enable and park again";
-        return Err(Outcome::No(format!("axis {}: {why}", on.join(", "))).into());
+        return Err(CommandFailure::No(format!("axis {}: {why}", on.join(", "))).into());
     }
     // If the MTC's count is unknown, nothing can be withdrawn, but corrections are still disabled.
     let known = unknown(&status(&mut client)?).is_none();
     let unloaded = known && args.to_zero && to_zero(&mut client, args.patience)?;
     if let Some(why) = unknown(&status(&mut client)?) {
         ask(&mut client, &ClientRequest::Park {})?;
-        return Err(Outcome::No(why).into());
+        return Err(CommandFailure::No(why).into());
     }
     let done = match (args.to_zero, unloaded) {
         (false, _) => "parked: corrections frozen where they are",
@@ -96,7 +96,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
         let waiting: Vec<String> = now.axes.iter().filter(|a| a.in_effect != 0).map(why).collect();
         if since.elapsed() >= patience {
             let text = format!("not at zero, corrections are still on: {}", waiting.join("; "));
-            return Err(Outcome::No(text).into());
+            return Err(CommandFailure::No(text).into());
         }
         if shown_at.elapsed() >= PROGRESS_EVERY {
             shown_at = Instant::now();
@@ -111,12 +111,12 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
 fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
     if now.mode == "fault" {
         let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
-        return Err(Outcome::Fault(text.to_owned()).into());
+        return Err(CommandFailure::Fault(text.to_owned()).into());
     }
     if now.mode != "run" {
         let why = now.why_not.join("; ");
         let text = format!("mode {}: nothing can be taken out before corrections are on: {why}", now.mode);
-        return Err(Outcome::No(text).into());
+        return Err(CommandFailure::No(text).into());
     }
     Ok(())
 }
@@ -147,14 +147,14 @@ fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> 
         if begun.elapsed() >= patience {
             let waiting: Vec<String> = inverted(&now).map(why).collect();
             let text = format!("inverters still on, corrections are still on: {}", waiting.join("; "));
-            return Err(Outcome::No(text).into());
+            return Err(CommandFailure::No(text).into());
         }
         std::thread::sleep(EVERY);
     }
 }
 
 /// The operator's share of a total, counts.
-fn operator_counts(parts: &Explained) -> i64 {
+fn operator_counts(parts: &AxisExplanation) -> i64 {
     let operator_um = parts.parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
     if parts.requested == 0 {
         0
@@ -165,7 +165,7 @@ fn operator_counts(parts: &Explained) -> i64 {
 
 /// The operator's next total towards zero within the belief window.
 /// The model's part returns by itself after the model is unloaded.
-fn next(axis: &AxisReport, parts: &Explained) -> ClientRequest {
+fn next(axis: &AxisReport, parts: &AxisExplanation) -> ClientRequest {
     let operator_counts = operator_counts(parts);
     let step = axis.window_counts.max(1);
     let total_counts = operator_counts - operator_counts.clamp(-step, step);

@@ -1,14 +1,14 @@
 //! `rtecctl platform`: whether this computer suits a real-time thread.
 //! It says what to change.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_pretty;
 use anyhow::Context;
 use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
-use rtec_driver::profile::Space;
+use rtec_driver::profile::AddressSpace;
 use rtec_platform::access::{self, Device};
-use rtec_rt::setup::{Report, RtSettings, System, apply};
+use rtec_rt::setup::{RtSettings, SetupReport, SystemRoot, apply};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -40,11 +40,11 @@ pub(crate) struct Args {
 struct Document<'a> {
     can_arm: bool,
     #[serde(flatten)]
-    report: &'a Report,
+    report: &'a SetupReport,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let system = args.root.as_deref().map_or_else(System::live, System::at);
+    let system = args.root.as_deref().map_or_else(SystemRoot::live, SystemRoot::at);
     let config = match &args.config {
         Some(file) => Config::load(file)?,
         None if args.root.is_none() && Path::new(INSTALLED).exists() => Config::load(Path::new(INSTALLED))?,
@@ -72,7 +72,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if !report.can_arm() {
         let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
-        return Err(Outcome::No(format!("a real card would not be armed: {}", stops.join(", "))).into());
+        return Err(
+            CommandFailure::No(format!("a real card would not be armed: {}", stops.join(", "))).into()
+        );
     }
     Ok(())
 }
@@ -88,8 +90,8 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
                     Device::of_file(&std::path::absolute(file)?)
                 }
                 RegisterPlace::Io(_) => Device::Ports(None),
-                RegisterPlace::Pci(id, _, Space::Io) => Device::Ports(Some(id.clone())),
-                RegisterPlace::Pci(id, bar, Space::Memory) => Device::Bar(id.clone(), *bar),
+                RegisterPlace::Pci(id, _, AddressSpace::Io) => Device::Ports(Some(id.clone())),
+                RegisterPlace::Pci(id, bar, AddressSpace::Memory) => Device::Bar(id.clone(), *bar),
             };
             (vec![device], false)
         }
@@ -107,12 +109,12 @@ fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
     };
     let named: Option<BTreeSet<String>> = lines.map(|line| line.chip.as_ref().and_then(direct)).collect();
     let only = "only root may ask all chips for their labels and lines";
-    let asked = || chip_names(setup).map_err(|e| Outcome::Unreachable(format!("{e}; {only}")));
+    let asked = || chip_names(setup).map_err(|e| CommandFailure::Unreachable(format!("{e}; {only}")));
     let names = named.map_or_else(asked, Ok)?;
     Ok(names.into_iter().map(Device::Gpio).collect())
 }
 
-fn text(report: &Report) -> String {
+fn text(report: &SetupReport) -> String {
     let mut out = String::new();
     let mut line = |text: std::fmt::Arguments| {
         let _ = out.write_fmt(text); // writing to a String does not fail

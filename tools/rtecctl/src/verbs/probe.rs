@@ -1,7 +1,7 @@
 //! `rtecctl probe`: positions at the trips of the probe.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, NO_EVENTS, ask, check, observe, unreachable};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, NO_EVENTS, ask, check, observe, unreachable};
 use crate::document::say_line;
 use clap::ValueEnum;
 use rtec_control::protocol::{ClientRequest, EventReport, ProbeTripReport, Response};
@@ -18,7 +18,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N")]
     captures: Option<u64>,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if args.daemon.json && args.captures.is_none() {
         let text = "one JSON document needs an end: --captures N beside --json";
-        return Err(Outcome::Bad(text.to_owned()).into());
+        return Err(CommandFailure::Bad(text.to_owned()).into());
     }
     // The watch starts first, so that no trip can come in between.
     let mut watch = args.daemon.connect()?;
@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 // Another user or a fault has switched probing off: no capture will come.
                 let text = format!("probing has ended ({}) after {number} captures", happened.text);
                 if args.captures.is_some() {
-                    return Err(Outcome::No(text).into());
+                    return Err(CommandFailure::No(text).into());
                 }
                 eprintln!("{text}");
                 return Ok(());

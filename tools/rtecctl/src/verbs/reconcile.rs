@@ -11,7 +11,7 @@ use rtec_files::{InputError, date};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{
-    LAWS_FILE, Options, Reconciliation, Refined, ResidualStructure, SEED, html, reconcile, why,
+    CorrectedEffect, LAWS_FILE, Options, Reconciliation, ResidualStructure, SEED, html, reconcile, why,
 };
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -210,7 +210,7 @@ fn found(answer: &Reconciliation) -> String {
 }
 
 /// Values of an effect before and after; none for a curve with many.
-fn values(x: &Refined) -> String {
+fn values(x: &CorrectedEffect) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();
     let each = law.parameters.iter().enumerate().filter(|(i, p)| !p.array && half[*i] > 0.0);

@@ -1,6 +1,6 @@
 //! `rtecctl replay`: the real-time engine on a recorded trace, by a virtual clock.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_line;
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -11,7 +11,7 @@ use rtec_files::InputError;
 use rtec_files::clock;
 use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns};
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::event::Fault;
+use rtec_rt::link_messages::Fault;
 use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::ecc::Pll;
 use rtec_sim::replay::{ReplayError, ReplayOutcome};
@@ -158,11 +158,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let axis = args.axis.as_ref().map_or_else(String::new, |axis| format!(" of axis {axis}"));
         let fault = word(Fault::ChannelDead);
         let text = format!("{fault} latched at {t_ns} ns{axis}: {said}: a broken wire or receiver of it");
-        return Err(Outcome::Fault(text).into());
+        return Err(CommandFailure::Fault(text).into());
     }
     // The more informative answer first: a latched fault explains a ledger that does not balance.
     if let Some(latched) = outcome.faults.first() {
-        return Err(Outcome::Fault(format!("{} latched at {} ns", word(latched.fault), latched.t_ns)).into());
+        return Err(
+            CommandFailure::Fault(format!("{} latched at {} ns", word(latched.fault), latched.t_ns)).into()
+        );
     }
     let ReplayOutcome { counts_out, counts_in, completed, illegal_out, .. } = outcome;
     if !outcome.balanced() || illegal_out > 0 {
@@ -170,7 +172,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "the ledger does not balance: {counts_out} counts out - {counts_in} in, {completed} completed, {illegal_out} illegal \
              transitions at the MTC"
         );
-        return Err(Outcome::No(message).into());
+        return Err(CommandFailure::No(message).into());
     }
     let open = outcome.requested - outcome.completed;
     if design == InsertionDesign::Ecc && open.abs() >= InsertionDesign::Ecc.increment_counts() {
@@ -185,7 +187,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let why: BTreeSet<String> = outcome.refused.iter().map(|r| word(r.why)).collect();
         let why = why.into_iter().collect::<Vec<_>>().join(", ");
         let message = format!("nothing was corrected: every request was refused ({why})");
-        return Err(Outcome::No(message).into());
+        return Err(CommandFailure::No(message).into());
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! `rtecctl restore`: a machine's set-up from an archive of `rtecctl backup`.
 
 use super::backup::{Manifest, Packed, read};
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_line;
 use anyhow::Context;
 use nix::unistd::{Gid, Uid, fchown};
@@ -59,8 +59,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let config = checked(args, &manifest, &contents, folder)?;
     let (wanted, left_out) = wanted(args, &manifest, &contents, folder, &config)?;
-    let running =
-        |e| Outcome::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"));
+    let running = |e| {
+        CommandFailure::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"))
+    };
     // A dry run does not need the daemon to be stopped.
     let _held =
         if args.dry_run { None } else { Some(lock::keep_out(&config.control.socket).map_err(running)?) };
@@ -69,7 +70,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !in_the_way.is_empty() && !args.replace {
         let files = in_the_way.join(", ");
         let text = format!("{files} is there and differs: nothing is written; --replace writes over it");
-        return Err(Outcome::No(text).into());
+        return Err(CommandFailure::No(text).into());
     }
     if !args.dry_run {
         // The configuration is written last: until then the daemon finds the machine unchanged.

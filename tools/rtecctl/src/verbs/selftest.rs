@@ -1,22 +1,22 @@
 //! `rtecctl selftest latency`: measures this computer's latencies.
 //! It shows the speeds at which they allow corrections.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_line;
 use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
-use rtec_control::card::{self, Access, OnCard};
+use rtec_control::card::{self, CardAccess, CardOperation};
 use rtec_control::config::{CardConfig, Config, LatencyProvenance};
 use rtec_files::InputError;
 use rtec_files::write::AtomicFile;
 use rtec_platform::latency_test::{
-    Backend, Latency, Measured, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
+    Backend, Latency, LatencyTestResult, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
     run as measure, run_on_card,
 };
-use rtec_platform::verdict::Verdict;
+use rtec_platform::verdict::SelftestVerdict;
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::histogram::Snapshot;
-use rtec_rt::setup::System;
+use rtec_rt::histogram::HistogramSnapshot;
+use rtec_rt::setup::SystemRoot;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let rt = config.as_ref().map(|c| &c.rt);
     let options = SelftestOptions {
-        cpu: args.cpu.or(rt.and_then(|rt| rt.cpu)).unwrap_or_else(|| System::live().default_cpu()),
+        cpu: args.cpu.or(rt.and_then(|rt| rt.cpu)).unwrap_or_else(|| SystemRoot::live().default_cpu()),
         priority: args.priority.or(rt.map(|rt| rt.priority)).unwrap_or(80),
         run: args.duration,
         seed: 1,
@@ -113,7 +113,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         AtomicFile::create(file).map_err(unwritable)
     };
     let histfile = args.histfile.as_ref().map(created).transpose()?;
-    let mut provenance = LatencyProvenance::here(&CardConfig::Mock, options.cpu, &System::live());
+    let mut provenance = LatencyProvenance::here(&CardConfig::Mock, options.cpu, &SystemRoot::live());
     let measured = match &target {
         Target::Simulated(backend) => {
             let card = if *backend == Backend::Mock {
@@ -131,12 +131,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 confirm("every inverter of this card is switched on and off again, for a third of the time")?;
             }
             eprintln!("selftest: card {}", provenance.card);
-            let access = if args.drive { Access::Drive } else { Access::Read };
+            let access = if args.drive { CardAccess::Drive } else { CardAccess::Read };
             let test = CardTest { options, axes: &config.engine_axes(), drive: args.drive };
             card::with(&config.card, access, test).map_err(unreachable)??
         }
     };
-    let verdict = Verdict::new(&measured, config.as_ref());
+    let verdict = SelftestVerdict::new(&measured, config.as_ref());
     if let Some(mut file) = histfile {
         let written = writeln!(file, "{}# Card: {}", histogram(&measured), provenance.card);
         written.and_then(|()| file.finish()).context("writing the histogram file")?;
@@ -152,11 +152,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         // As with cyclictest, a histogram written to a file is not printed as well.
         print!("{}", text(&measured, &options, &verdict, &provenance, args.histfile.is_none()));
     }
-    if verdict.reasons.is_empty() { Ok(()) } else { Err(Outcome::No(verdict.reasons.join("; ")).into()) }
+    if verdict.reasons.is_empty() {
+        Ok(())
+    } else {
+        Err(CommandFailure::No(verdict.reasons.join("; ")).into())
+    }
 }
 
-impl OnCard for CardTest<'_> {
-    type Output = Result<Measured, SelftestError>;
+impl CardOperation for CardTest<'_> {
+    type Output = Result<LatencyTestResult, SelftestError>;
 
     fn on<C: rtec_driver::card::Card + Send + 'static>(self, card: C) -> Self::Output {
         run_on_card(self.options, card, self.axes, self.drive, progress)
@@ -169,7 +173,7 @@ fn progress(what: &str, left_s: u64) {
 
 /// The card to be measured; an error if that is not possible.
 fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
-    let bad = |text: String| anyhow::Error::from(Outcome::Bad(text));
+    let bad = |text: String| anyhow::Error::from(CommandFailure::Bad(text));
     let Some(file) = &args.config else {
         return match args.backend.as_deref() {
             None | Some("mapped") => Ok(Target::Simulated(Backend::Mapped)),
@@ -200,14 +204,14 @@ fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
     }
 }
 
-fn threads(measured: &Measured) -> [&Latency; 3] {
+fn threads(measured: &LatencyTestResult) -> [&Latency; 3] {
     [&measured.wakeup, &measured.quiet.poll_gap, &measured.quiet.edge_to_done]
 }
 
 fn text(
-    measured: &Measured,
+    measured: &LatencyTestResult,
     options: &SelftestOptions,
-    verdict: &Verdict,
+    verdict: &SelftestVerdict,
     provenance: &LatencyProvenance,
     with_histogram: bool,
 ) -> String {
@@ -284,11 +288,11 @@ fn text(
 }
 
 /// All distributions in ns.
-fn table(measured: &Measured) -> String {
+fn table(measured: &LatencyTestResult) -> String {
     let mut out = String::from(
         "#\n# in ns              samples      min      p50      p99    p99.9   p99.99         max\n",
     );
-    let mut row = |name: &str, s: &Snapshot| {
+    let mut row = |name: &str, s: &HistogramSnapshot| {
         let inner = [s.min(), s.p50(), s.p99(), s.p999(), s.p9999()].map(|ns| format!(" {ns:>8}")).concat();
         let _ = writeln!(out, "# {name:<15} {:>11}{inner} {:>11}", s.samples(), s.max());
     };
@@ -314,7 +318,7 @@ fn table(measured: &Measured) -> String {
 }
 
 /// The part from `# Histogram` to the overflows, formatted like `cyclictest -h`.
-fn histogram(measured: &Measured) -> String {
+fn histogram(measured: &LatencyTestResult) -> String {
     let threads = threads(measured);
     let linear = threads.map(|t| t.ns.linear(1000, ROWS));
     let joined = |values: [String; 3], by: &str| values.join(by);
@@ -324,7 +328,7 @@ fn histogram(measured: &Measured) -> String {
         let _ = writeln!(out, "{row:06} {}", joined(counts, "\t"));
     }
     let totals = [0, 1, 2].map(|t: usize| format!("{:09}", threads[t].ns.samples() - linear[t].1));
-    let of = |f: fn(&Snapshot) -> u64| joined(threads.map(|t| format!("{:05}", f(&t.ns))), " ");
+    let of = |f: fn(&HistogramSnapshot) -> u64| joined(threads.map(|t| format!("{:05}", f(&t.ns))), " ");
     let _ = writeln!(out, "# Total: {}", joined(totals, " "));
     let _ = writeln!(out, "# Min Latencies: {}", of(|s| s.min() / 1000));
     let _ = writeln!(out, "# Avg Latencies: {}", of(|s| s.mean() as u64 / 1000));

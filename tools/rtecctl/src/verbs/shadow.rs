@@ -1,13 +1,13 @@
 //! `rtecctl shadow`: computes everything, writes nothing to the card.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Compute, gate and count everything, write nothing: watch a machine before it is touched
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

@@ -1,6 +1,6 @@
 //! `rtecctl ship`: finished records from a spool folder to the shop's store.
 
-use crate::Outcome;
+use crate::CommandFailure;
 use rtec_measure::spool::{FolderStore, ShipError, ship};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
@@ -39,11 +39,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Some(("s3", _)) => return Err(handed_over(args).into()),
         Some((other, _)) => {
             let found = format!("--to: found `{other}://`, expected a folder or s3://BUCKET");
-            return Err(Outcome::Bad(format!("{found}; other stores: python -m rtec.shop ship")).into());
+            return Err(
+                CommandFailure::Bad(format!("{found}; other stores: python -m rtec.shop ship")).into()
+            );
         }
         None if args.endpoint.is_some() => {
             let found = format!("--to {} beside --endpoint", args.to.display());
-            return Err(Outcome::Bad(format!("found {found}, expected s3://BUCKET")).into());
+            return Err(CommandFailure::Bad(format!("found {found}, expected s3://BUCKET")).into());
         }
         None => {}
     }
@@ -51,7 +53,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let done = once(args);
         let Some(seconds) = args.every else { return done };
         if let Err(error) = done {
-            if !matches!(error.downcast_ref::<Outcome>(), Some(Outcome::Unreachable(_))) {
+            if !matches!(error.downcast_ref::<CommandFailure>(), Some(CommandFailure::Unreachable(_))) {
                 return Err(error);
             }
             eprintln!("warning: {error}; looked at again in {seconds} s");
@@ -62,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Replaces this process by `rtec-ship`, the program that knows S3.
 /// It returns only if that program cannot be started.
-fn handed_over(args: &Args) -> Outcome {
+fn handed_over(args: &Args) -> CommandFailure {
     let own = std::env::current_exe().unwrap_or_default();
     let program = own.with_file_name("rtec-ship");
     let mut command = Command::new(&program);
@@ -78,22 +80,22 @@ fn handed_over(args: &Args) -> Outcome {
     }
     let why = command.exec();
     let mend = "it stands beside rtecctl in the package, and is built by `cargo build -p rtec-ship`";
-    Outcome::Bad(format!("{}: {why}: {mend}", program.display()))
+    CommandFailure::Bad(format!("{}: {why}: {mend}", program.display()))
 }
 
 fn once(args: &Args) -> anyhow::Result<()> {
-    let away = |e| Outcome::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()));
+    let away = |e| CommandFailure::Unreachable(format!("{}: {e}: is the share mounted?", args.to.display()));
     let store = FolderStore::open(&args.to).map_err(away)?;
     let round = ship(&args.spool, &store, &args.machine).map_err(|error| match error {
-        ShipError::Store { .. } => Outcome::Unreachable(error.to_string()),
-        _ => Outcome::Bad(error.to_string()),
+        ShipError::Store { .. } => CommandFailure::Unreachable(error.to_string()),
+        _ => CommandFailure::Bad(error.to_string()),
     })?;
     for finding in &round.kept {
         eprintln!("warning: {finding}; it stays in the spool");
     }
     crate::say(&round.text(args.json));
     match round.stays(&args.spool) {
-        Some(stays) if args.every.is_none() => Err(Outcome::No(stays).into()),
+        Some(stays) if args.every.is_none() => Err(CommandFailure::No(stays).into()),
         _ => Ok(()),
     }
 }

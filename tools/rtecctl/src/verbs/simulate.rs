@@ -4,9 +4,9 @@ use crate::document::{say_line, say_pretty};
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::{FitNote, Machine};
-use rtec_model::record::Kind;
-use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentError, Setting};
-use rtec_sim::job::RunError;
+use rtec_model::record::RunKind;
+use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentError, ExperimentInputs};
+use rtec_sim::lathe_program::RunError;
 use rtec_sim::sim::{MachineSpec, SimError};
 use rtec_sim::turning::TurningError;
 use serde_json::{Map, Value};
@@ -91,14 +91,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     let spec = MachineSpec::machining_centre();
-    let setting = Setting { spec: &spec, truth: &truth, known: Some(&known), seed: args.seed, out };
+    let setting = ExperimentInputs { spec: &spec, truth: &truth, known: Some(&known), seed: args.seed, out };
     let mut findings = experiment.run(&setting).map_err(|e| explain(e, &truth.path))?;
     for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
         // A response on which no error of the machine acts shows only noise, which is reported.
         let Ok(said) = truth.predict(record) else { continue };
         let still = said.columns.iter().filter(|c| c.1.iter().all(|e| e.abs() < 1e-9)).map(|c| c.0.as_str());
         let still: Vec<&str> = still.collect();
-        if record.kind != Kind::Dynamics && record.kind != Kind::Probing && !still.is_empty() {
+        if record.kind != RunKind::Dynamics && record.kind != RunKind::Probing && !still.is_empty() {
             let file = record.path.file_name().unwrap_or_default().to_string_lossy();
             let still = still.join(", ");
             eprintln!("rtecctl: {file}: {still} shows noise alone, nothing of the machine acts on it here");

@@ -1,14 +1,14 @@
 //! `rtecctl status`: what the corrector does, and if nothing, why.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, explained, status};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, explained, status};
 use crate::document::line;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
 use rtec_control::protocol::{
-    AxisReport, ClientRequest, DaemonStatus, Distribution, PartTable, Response, TableNow,
+    AxisReport, ClientRequest, DaemonStatus, PartTable, PartTableState, Response, TimeDistribution,
 };
-use rtec_correct::explain::Explained;
+use rtec_correct::explain::AxisExplanation;
 use std::fmt::Write as _;
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
     every: Option<Duration>,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 const EVERY: Duration = Duration::from_millis(500);
@@ -40,12 +40,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         print!("{}", table(&status, &way, Screen::here()));
     }
     if status.mode == "fault" {
-        return Err(Outcome::Fault("a fault is latched".to_owned()).into());
+        return Err(CommandFailure::Fault("a fault is latched".to_owned()).into());
     }
     Ok(())
 }
 
-fn watch(daemon: &Daemon, every: Duration) -> anyhow::Result<()> {
+fn watch(daemon: &DaemonArgs, every: Duration) -> anyhow::Result<()> {
     let mut client = daemon.view()?;
     loop {
         let status = status(&mut client)?;
@@ -72,8 +72,8 @@ fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> 
     explained(client).map_or_else(|_| Vec::new(), |axes| still_to_go(&axes))
 }
 
-fn still_to_go(axes: &[Explained]) -> Vec<RampingAxis> {
-    let of = |a: &Explained| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
+fn still_to_go(axes: &[AxisExplanation]) -> Vec<RampingAxis> {
+    let of = |a: &AxisExplanation| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
     let ramps = axes.iter().filter(|a| a.holds.is_none()).map(|a| (a.axis.clone(), of(a)));
     // Smaller rests are not shown.
     ramps.filter(|(_, um)| um.abs() >= 0.05).collect()
@@ -270,7 +270,7 @@ fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
     format!("correcting: {}", way.unwrap_or_else(|| "nothing to take out now".to_owned()))
 }
 
-fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
+fn part_table(part: &PartTable, now: Option<&PartTableState>) -> String {
     let PartTable { errors, axes: [along, across], centre_mm, radius_mm, lead_ms, .. } = part;
     let mut text = format!("part table {errors}");
     if let Some(now) = now {
@@ -281,7 +281,7 @@ fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
     }
     let _ = writeln!(text, "; axes {along}, {across}; {lead_ms} ms ahead");
     let feature = if radius_mm.is_some() { "arc" } else { "feature" };
-    let Some(TableNow { state, off_mm, acts_within_mm, um: [um_z, um_x], why, .. }) = now else {
+    let Some(PartTableState { state, off_mm, acts_within_mm, um: [um_z, um_x], why, .. }) = now else {
         return text;
     };
     let _ = match (why, state.as_str()) {
@@ -297,7 +297,7 @@ fn part_table(part: &PartTable, now: Option<&TableNow>) -> String {
     text
 }
 
-fn times(d: &Distribution) -> String {
+fn times(d: &TimeDistribution) -> String {
     if d.samples == 0 {
         return "-".to_owned();
     }
@@ -308,7 +308,7 @@ fn times(d: &Distribution) -> String {
 mod tests {
     use super::*;
     use rtec_correct::explain::Contribution;
-    use rtec_rt::event::Fault;
+    use rtec_rt::link_messages::Fault;
 
     const PLAIN: Screen = Screen { colour: false, width: None };
 
@@ -387,7 +387,7 @@ mod tests {
             weight: None,
         };
         // The model wants 12.4 µm and none of it is inserted, so all of it is left.
-        let explained = |axis: &str, parts, holds| Explained {
+        let explained = |axis: &str, parts, holds| AxisExplanation {
             axis: axis.to_owned(),
             requested: 0,
             total_um: 0.0,
@@ -415,13 +415,13 @@ mod tests {
             serde_json::from_str(include_str!("../../tests/golden/status.json")).unwrap();
         let mut text = table(&status, &[], PLAIN);
         let now = status.table_now.take().unwrap();
-        let mut also = |now: Option<TableNow>| {
+        let mut also = |now: Option<PartTableState>| {
             text.push_str("---\n");
             text.push_str(&part_table(status.table.as_ref().unwrap(), now.as_ref()));
         };
-        also(Some(TableNow { state: "ready".into(), off_mm: 84.25, um: [0.0; 2], ..now.clone() }));
+        also(Some(PartTableState { state: "ready".into(), off_mm: 84.25, um: [0.0; 2], ..now.clone() }));
         let why = Some("axis x: is not homed".to_owned());
-        also(Some(TableNow { state: "off".into(), why, ..now }));
+        also(Some(PartTableState { state: "off".into(), why, ..now }));
         also(None);
         crate::golden("status.txt", &text);
         status.table = None;

@@ -1,20 +1,20 @@
 //! Prints the libraries' messages on standard error.
 
-use rtec_files::Said;
+use rtec_files::InputMessage;
 use rtec_measure::plausible;
 use rtec_model::record::Record;
 
 /// Prints one message.
 #[allow(clippy::needless_pass_by_value)] // the libraries pass it by value
-pub(crate) fn say(said: Said) {
+pub(crate) fn say(said: InputMessage) {
     eprintln!("{said}");
 }
 
 /// Prints one message; a note as the program's own.
-pub(crate) fn said(said: Said) {
+pub(crate) fn said(said: InputMessage) {
     match said {
-        Said::Warning(text) => eprintln!("warning: {text}"),
-        Said::Note(text) => eprintln!("rtecctl: {text}"),
+        InputMessage::Warning(text) => eprintln!("warning: {text}"),
+        InputMessage::Note(text) => eprintln!("rtecctl: {text}"),
     }
 }
 

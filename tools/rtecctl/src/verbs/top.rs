@@ -3,8 +3,8 @@
 
 mod view;
 
-use crate::Outcome;
-use crate::daemon::{Daemon, observe};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, observe};
 use crate::full_screen::{Key, Screen, keys};
 use crate::terminal::signs;
 use nix::poll::PollFlags;
@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = crate::duration::duration)]
     every: Duration,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 /// Interval at which a missing daemon is looked for.
@@ -48,7 +48,7 @@ enum PollResult {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let every = args.every;
-    let bad = |text: &str| anyhow::Error::from(Outcome::Bad(text.to_owned()));
+    let bad = |text: &str| anyhow::Error::from(CommandFailure::Bad(text.to_owned()));
     if args.daemon.json || !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
         let text = "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json";
         return Err(bad(text));
@@ -73,7 +73,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Looks repeatedly until the receiver is gone.
-fn look(daemon: &Daemon, every: Duration, to: &Sender<PollResult>) {
+fn look(daemon: &DaemonArgs, every: Duration, to: &Sender<PollResult>) {
     let (mut client, mut last) = (None, 0);
     loop {
         let found = once(daemon, &mut client, &mut last);
@@ -89,7 +89,7 @@ fn look(daemon: &Daemon, every: Duration, to: &Sender<PollResult>) {
     }
 }
 
-fn once(daemon: &Daemon, client: &mut Option<Client>, last: &mut u64) -> anyhow::Result<PollResult> {
+fn once(daemon: &DaemonArgs, client: &mut Option<Client>, last: &mut u64) -> anyhow::Result<PollResult> {
     let client = match client {
         Some(client) => client,
         None => client.insert(daemon.view()?),

@@ -1,6 +1,6 @@
 //! `rtecctl whoami`: as whom the daemon knows this user, and the requests allowed.
 
-use crate::daemon::Daemon;
+use crate::daemon::DaemonArgs;
 use rtec_control::protocol::{Caller, ClientRequest, Response};
 
 /// Show as whom the daemon knows you, and what you may ask for
@@ -9,7 +9,7 @@ use rtec_control::protocol::{Caller, ClientRequest, Response};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {

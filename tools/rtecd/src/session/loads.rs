@@ -1,13 +1,13 @@
 //! Models and part tables: the loader reads them, and the session takes them.
 
-use super::{Answer, RequestContext, Session};
-use crate::loader::{self, Job, Loaded, PATIENCE, Source, Ticket};
+use super::{RequestAnswer, RequestContext, Session};
+use crate::loader::{self, FileSource, LoadRequest, LoadedFiles, PATIENCE, Ticket};
 use crate::log::{self, Level};
 use rtec_control::protocol::{ModelPreview, PartTable, Response};
-use rtec_correct::corrector::Prepared;
+use rtec_correct::corrector::PreparedModel;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_part::cor::FeatureErrors;
+use rtec_part::error_cor_file::FeatureErrors;
 use rtec_rt::link::ControlEnd;
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -106,12 +106,15 @@ impl Session {
             }
             return;
         };
-        let source =
-            if configured.is_none() && kept.contains_key(&file) { Source::Kept(kept) } else { Source::Named };
+        let source = if configured.is_none() && kept.contains_key(&file) {
+            FileSource::Kept(kept)
+        } else {
+            FileSource::Named
+        };
         let why = match loader::work(self.model_job(file.clone(), source), &loader::LoadFlags::default()) {
             Err(error) => error.to_string(),
-            Ok(Loaded::Table { .. } | Loaded::Kept(_)) => return,
-            Ok(Loaded::Model { prepared, .. }) => {
+            Ok(LoadedFiles::Table { .. } | LoadedFiles::Kept(_)) => return,
+            Ok(LoadedFiles::Model { prepared, .. }) => {
                 let machine = prepared.machine();
                 match (taken.of_another(&self.config.machine), self.ended(machine).filter(|_| !meant)) {
                     (Some(another), _) => another,
@@ -148,18 +151,18 @@ impl Session {
 
     /// Loads the model that was unloaded last, as it was read then.
     /// A user who may load models has checked it at that time.
-    pub(super) fn model_again(&mut self) -> Answer {
+    pub(super) fn model_again(&mut self) -> RequestAnswer {
         let model = Remembered::read(&self.directory().join(UNLOADED));
         let kept = self.kept();
         let Some(file) = model.file.clone().filter(|file| kept.contains_key(file)) else {
             let text = "no model was unloaded: there is nothing to take up again; `rtecctl model load FILE` loads one";
-            return Answer::Now(Response::refused("no_model", text));
+            return RequestAnswer::Now(Response::refused("no_model", text));
         };
         if let Some(another) = model.of_another(&self.config.machine) {
-            return Answer::Now(Response::refused("other_machine", another));
+            return RequestAnswer::Now(Response::refused("other_machine", another));
         }
         self.corrector.day_is((self.today)());
-        let job = self.model_job(file, Source::Kept(kept));
+        let job = self.model_job(file, FileSource::Kept(kept));
         self.begin(job, LoadPurpose::Model(ModelLoad { take: Some(model.sha256), expired: model.meant }))
     }
 
@@ -192,8 +195,8 @@ impl Session {
         names: &[String],
         wanted: ModelLoad,
         beside: RequestContext,
-    ) -> Answer {
-        let bad = |text: String| Answer::Now(Response::Bad { text });
+    ) -> RequestAnswer {
+        let bad = |text: String| RequestAnswer::Now(Response::Bad { text });
         let (came, named) = (beside.files.len(), names.len());
         if came != named {
             let found = format!("found {came} descriptors with the request");
@@ -205,11 +208,11 @@ impl Session {
             return bad("found no file; expected one, or [model] file in the configuration".to_owned());
         };
         let source = if !names.is_empty() {
-            Source::Handed(names.iter().map(PathBuf::from).zip(beside.files).collect())
+            FileSource::Handed(names.iter().map(PathBuf::from).zip(beside.files).collect())
         } else if own || beside.trusted {
-            Source::Named
+            FileSource::Named
         } else {
-            return Answer::Now(by_name(&file));
+            return RequestAnswer::Now(by_name(&file));
         };
         self.corrector.day_is((self.today)());
         let job = self.model_job(file, source);
@@ -218,30 +221,30 @@ impl Session {
 
     /// Puts a finished record into the spool folder, once it has been read.
     /// Without files it only answers whether it would.
-    pub(super) fn keep(&mut self, names: &[String], beside: RequestContext) -> Answer {
+    pub(super) fn keep(&mut self, names: &[String], beside: RequestContext) -> RequestAnswer {
         let Some(spool) = self.record_spool.spool().cloned() else {
             let text = "this daemon keeps no records: `spool = \"/var/spool/rtec\"` in [control] of its configuration names \
                         the folder";
-            return Answer::Now(Response::refused("no_spool", text));
+            return RequestAnswer::Now(Response::refused("no_spool", text));
         };
         match (self.record_spool.trouble(), names, beside.files.len()) {
-            (Some(trouble), ..) => Answer::Now(Response::refused("not_kept", trouble)),
-            (None, [], 0) => Answer::Now(Response::done()),
+            (Some(trouble), ..) => RequestAnswer::Now(Response::refused("not_kept", trouble)),
+            (None, [], 0) => RequestAnswer::Now(Response::done()),
             (None, [sidecar, csv], 2) => {
                 let files = [sidecar, csv].map(PathBuf::from);
-                let source = Source::Handed(files.iter().cloned().zip(beside.files).collect());
-                self.begin(Job::Keep { files, source, spool }, LoadPurpose::Keep)
+                let source = FileSource::Handed(files.iter().cloned().zip(beside.files).collect());
+                self.begin(LoadRequest::Keep { files, source, spool }, LoadPurpose::Keep)
             }
             (None, names, came) => {
                 let found = format!("found {} names with {came} descriptors", names.len());
                 let text = format!("{found}, expected two of each: a record's sidecar, then its CSV");
-                Answer::Now(Response::Bad { text })
+                RequestAnswer::Now(Response::Bad { text })
             }
         }
     }
 
-    fn model_job(&self, file: PathBuf, source: Source) -> Job {
-        Job::Model {
+    fn model_job(&self, file: PathBuf, source: FileSource) -> LoadRequest {
+        LoadRequest::Model {
             file,
             source,
             preparer: Box::new(self.corrector.preparer()),
@@ -255,15 +258,17 @@ impl Session {
         self.loader.busy().is_some()
     }
 
-    fn begin(&mut self, job: Job, wish: LoadPurpose) -> Answer {
+    fn begin(&mut self, job: LoadRequest, wish: LoadPurpose) -> RequestAnswer {
         if let Some(why) = self.loader.busy() {
-            return Answer::Now(Response::refused("loading", why.to_owned()));
+            return RequestAnswer::Now(Response::refused("loading", why.to_owned()));
         }
         match self.loader.start(job) {
-            Err(e) => Answer::Now(Response::refused("no_thread", format!("no thread to load it: {e}"))),
+            Err(e) => {
+                RequestAnswer::Now(Response::refused("no_thread", format!("no thread to load it: {e}")))
+            }
             Ok(ticket) => {
                 self.wish = Some(wish);
-                Answer::Later(ticket)
+                RequestAnswer::Later(ticket)
             }
         }
     }
@@ -293,7 +298,7 @@ impl Session {
         }
         let ((ticket, result), given_up) = self.loader.done()?;
         let wish = if given_up { None } else { self.wish.take() };
-        if let Ok(Loaded::Kept(kept)) = result {
+        if let Ok(LoadedFiles::Kept(kept)) = result {
             // The record is there or not, whether or not the caller waits.
             let response = match &kept {
                 Ok(_) => Response::done(),
@@ -311,18 +316,18 @@ impl Session {
                 let place = InputError { found: "something else".to_owned(), ..error.clone() };
                 return Some((ticket, Response::Bad { text: error.to_string() }, Some(place.to_string())));
             }
-            (Ok(Loaded::Table { table, errors }), _) => self.take_table(table, errors),
-            (Ok(Loaded::Model { prepared, warnings, files }), LoadPurpose::Model(wanted)) => {
+            (Ok(LoadedFiles::Table { table, errors }), _) => self.take_table(table, errors),
+            (Ok(LoadedFiles::Model { prepared, warnings, files }), LoadPurpose::Model(wanted)) => {
                 self.model_ready(*prepared, warnings, &files, &wanted, control)
             }
-            (Ok(Loaded::Model { .. } | Loaded::Kept(_)), _) => return None,
+            (Ok(LoadedFiles::Model { .. } | LoadedFiles::Kept(_)), _) => return None,
         };
         Some((ticket, response, None))
     }
 
     fn model_ready(
         &mut self,
-        prepared: Prepared,
+        prepared: PreparedModel,
         mut warnings: Vec<String>,
         files: &BTreeMap<PathBuf, String>,
         wanted: &ModelLoad,
@@ -406,20 +411,20 @@ impl Session {
         Response::done_with(warnings)
     }
 
-    pub(super) fn table_load(&mut self, table: &PartTable, beside: RequestContext) -> Answer {
+    pub(super) fn table_load(&mut self, table: &PartTable, beside: RequestContext) -> RequestAnswer {
         let file = PathBuf::from(&table.errors);
         let mut files = beside.files;
         let source = match files.len() {
-            1 => Source::Handed(files.pop().map(|fd| (file, fd)).into_iter().collect()),
-            0 if beside.trusted => Source::Named,
-            0 => return Answer::Now(by_name(&file)),
+            1 => FileSource::Handed(files.pop().map(|fd| (file, fd)).into_iter().collect()),
+            0 if beside.trusted => FileSource::Named,
+            0 => return RequestAnswer::Now(by_name(&file)),
             n => {
                 let file = file.display();
                 let text = format!("found {n} descriptors with the request, expected one, of {file}");
-                return Answer::Now(Response::Bad { text });
+                return RequestAnswer::Now(Response::Bad { text });
             }
         };
-        self.begin(Job::Table { table: table.clone(), source }, LoadPurpose::Table)
+        self.begin(LoadRequest::Table { table: table.clone(), source }, LoadPurpose::Table)
     }
 
     fn take_table(&mut self, table: PartTable, errors: FeatureErrors) -> Response {

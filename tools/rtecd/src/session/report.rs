@@ -3,13 +3,14 @@
 use super::Session;
 use crate::start::OTHER_BOOT;
 use rtec_control::protocol::{
-    AxisReport, ConnectedClients, DaemonSnapshot, DaemonStatus, Distribution, Explained, Histograms,
-    HoldReport, LatchedFault, LogState, PROTOCOL, Response, RtStatus, explain_fault, explain_refusal, word,
+    AxisExplanation, AxisReport, ConnectedClients, DaemonSnapshot, DaemonStatus, Histograms, HoldReport,
+    LatchedFault, LogState, PROTOCOL, Response, RtStatus, TimeDistribution, explain_fault, explain_refusal,
+    word,
 };
-use rtec_rt::event::{DisableReason, HeldBy, Mode, Refusal, Status};
 use rtec_rt::histogram::Reader;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::setup::Report;
+use rtec_rt::link_messages::{DisableReason, HeldBy, Mode, Refusal, Status};
+use rtec_rt::setup::SetupReport;
 use std::path::PathBuf;
 
 impl Session {
@@ -40,7 +41,7 @@ impl Session {
         }))
     }
 
-    fn explained(&self, only: Option<usize>, control: &mut ControlEnd) -> Vec<Explained> {
+    fn explained(&self, only: Option<usize>, control: &mut ControlEnd) -> Vec<AxisExplanation> {
         let status = control.status();
         let wanted = (0..self.config.axes.len()).filter(|n| only.is_none_or(|o| o == *n));
         wanted.map(|n| self.corrector.explain(n, &status.axes[n])).collect()
@@ -54,9 +55,9 @@ impl Session {
     pub(super) fn status(&self, control: &mut ControlEnd) -> DaemonStatus {
         let now = control.status();
         let alive = !control.ended();
-        let verified = self.set_up.missing.as_ref().is_some_and(Report::can_arm);
+        let verified = self.set_up.missing.as_ref().is_some_and(SetupReport::can_arm);
         let may_arm = !self.set_up.real || verified && self.unfit.is_empty();
-        let missing = self.set_up.missing.iter().flat_map(Report::missing);
+        let missing = self.set_up.missing.iter().flat_map(SetupReport::missing);
         let missing =
             missing.map(|f| format!("{}: wanted {}, found {}; {}", f.name, f.wanted, f.got, f.remedy));
         let rt = RtStatus {
@@ -99,7 +100,7 @@ impl Session {
             rates: axis.rates(),
         });
         DaemonStatus {
-            version: rtec_files::stamp::VERSION.to_owned(),
+            version: rtec_files::format_stamp::VERSION.to_owned(),
             protocol: PROTOCOL,
             latched: self.history.latched().clone(),
             record_trouble: None,
@@ -167,7 +168,7 @@ impl Session {
     fn why_not(&self, now: &Status, alive: bool, may_arm: bool) -> Vec<String> {
         let mut why = Vec::new();
         if !alive {
-            why.push(super::orders::ENDED.to_owned());
+            why.push(super::rt_requests::ENDED.to_owned());
         }
         for fault in now.faults.iter() {
             why.push(format!("{}: {}", word(fault), explain_fault(fault)));
@@ -237,13 +238,13 @@ const fn off_because(because: DisableReason) -> &'static str {
     }
 }
 
-fn distribution(reader: &Reader) -> Distribution {
+fn distribution(reader: &Reader) -> TimeDistribution {
     let s = reader.snapshot();
     if s.samples() == 0 {
-        return Distribution::default();
+        return TimeDistribution::default();
     }
     let (p50, p99, p9999) = (s.p50(), s.p99(), s.p9999());
-    Distribution { min: s.min(), p50, p99, p9999, max: s.max(), samples: s.samples() }
+    TimeDistribution { min: s.min(), p50, p99, p9999, max: s.max(), samples: s.samples() }
 }
 
 /// The buckets of a histogram, and the sum of its values, ns.

@@ -17,10 +17,10 @@ fn ask(session: &mut Session, request: &ClientRequest, control: &mut ControlEnd)
     loop {
         let beside = RequestContext { trusted: true, ..RequestContext::default() };
         match session.answer(request, beside, control) {
-            Answer::Now(response) => return response,
-            Answer::Again(response) if Instant::now() > deadline => return response,
-            Answer::Again(_) => {}
-            Answer::Later(_) => loop {
+            RequestAnswer::Now(response) => return response,
+            RequestAnswer::Again(response) if Instant::now() > deadline => return response,
+            RequestAnswer::Again(_) => {}
+            RequestAnswer::Later(_) => loop {
                 control.beat();
                 if let Some((_, response, _)) = session.loaded(|_| true, control) {
                     return response;
@@ -56,7 +56,7 @@ fn session(engine: &Engine) -> Session {
 /// The clock of a recorded shift.
 struct Recorded(Cell<f64>);
 
-impl Time for Recorded {
+impl ControlClock for Recorded {
     fn now(&self) -> Instant {
         Instant::now()
     }
@@ -247,7 +247,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         [rt]\ndetect_ns = 1000\nwrite_ns = 300\n";
     let foreign = "measured = { card = 'another', kernel = '1.0', cpu = 'any', date = '2026-01-01' }\n";
     let figures = Config::parse(Path::new("rtec.toml"), text).unwrap();
-    let here = format!("{}\n", LatencyProvenance::here(&figures.card, 0, &System::live()));
+    let here = format!("{}\n", LatencyProvenance::here(&figures.card, 0, &SystemRoot::live()));
     for (measured, slower, says) in [
         ("", false, &["does not say where", "5000000 edges/s"][..]),
         (foreign, true, &["was measured with card \"another\""]),

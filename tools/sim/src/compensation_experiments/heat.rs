@@ -1,17 +1,19 @@
 //! Experiments with heat: spindle cycles, tool changes, drilling.
 
-use super::runs::{Both, Log, Row, both, digits, feed, places, seed_of};
-use super::{ExperimentError, Findings, GAUGE_SPACING_MM, Gauged, PROMISED, Setting, UNSEEN};
+use super::runs::{Log, Row, RunPair, both, digits, feed, places, seed_of};
+use super::{
+    ExperimentError, ExperimentInputs, ExperimentResults, GAUGE_SPACING_MM, GaugeReadings, PROMISED, UNSEEN,
+};
 use crate::heat::{FIGURE_9, SENSORS};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::{AXES, AXIS_NAMES};
 use crate::sim::{MachineSpec, Sim, SimError};
+use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{Difference, STANDARD_DEGC};
 use rtec_model::machine::{FitNote, Validity};
-use rtec_model::record::{Axis, Kind, Record};
+use rtec_model::record::{Axis, Record, RunKind};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 
@@ -32,14 +34,14 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
 
 /// Runs a spindle cycle as an experiment and publishes it over the time.
 fn soaked(
-    setting: &Setting<'_>,
+    setting: &ExperimentInputs<'_>,
     name: &str,
     cycle: &[(f64, f64)],
     coolant: bool,
-    findings: &mut Findings,
-) -> Result<Both, ExperimentError> {
+    findings: &mut ExperimentResults,
+) -> Result<RunPair, ExperimentError> {
     let runs = both(setting, setting.spec, [0.0; 3], name, |sim, log| soak(sim, log, cycle, coolant))?;
-    runs.publish(setting, Kind::Drift, (&places(setting.spec), 0.1), ("time (min)", &minutes), findings)?;
+    runs.publish(setting, RunKind::Drift, (&places(setting.spec), 0.1), ("time (min)", &minutes), findings)?;
     Ok(runs)
 }
 
@@ -49,7 +51,7 @@ fn minutes(row: &Row) -> f64 {
 
 /// Readings of the five gauges.
 /// The near ones are at the tool. A tilt in the true machine's chain also moves the mandrel at the far ones.
-fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
+fn gauged(rows: &[Row], setting: &ExperimentInputs<'_>, run: &str) -> Vec<GaugeReadings> {
     let arcsec = |um: f64| um / (GAUGE_SPACING_MM * 1e3) * 648_000.0 / std::f64::consts::PI;
     let mut noise = NoiseGenerator::new(seed_of(setting, run), 0x6A06E);
     let chain = setting.truth.chain();
@@ -66,7 +68,7 @@ fn gauged(rows: &[Row], setting: &Setting<'_>, run: &str) -> Vec<Gauged> {
         let mut gauge = |um: f64| um + 0.1 * noise.normal();
         let [x, y, z] = [0, 1, 2].map(|p| r.now.off_um(p));
         let um = [gauge(y), gauge(x), gauge(z), gauge(y + leans[1]), gauge(x + leans[0])];
-        Gauged { t_s: r.now.t_s, um, tilt_arcsec: [arcsec(um[4] - um[1]), arcsec(um[3] - um[0])] }
+        GaugeReadings { t_s: r.now.t_s, um, tilt_arcsec: [arcsec(um[4] - um[1]), arcsec(um[3] - um[0])] }
     };
     rows.iter().map(row).collect()
 }
@@ -81,7 +83,10 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
     read(&of.sensor) - of.minus().map_or(of.reference_degc(), read)
 }
 
-pub(super) fn drift(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn drift(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
         let runs = soaked(setting, name, FIGURE_9, coolant, findings)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
@@ -92,7 +97,7 @@ pub(super) fn drift(setting: &Setting<'_>, findings: &mut Findings) -> Result<()
         }
         findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
         let gauged = gauged(&runs.logs[0].rows, setting, name);
-        let line = |g: &Gauged| {
+        let line = |g: &GaugeReadings| {
             let cells = std::iter::once(g.t_s).chain(g.um).chain(g.tilt_arcsec);
             cells.map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(",") + "\n"
         };
@@ -116,12 +121,18 @@ const PRODUCTION: &[(f64, f64)] = &[
     (5200.0, 20.0),
 ];
 
-pub(super) fn production(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn production(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     soaked(setting, "production-cycle", PRODUCTION, true, findings)?;
     Ok(())
 }
 
-pub(super) fn tool_change(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn tool_change(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
     let runs = both(setting, setting.spec, [0.0; 3], "tool-change-repeatability", |sim, log| {
@@ -141,7 +152,7 @@ pub(super) fn tool_change(setting: &Setting<'_>, findings: &mut Findings) -> Res
     let x = |r: &Row| r.cycle;
     // Repeatability of the holder in the spindle: about a micrometre in each direction.
     let what = (&[0, 1, 2][..], 1.2);
-    runs.publish(setting, Kind::Positioning, what, ("tool change", &x), findings)
+    runs.publish(setting, RunKind::Positioning, what, ("tool change", &x), findings)
 }
 
 /// The wet runs for the model of WO 97/43703 (text before equation 2).
@@ -179,7 +190,10 @@ const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
     ),
 ];
 
-pub(super) fn wet_runs(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn wet_runs(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     for (name, cycle) in WET_RUNS {
         soaked(setting, name, cycle, true, findings)?;
     }
@@ -224,10 +238,10 @@ fn warm(sim: &mut Sim, cycle: &[(f64, f64)]) -> Result<(), SimError> {
 }
 
 pub(super) fn drilling(
-    setting: &Setting<'_>,
+    setting: &ExperimentInputs<'_>,
     name: &str,
     start: &Start,
-    findings: &mut Findings,
+    findings: &mut ExperimentResults,
 ) -> Result<(), ExperimentError> {
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);
     let spec = MachineSpec { ambient_degc, ..setting.spec.clone() };
@@ -260,7 +274,7 @@ pub(super) fn drilling(
         }
         Ok(())
     })?;
-    runs.publish(setting, Kind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes), findings)?;
+    runs.publish(setting, RunKind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes), findings)?;
     by_hole(name, findings)?;
     promised(setting, &runs.logs[0].rows[0], findings);
     Ok(())
@@ -268,7 +282,7 @@ pub(super) fn drilling(
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
 /// Each axis has a table, a plot and its largest deviation. Holes are as measured, as in `rtec-papers`.
-fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
+fn by_hole(name: &str, findings: &mut ExperimentResults) -> Result<(), ExperimentError> {
     let off_um = |record: &Record, p: usize| -> Vec<f64> {
         let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);
         um.iter().map(|e| digits(e - um[0], 1e3)).collect()
@@ -320,7 +334,7 @@ fn by_hole(name: &str, findings: &mut Findings) -> Result<(), ExperimentError> {
 
 /// Residuals that the model's own fits promise, and where they cannot.
 /// A correction may gain nothing if the machine moves by less. `first`: the row at hole 1.
-fn promised(setting: &Setting<'_>, first: &Row, findings: &mut Findings) {
+fn promised(setting: &ExperimentInputs<'_>, first: &Row, findings: &mut ExperimentResults) {
     let Some(known) = setting.known else { return };
     let fits = known.fits();
     let mut say = |title: &str, of: &dyn Fn(&FitNote) -> Option<f64>| {

@@ -1,12 +1,12 @@
 //! Number and positions of insertions (NISTIR 4832).
 
 use super::runs::{Row, along, both, digits, feed};
-use super::{ExperimentError, Findings, Setting};
+use super::{ExperimentError, ExperimentInputs, ExperimentResults};
 use crate::axis::AxisSpec;
 use crate::insertion::GateDesign;
 use crate::nc_block::Block;
 use crate::sim::MachineSpec;
-use rtec_model::record::Kind;
+use rtec_model::record::RunKind;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use serde_json::json;
 
@@ -18,7 +18,10 @@ pub fn one_metre(count_um: f64, travel_mm: f64) -> MachineSpec {
     spec
 }
 
-pub(super) fn linear_error(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn linear_error(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     // A quarter of the travel, at a cutting feed.
     *findings = over_a_part(setting, &one_metre(1.0, 1000.0), 250.0, 500.0)?;
     Ok(())
@@ -29,12 +32,12 @@ pub(super) fn linear_error(setting: &Setting<'_>, findings: &mut Findings) -> Re
 /// # Errors
 /// As [`super::Experiment::run`].
 pub fn over_a_part(
-    setting: &Setting<'_>,
+    setting: &ExperimentInputs<'_>,
     spec: &MachineSpec,
     length_mm: f64,
     mm_min: f64,
-) -> Result<Findings, ExperimentError> {
-    let (mut findings, mut insertions) = (Findings::default(), 0);
+) -> Result<ExperimentResults, ExperimentError> {
+    let (mut findings, mut insertions) = (ExperimentResults::default(), 0);
     let runs = both(setting, spec, [0.0; 3], "linear-error-240um", |sim, log| {
         sim.machine.load([feed(along(0, length_mm), mm_min)]);
         while !sim.machine.finished() {
@@ -47,12 +50,15 @@ pub fn over_a_part(
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, Kind::Positioning, (&[0], 0.0), ("position (mm)", &x), &mut findings)?;
+    runs.publish(setting, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x), &mut findings)?;
     findings.summary.insert("insertions".to_owned(), json!(insertions));
     Ok(findings)
 }
 
-pub(super) fn rapid_catch_up(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn rapid_catch_up(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     let mut spec = one_metre(1.0, 1000.0);
     // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
     let nine = crate::computer_timing::ComputerTiming::i8051().configure(AxisConfig::default());
@@ -76,7 +82,7 @@ pub(super) fn rapid_catch_up(setting: &Setting<'_>, findings: &mut Findings) -> 
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, Kind::Positioning, (&[0], 0.0), ("position (mm)", &x), findings)?;
+    runs.publish(setting, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x), findings)?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
     let worst = runs.logs.iter().flat_map(|l| &l.rows).map(pending).fold(0.0, f64::max);
     let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));

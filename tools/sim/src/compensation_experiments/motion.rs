@@ -1,16 +1,16 @@
 //! Experiments in motion: displacement, circles, the plate, feeds and drive forces.
 
 use super::runs::{Log, Row, along, both, feed, places};
-use super::{ExperimentError, Findings, Setting};
+use super::{ExperimentError, ExperimentInputs, ExperimentResults};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::{AXES, AXIS_NAMES};
 use crate::sim::Sim;
-use rtec_model::record::Kind;
+use crate::trajectory::{AXES, AXIS_NAMES};
+use rtec_model::record::RunKind;
 
 pub(super) fn linear_displacement(
-    setting: &Setting<'_>,
-    findings: &mut Findings,
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
 ) -> Result<(), ExperimentError> {
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         // ISO 230-2: targets over the travel, each off an even pitch by a random amount, so that no period is
@@ -45,12 +45,15 @@ pub(super) fn linear_displacement(
             Ok(())
         })?;
         let x = |r: &Row| r.now.position_mm[p];
-        runs.publish(setting, Kind::Positioning, (&[p], 0.1), ("position (mm)", &x), findings)?;
+        runs.publish(setting, RunKind::Positioning, (&[p], 0.1), ("position (mm)", &x), findings)?;
     }
     Ok(())
 }
 
-pub(super) fn ballbar(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn ballbar(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     let radius = 150.0;
     let there = places(setting.spec);
     let planes = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|(i, j)| there.contains(i) && there.contains(j));
@@ -88,13 +91,22 @@ pub(super) fn ballbar(setting: &Setting<'_>, findings: &mut Findings) -> Result<
                 Ok(())
             })?;
             let x = |r: &Row| r.angle.unwrap_or(0.0);
-            runs.publish(setting, Kind::Ballbar, (&[i.min(j), i.max(j)], 0.1), ("angle, rad", &x), findings)?;
+            runs.publish(
+                setting,
+                RunKind::Ballbar,
+                (&[i.min(j), i.max(j)], 0.1),
+                ("angle, rad", &x),
+                findings,
+            )?;
         }
     }
     Ok(())
 }
 
-pub(super) fn plate(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn plate(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     let runs = both(setting, setting.spec, [0.0; 3], "plate", |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
@@ -108,10 +120,13 @@ pub(super) fn plate(setting: &Setting<'_>, findings: &mut Findings) -> Result<()
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, Kind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), findings)
+    runs.publish(setting, RunKind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), findings)
 }
 
-pub(super) fn feed_sweep(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn feed_sweep(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         let name = format!("feed-sweep-{}", axis.name);
         let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
@@ -136,12 +151,15 @@ pub(super) fn feed_sweep(setting: &Setting<'_>, findings: &mut Findings) -> Resu
             Ok(())
         })?;
         let x = |r: &Row| r.now.velocity_mm_s[p];
-        runs.publish(setting, Kind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), findings)?;
+        runs.publish(setting, RunKind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), findings)?;
     }
     Ok(())
 }
 
-pub(super) fn dynamics(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
+pub(super) fn dynamics(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
     for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
         let name = format!("dynamics-{}", axis.name);
         let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
@@ -158,7 +176,7 @@ pub(super) fn dynamics(setting: &Setting<'_>, findings: &mut Findings) -> Result
             Ok(())
         })?;
         let x = |r: &Row| r.now.t_s;
-        runs.publish(setting, Kind::Dynamics, (&[p], 5.0), ("time, s", &x), findings)?;
+        runs.publish(setting, RunKind::Dynamics, (&[p], 5.0), ("time, s", &x), findings)?;
     }
     Ok(())
 }

@@ -1,10 +1,10 @@
 //! The loop of NISTIR 4854: a nose turned and probed.
 
 use super::runs::{SUFFIXES, digits, seed_of};
-use super::{ExperimentError, Findings, Setting};
-use crate::turning::Setup;
+use super::{ExperimentError, ExperimentInputs, ExperimentResults};
+use crate::turning::TurningExperiment;
 use rtec_files::InputError;
-use rtec_model::record::{Kind, Record, Role, span};
+use rtec_model::record::{Record, Role, RunKind, span};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -31,18 +31,25 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
             "e_r".clone_into(&mut column.name);
         }
     }
-    Record::new(path, Kind::Probing, columns)
+    Record::new(path, RunKind::Probing, columns)
 }
 
 /// The loop of NISTIR 4854 without and with correction.
 /// It corrects by the known form of the part, or otherwise by the errors probed after the semi-finish cut.
-pub(super) fn hemisphere(setting: &Setting<'_>, findings: &mut Findings) -> Result<(), ExperimentError> {
-    let setup = Setup { machine: setting.truth.clone(), design: "c".to_owned(), ..Setup::default() };
+pub(super) fn hemisphere(
+    setting: &ExperimentInputs<'_>,
+    findings: &mut ExperimentResults,
+) -> Result<(), ExperimentError> {
+    let setup = TurningExperiment {
+        machine: setting.truth.clone(),
+        design: "c".to_owned(),
+        ..TurningExperiment::default()
+    };
     let (mut records, mut figures) = (Vec::new(), Map::new());
     let knows = std::iter::once(None).chain(setting.known.map(Some));
     for ((suffix, label), known) in SUFFIXES.into_iter().zip(["without", "with"]).zip(knows) {
         let seed = seed_of(setting, &format!("hemisphere{suffix}"));
-        let setup = Setup { model: known.cloned(), seed, ..setup.clone() };
+        let setup = TurningExperiment { model: known.cloned(), seed, ..setup.clone() };
         let turned = setup.turn_nose(!suffix.is_empty())?;
         let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
         // Only a session with all its trips has a record.

@@ -1,15 +1,15 @@
 //! Both runs of an experiment, without and with compensation.
 //! The module makes their rows, records and plots.
 
-use super::{ExperimentError, Findings, Setting};
+use super::{ExperimentError, ExperimentInputs, ExperimentResults};
 use crate::heat::SENSORS;
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::path::{AXES, AXIS_NAMES};
 use crate::sim::{MachineSpec, Moment, Sim, SimError};
+use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -56,7 +56,7 @@ impl Log {
 }
 
 /// Measured axes (0 X, 1 Y, 2 Z), and the instrument's noise, µm.
-pub(super) struct Measured<'a> {
+pub(super) struct MeasurementSetup<'a> {
     pub(super) axes: &'a [usize],
     pub(super) noise_um: f64,
     pub(super) noise: NoiseGenerator,
@@ -75,8 +75,8 @@ impl Log {
     pub(super) fn record(
         &self,
         path: &Path,
-        kind: Kind,
-        what: &mut Measured<'_>,
+        kind: RunKind,
+        what: &mut MeasurementSetup<'_>,
     ) -> Result<Record, InputError> {
         let rows = &self.rows;
         let mut columns = Vec::new();
@@ -118,13 +118,13 @@ impl Log {
         }
         let (noise, sigma) = (&mut what.noise, what.noise_um);
         for &p in what.axes {
-            let role = if kind == Kind::Dynamics {
+            let role = if kind == RunKind::Dynamics {
                 Role::Force(names[p].clone())
             } else {
                 Role::Error(names[p].clone())
             };
-            let (name, unit) = if kind == Kind::Dynamics { ("f", "N") } else { ("e", "um") };
-            let value = |r: &Row| if kind == Kind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
+            let (name, unit) = if kind == RunKind::Dynamics { ("f", "N") } else { ("e", "um") };
+            let value = |r: &Row| if kind == RunKind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
             let data = rows.iter().map(|r| digits(value(r) + sigma * noise.normal(), 1e4)).collect();
             add(&format!("{name}_{}", names[p]), role, unit, data, true);
         }
@@ -134,7 +134,7 @@ impl Log {
 
 /// Both runs of an experiment, without and with compensation.
 /// The second exists if a model of the machine is known.
-pub(super) struct Both {
+pub(super) struct RunPair {
     name: String,
     pub(super) logs: Vec<Log>,
     pub(super) channels: Vec<String>,
@@ -142,7 +142,7 @@ pub(super) struct Both {
 
 /// The seed of one run, from an FNV-1a hash of its name.
 /// Runs of one experiment, and experiments with one seed, thus share no noise.
-pub(super) fn seed_of(setting: &Setting<'_>, run: &str) -> u64 {
+pub(super) fn seed_of(setting: &ExperimentInputs<'_>, run: &str) -> u64 {
     let hash = |h: u64, byte: u8| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3);
     let mixed = run.bytes().fold(0xCBF2_9CE4_8422_2325 ^ setting.seed, hash);
     // Users of a seed count up from it.
@@ -150,13 +150,13 @@ pub(super) fn seed_of(setting: &Setting<'_>, run: &str) -> u64 {
 }
 
 pub(super) fn both(
-    setting: &Setting<'_>,
+    setting: &ExperimentInputs<'_>,
     spec: &MachineSpec,
     at_mm: [f64; AXES],
     name: &str,
     mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
-) -> Result<Both, ExperimentError> {
-    let mut done = Both { name: name.to_owned(), logs: Vec::new(), channels: Vec::new() };
+) -> Result<RunPair, ExperimentError> {
+    let mut done = RunPair { name: name.to_owned(), logs: Vec::new(), channels: Vec::new() };
     for (known, suffix) in std::iter::once(None).chain(setting.known.map(Some)).zip(SUFFIXES) {
         let seed = seed_of(setting, &format!("{name}{suffix}"));
         let mut sim = Sim::new(spec, setting.truth, known, at_mm, seed)?;
@@ -168,22 +168,22 @@ pub(super) fn both(
     Ok(done)
 }
 
-impl Both {
+impl RunPair {
     /// Adds two records, their errors' plot over `x`, and their figures to `findings`.
     pub(super) fn publish(
         &self,
-        setting: &Setting<'_>,
-        kind: Kind,
+        setting: &ExperimentInputs<'_>,
+        kind: RunKind,
         (axes, noise_um): (&[usize], f64),
         x: (&str, &dyn Fn(&Row) -> f64),
-        findings: &mut Findings,
+        findings: &mut ExperimentResults,
     ) -> Result<(), ExperimentError> {
         let mut records = Vec::new();
         for (log, suffix) in self.logs.iter().zip(SUFFIXES) {
             let run = format!("{}{suffix}", self.name);
             let path = setting.out.join(format!("{run}.run.toml"));
             let noise = NoiseGenerator::new(seed_of(setting, &run), 0x10);
-            let mut what = Measured { axes, noise_um, noise, channels: &self.channels };
+            let mut what = MeasurementSetup { axes, noise_um, noise, channels: &self.channels };
             let record = log.record(&path, kind, &mut what)?;
             records.push((record, log.rows.iter().map(x.1).collect()));
         }
@@ -194,17 +194,17 @@ impl Both {
 /// Suffixes of both runs' files, after the experiment's name.
 pub(super) const SUFFIXES: [&str; 2] = ["", "-compensated"];
 
-impl Findings {
+impl ExperimentResults {
     /// Publishes both records with their plot and figures.
     /// Each has its rows' positions on the axis `x_title`.
     pub(super) fn publish(
         &mut self,
-        setting: &Setting<'_>,
+        setting: &ExperimentInputs<'_>,
         name: &str,
         records: Vec<(Record, Vec<f64>)>,
         x_title: &str,
     ) -> Result<(), ExperimentError> {
-        let dynamics = records.iter().any(|(r, _)| r.kind == Kind::Dynamics);
+        let dynamics = records.iter().any(|(r, _)| r.kind == RunKind::Dynamics);
         let unit = if dynamics { "drive force (N)" } else { "error (µm)" };
         let mut chart = Chart::new(name, x_title, unit);
         let mut figures = Map::new();

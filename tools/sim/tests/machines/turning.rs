@@ -3,18 +3,18 @@
 
 use rtec_model::machine::Machine;
 use rtec_part::batch::BatchFinding;
-use rtec_part::fit::Zx;
-use rtec_part::probe::{Captured, TripFault, assign};
-use rtec_sim::turning::{Setup, TurningOutcome};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::probe::{CapturedTrips, TripFault, assign};
+use rtec_sim::turning::{TurningExperiment, TurningOutcome};
 use std::path::Path;
 use test_needs::repetitions;
 
-fn run(setup: &Setup) -> TurningOutcome {
+fn run(setup: &TurningExperiment) -> TurningOutcome {
     setup.run(&mut |_| {}).unwrap()
 }
 
-fn setup(design: &str, seed: u64) -> Setup {
-    Setup { design: design.into(), seed, ..Setup::default() }
+fn setup(design: &str, seed: u64) -> TurningExperiment {
+    TurningExperiment { design: design.into(), seed, ..TurningExperiment::default() }
 }
 
 /// The report's figures: a bump of about 23 µm, largest bar 21.4 µm.
@@ -98,7 +98,7 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
         (list(knots.map(|z| z.to_string()).collect()), list(um.map(|e| format!("{e:.4}")).collect()));
     let lobe =
         machine(&format!("[[effect]]\nname = \"straightness.x.z\"\nknots_mm = [{knots}]\num = [{um}]\n"));
-    let o = run(&Setup { machine: lobe, ..setup("c", 7) });
+    let o = run(&TurningExperiment { machine: lobe, ..setup("c", 7) });
     // The probe finds no error, but the true surface has one.
     assert!(o.finish.largest_um < 3.0 && o.finish.true_form_um > 8.0, "{:?}", o.finish);
     let batch = o.off_machine.unwrap();
@@ -127,7 +127,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
         "[[effect]]\nname = \"scale.z\"\nppm = 150.0\n[[effect]]\nname = \"thermal_expansion.x\"\nsensor = \"T8\"\n\
          reference_degC = 20.0\nppm_per_K = 40.0\n[[effect]]\nname = \"squareness.x.z\"\nurad = -80.0\n",
     );
-    let warm = Setup { machine: wrong.clone(), begin_s: 3600.0, ..setup("c", 3) };
+    let warm = TurningExperiment { machine: wrong.clone(), begin_s: 3600.0, ..setup("c", 3) };
     let radius_mm = warm.radius_mm;
     let mut part = warm.raw();
     let ran = warm.turn(&mut part, radius_mm, None, 1).unwrap();
@@ -145,7 +145,8 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
             .fold(0.0, f64::max)
     };
     let blind = warm.errors(&session, radius_mm).unwrap();
-    let knowing = Setup { model: Some(wrong.clone()), ..warm.clone() }.errors(&session, radius_mm).unwrap();
+    let knowing =
+        TurningExperiment { model: Some(wrong.clone()), ..warm.clone() }.errors(&session, radius_mm).unwrap();
     let radius = |report: &rtec_part::errors::ErrorReport| {
         (report.radius_mm.unwrap() - truth.radius_mm.unwrap()).abs() * 1e3
     };
@@ -160,7 +161,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     assert!(off(&knowing) < 1.2, "{}", off(&knowing));
     // Corrected live with the table, and off line in the probed points: a measuring machine finds the part
     // right too.
-    let o = run(&Setup { model: Some(wrong), ..warm });
+    let o = run(&TurningExperiment { model: Some(wrong), ..warm });
     assert!(o.finish.largest_um <= 3.0 && o.finish.true_form_um < 5.0, "{:?}", o.finish);
     assert!(o.balanced());
 }
@@ -170,7 +171,9 @@ fn an_effect_that_the_lathe_cannot_feel_is_named() {
     let wrong = machine(
         "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T99\"\num_per_K = 1.0\num_per_K2 = 0.0\n",
     );
-    let Err(error) = (Setup { machine: wrong, ..setup("c", 1) }).run(&mut |_| {}) else { panic!("no T99") };
+    let Err(error) = (TurningExperiment { machine: wrong, ..setup("c", 1) }).run(&mut |_| {}) else {
+        panic!("no T99")
+    };
     assert!(error.to_string().contains("thermal_growth.z reads temperature.T99"), "{error}");
     let text = setup("ecc", 1).run(&mut |_| {}).unwrap_err().to_string();
     assert!(text.contains("no probe capture"), "{text}");
@@ -183,7 +186,7 @@ fn trips_that_are_not_as_planned_name_their_point() {
     let good: Vec<([f64; 2], f64, f64)> =
         expected.iter().enumerate().map(|(k, &p)| (counts(p), 0.02, k as f64)).collect();
     let judge = |trips: Vec<([f64; 2], f64, f64)>, bounces: Vec<usize>| {
-        assign(&Captured { trips, bounces }, &expected, 1.0, Zx::new(300.0, 100.0), 0.5)
+        assign(&CapturedTrips { trips, bounces }, &expected, 1.0, Zx::new(300.0, 100.0), 0.5)
     };
     let all = judge(good.clone(), vec![]).unwrap();
     assert_eq!(all.len(), 5);
@@ -218,7 +221,7 @@ fn g01_lines_begin_beyond_the_arc() {
     let wrong = machine(
         "[[effect]]\nname = \"reversal.x\"\num = 30.0\n[[effect]]\nname = \"reversal.z\"\num = 40.0\n",
     );
-    let o = run(&Setup { machine: wrong.clone(), model: Some(wrong), ..setup("c", 1) });
+    let o = run(&TurningExperiment { machine: wrong.clone(), model: Some(wrong), ..setup("c", 1) });
     assert!(o.program.largest_um <= 7.0 && o.finish.largest_um <= 2.5, "{:?} {:?}", o.program, o.finish);
     assert!(o.program.true_form_um < 8.0, "{:?}", o.program);
     assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
@@ -234,7 +237,8 @@ fn the_original_is_not_waited_for_at_rest() {
     let wrong =
         machine("[[effect]]\nname = \"offset.x\"\num = 9.0\n[[effect]]\nname = \"offset.z\"\num = 13.0\n");
     for flat_um in [12.0, 25.0] {
-        let mut known = Setup { machine: wrong.clone(), model: Some(wrong.clone()), ..setup("original", 1) };
+        let mut known =
+            TurningExperiment { machine: wrong.clone(), model: Some(wrong.clone()), ..setup("original", 1) };
         known.bench.flat_um = flat_um;
         let o = run(&known);
         assert!(o.finish.largest_um <= 4.0 && o.balanced(), "{flat_um}: {:?}", o.finish);

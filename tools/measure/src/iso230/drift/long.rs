@@ -9,7 +9,7 @@ use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
 use crate::record::RecordPieceReader;
 use rtec_files::{InputError, Result};
-use rtec_model::limits::disconnected;
+use rtec_model::disconnected_sensors::disconnected;
 use rtec_model::record::{Column, Record, Role, median, span};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

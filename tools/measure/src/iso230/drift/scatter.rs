@@ -1,7 +1,7 @@
 //! Scatter of consecutive readings while the machine drifts.
 
 use crate::derive::{FEWEST, beyond_cubic};
-use crate::steps::step_of;
+use crate::gauge_resolution::step_of;
 
 /// Readings that are used to find the gauge's resolution.
 const READINGS: usize = 4096;

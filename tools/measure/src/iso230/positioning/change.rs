@@ -3,7 +3,7 @@
 //! Candidates are compared by likelihood with Schwarz's criterion. A drift over time is a straight line or a
 //! warm-up, each optionally growing along the axis, or a parabola. A step has a size and a row.
 
-use super::{Run, Target, largest, mean_of, repeatability, targets};
+use super::{AxisRun, Target, largest, mean_of, repeatability, targets};
 use crate::iso230::is_alike;
 use rtec_model::record::Role;
 use serde::{Serialize, Serializer};
@@ -223,7 +223,7 @@ impl Repeats {
     }
 }
 
-impl Run<'_> {
+impl AxisRun<'_> {
     /// The common drift or step of all approaches; R, B and mean B without it.
     /// It is reported if chance gives it in less than one of a hundred runs. `with` are the figures of
     /// [`UNCHANGED`] including it. It is removed row by row, because within a cycle the downward approaches
@@ -244,7 +244,7 @@ impl Run<'_> {
         let shapes = self.shapes(time, [middle, reach], repeats.best_step(&y));
         let before = dot(&y, &y);
         // Rounding to a step q leaves a variance of at least q²/12 per reading.
-        let rounding = crate::steps::step_of(&self.error).map_or(0.0, |q| q * q / 12.0);
+        let rounding = crate::gauge_resolution::step_of(&self.error).map_or(0.0, |q| q * q / 12.0);
         let least = (1e-12 * before).max(used as f64 * rounding).max(f64::MIN_POSITIVE);
         let better = |f: &Fitted| f.criterion(used as f64, least);
         let fitted = shapes.into_iter().filter_map(|shape| repeats.fit(shape, &y));

@@ -5,7 +5,7 @@
 use rtec_measure::ballbar::{self, Ballbar};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
-use rtec_model::record::{Axis, Column, Kind, Record, Role};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -57,7 +57,7 @@ impl Run {
             column("a", "angle", rows.iter().map(|r| r[1].rem_euclid(TAU)).collect()),
             column("e", "error.r", rows.into_iter().map(error).collect()),
         ];
-        let record = Record::new(Path::new(name), Kind::Ballbar, columns).unwrap();
+        let record = Record::new(Path::new(name), RunKind::Ballbar, columns).unwrap();
         let plane = self.plane.map(|n| Axis::new(n).unwrap());
         record.with_circle(Circle { radius_mm: self.radius_mm, plane, centre_mm: None }).unwrap()
     }

@@ -5,7 +5,7 @@ use super::{
     two_drift, warming,
 };
 use rtec_measure::plausible::{MistakeKind, suspicions};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 
@@ -28,7 +28,7 @@ fn positions_in_another_axis_s_column_are_said() {
         if still {
             columns.push(column("x", "position.x", vec![0.0; 100]));
         }
-        suspicions(&[record("line", Kind::Positioning, columns)])
+        suspicions(&[record("line", RunKind::Positioning, columns)])
     };
     for still in [false, true] {
         let said: Vec<(MistakeKind, String)> =
@@ -55,7 +55,7 @@ fn another_angle_on_a_circle_is_said() {
         }
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
         let circle = rtec_model::ballbar_circle::Circle { radius_mm: 150.0, plane, centre_mm: None };
-        record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
+        record("b", RunKind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
     let is = |what: MistakeKind| vec![(what, "a".to_owned())];
@@ -173,7 +173,7 @@ fn signs_and_copies_of_cycles_are_said() {
         let said = |f: &dyn Fn(usize, f64) -> f64| {
             let mut columns = cycles(seed);
             columns[3].data = columns[3].data.iter().enumerate().map(|(i, v)| f(i, *v)).collect();
-            suspicions(&[record("c", Kind::Positioning, columns)])
+            suspicions(&[record("c", RunKind::Positioning, columns)])
         };
         assert_eq!(said(&|_, e| e), [], "{seed}");
         for cycle in 0..5 {
@@ -205,7 +205,7 @@ fn an_axis_that_follows_late_around_a_circle_has_no_turned_sign() {
         column("y", "position.y", angles.iter().map(|a| 150.0 * a.sin()).collect()),
         column("e", "error.x", rounded(e, 0.01)),
     ];
-    assert_eq!(suspicions(&[record("c", Kind::Ballbar, columns)]), []);
+    assert_eq!(suspicions(&[record("c", RunKind::Ballbar, columns)]), []);
 }
 
 /// The repeat's column holds the times, and the time's the repeats.
@@ -215,10 +215,10 @@ fn time_and_repeat_exchanged_are_said() {
     let targets: Vec<f64> = (0..12).map(|k| 25.0 * f64::from(k)).collect();
     let p = to_and_fro(&targets, &mut d);
     let n = p.len();
-    let clean = along(Kind::Positioning, p, &mut d);
+    let clean = along(RunKind::Positioning, p, &mut d);
     let with = |t: Vec<f64>, cycle: Vec<f64>| {
         let more = vec![column("t", "time", t), column("n", "cycle", cycle)];
-        record("a", Kind::Positioning, [more, clean.columns.clone()].concat())
+        record("a", RunKind::Positioning, [more, clean.columns.clone()].concat())
     };
     let time: Vec<f64> = (0..n).map(|i| 4.18 + 2.3 * i as f64).collect();
     let cycle: Vec<f64> = (0..n).map(|i| (i / 24 + 1) as f64).collect();

@@ -1,7 +1,7 @@
 //! A random machine and the records of its runs.
 
 use super::{column, noise, read, record};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 
@@ -102,7 +102,7 @@ impl Machine {
             }
         }
         columns.push(column("e", "error.x", read(e, step)));
-        let mut r = record(name, Kind::Positioning, columns);
+        let mut r = record(name, RunKind::Positioning, columns);
         r.count_um = step;
         r
     }
@@ -133,7 +133,7 @@ impl Machine {
             columns.push(column("wet", "coolant", wet));
         }
         columns.push(column("e", "error.z", read(e, step)));
-        record(name, Kind::Drift, columns)
+        record(name, RunKind::Drift, columns)
     }
 
     pub(super) fn plate(&self, d: &mut Dice) -> Record {
@@ -156,7 +156,7 @@ impl Machine {
             column("ex", "error.x", read(ex, step)),
             column("ey", "error.y", read(ey, None)),
         ];
-        record("plate", Kind::Plate, columns)
+        record("plate", RunKind::Plate, columns)
     }
 
     /// A circle both ways, sampled while it moves; with speeds, maybe accelerations.
@@ -200,7 +200,7 @@ impl Machine {
         columns.push(column("dx", "direction.x", c[3].iter().map(|v| v.signum()).collect()));
         columns.push(column("ex", "error.x", read(ex, step)));
         columns.push(column("ey", "error.y", read(ey, None)));
-        record("ballbar", Kind::Ballbar, columns)
+        record("ballbar", RunKind::Ballbar, columns)
     }
 
     pub(super) fn dynamics(d: &mut Dice) -> Record {
@@ -225,7 +225,7 @@ impl Machine {
             column("qdd", "acceleration.y", acc),
             column("f", "force.y", read(force, None)),
         ];
-        record("dynamics", Kind::Dynamics, columns)
+        record("dynamics", RunKind::Dynamics, columns)
     }
 
     pub(super) fn probing(d: &mut Dice) -> Record {
@@ -235,7 +235,7 @@ impl Machine {
         let e = (0..n).map(|i| e[i] + 4.0 * (3.0 * angle[i] + 0.4).cos()).collect();
         record(
             "probe",
-            Kind::Probing,
+            RunKind::Probing,
             vec![column("w", "angle", angle), column("e", "error.r", read(e, step))],
         )
     }

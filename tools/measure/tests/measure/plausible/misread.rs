@@ -2,7 +2,7 @@
 
 use rtec_builders::{column, record};
 use rtec_measure::plausible::{in_figures, suspicions};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use test_needs::dice::Dice;
 
 /// A body that warms by 8 K with 0.03 K of noise, a second one, and an error of
@@ -21,7 +21,7 @@ fn warming(n: usize, of: impl Fn(usize, f64, &mut Dice) -> f64) -> Record {
     }
     let roles = [("t", "time"), ("T1", "temperature"), ("T2", "temperature"), ("e", "error.z")];
     let columns = roles.into_iter().zip(data).map(|((name, role), data)| column(name, role, data));
-    record("a", Kind::Drift, columns.collect())
+    record("a", RunKind::Drift, columns.collect())
 }
 
 /// The rows of T1 that are said to be bad, and whether a figure holds anything

@@ -13,7 +13,7 @@ mod wild_rows;
 
 use machine::Machine;
 use rtec_builders::{column, record};
-use rtec_model::record::{Column, Kind, Record, Role};
+use rtec_model::record::{Column, Record, Role, RunKind};
 use test_needs::dice::Dice;
 
 /// Noise with memory from row to row, maybe read in steps.
@@ -217,7 +217,7 @@ fn to_and_fro(targets: &[f64], d: &mut Dice) -> Vec<f64> {
     (0..3).flat_map(|_| once.clone()).map(|p| p + 0.003 * d.normal()).collect()
 }
 
-fn along(kind: Kind, p: Vec<f64>, d: &mut Dice) -> Record {
+fn along(kind: RunKind, p: Vec<f64>, d: &mut Dice) -> Record {
     let e = p.iter().map(|p| 0.02 * p + 0.4 * d.normal()).collect();
     record("a", kind, vec![column("x", "position.x", p), column("e", "error.x", e)])
 }

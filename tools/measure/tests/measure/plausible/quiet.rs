@@ -2,7 +2,7 @@
 
 use super::{along, column, record, rounded, to_and_fro};
 use rtec_measure::plausible::{MistakeKind, Suspicion, suspicions, unusable};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 
@@ -14,7 +14,7 @@ fn a_long_record_and_a_clock_that_steps() {
     let mut at = |seconds: &[f64]| {
         let e = seconds.iter().map(|_| d.normal()).collect();
         let columns = vec![column("t", "time", seconds.to_vec()), column("e", "error.z", e)];
-        suspicions(&[record("long", Kind::Drift, columns)])
+        suspicions(&[record("long", RunKind::Drift, columns)])
     };
     let minutes: Vec<f64> = (0..43_200).map(|m| 60.0 * f64::from(m)).collect();
     assert_eq!(at(&minutes), []);
@@ -43,9 +43,12 @@ fn a_sorted_run_and_hourly_readings_are_not_doubted() {
     let columns = |x: Vec<f64>, way: Vec<f64>, e: Vec<f64>| {
         vec![column("x", "position.x", x), column("d", "direction.x", way), column("e", "error.x", e)]
     };
-    assert_eq!(suspicions(&[record("s", Kind::Positioning, columns(x.clone(), way.clone(), e.clone()))]), []);
+    assert_eq!(
+        suspicions(&[record("s", RunKind::Positioning, columns(x.clone(), way.clone(), e.clone()))]),
+        []
+    );
     let back = |v: &[f64]| v.iter().rev().copied().collect::<Vec<_>>();
-    assert_eq!(suspicions(&[record("s", Kind::Positioning, columns(back(&x), back(&way), back(&e)))]), []);
+    assert_eq!(suspicions(&[record("s", RunKind::Positioning, columns(back(&x), back(&way), back(&e)))]), []);
     let drift = |step: f64| {
         let t: Vec<f64> = (0..24).map(|i| step * f64::from(i)).collect();
         let warm = |k: f64| move |i: i32| 20.0 + k * (1.0 - (-f64::from(i) / 5.0).exp());
@@ -58,7 +61,7 @@ fn a_sorted_run_and_hourly_readings_are_not_doubted() {
                 (0..24).map(|i| 3.0 * (warm(6.0)(i) - 20.0) + 0.2 * f64::from(i % 3)).collect(),
             ),
         ];
-        suspicions(&[record("h", Kind::Drift, columns)])
+        suspicions(&[record("h", RunKind::Drift, columns)])
     };
     for step in [900.0, 3600.0, 7200.0] {
         assert_eq!(drift(step), [], "{step}");
@@ -97,7 +100,7 @@ fn the_first_pass_of_an_axis_with_a_spike_is_not_doubted() {
             column("n", "cycle", n),
             column("e", "error.x", e),
         ];
-        suspicions(&[record("spike", Kind::Positioning, columns)])
+        suspicions(&[record("spike", RunKind::Positioning, columns)])
     };
     for seed in 0..20 {
         let said = run(&mut Dice::new(seed), 11.0, None);
@@ -131,7 +134,7 @@ fn switched(d: &mut Dice, rows: usize, tau_rows: f64, steps: &[(usize, f64)], rp
         column("rpm", "spindle_speed", (0..rows).map(|i| if on(i) > 0.0 { rpm } else { 0.0 }).collect()),
         column("e", "error.x", (0..rows).map(|_| 0.3 * d.normal()).collect()),
     ];
-    record("switched", Kind::Drift, columns)
+    record("switched", RunKind::Drift, columns)
 }
 
 /// A sensor that jumps by itself is doubted.
@@ -166,7 +169,7 @@ fn a_coarse_sensor_stands_still_where_the_room_turns() {
             column("T1", "temperature", read(d, 0.004)),
             column("e", "error.x", (0..150).map(|_| 0.3 * d.normal()).collect()),
         ];
-        let said = suspicions(&[record("room", Kind::Drift, columns)]);
+        let said = suspicions(&[record("room", RunKind::Drift, columns)]);
         assert!(said.is_empty(), "{seed}: {said:?}");
     }
 }
@@ -181,7 +184,7 @@ fn what_a_good_machine_does_is_no_mistake() {
         let t: Vec<f64> = (0..200).map(|i| 60.0 * f64::from(i)).collect();
         let e = rounded(t.iter().map(|_| 0.08 * d.normal()), [0.01, 0.002][seed as usize % 2]);
         let mut quiet =
-            record("q", Kind::Drift, vec![column("t", "time", t.clone()), column("e", "error.x", e)]);
+            record("q", RunKind::Drift, vec![column("t", "time", t.clone()), column("e", "error.x", e)]);
         quiet.count_um = Some(2.0);
         assert_eq!(suspicions(&[quiet]), [], "{seed}");
 
@@ -206,7 +209,7 @@ fn what_a_good_machine_does_is_no_mistake() {
                 column("e_x", "error.x", e_x),
                 column("e_y", "error.y", e_y),
             ];
-            record(name, Kind::Ballbar, columns)
+            record(name, RunKind::Ballbar, columns)
         };
         let begins = 0.31 * seed as f64;
         let both = circle("c", &[turn(1.0, begins), turn(-1.0, begins)].concat());
@@ -227,7 +230,7 @@ fn what_a_good_machine_does_is_no_mistake() {
             column("y", "position.y", y.clone()),
             column("e", "error.x", e),
         ];
-        assert_eq!(suspicions(&[record("p", Kind::Plate, plate)]), [], "{seed}");
+        assert_eq!(suspicions(&[record("p", RunKind::Plate, plate)]), [], "{seed}");
 
         // Targets drawn from a few, each from the other side than the one before.
         let ways: Vec<f64> = (0..60).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
@@ -235,7 +238,7 @@ fn what_a_good_machine_does_is_no_mistake() {
         let e = rounded(ways.iter().map(|w| 0.6 * w + 0.15 * d.normal()), 0.01);
         let columns =
             vec![column("z", "position.z", z), column("d", "direction.z", ways), column("e", "error.z", e)];
-        assert_eq!(suspicions(&[record("r", Kind::Probing, columns)]), [], "{seed}");
+        assert_eq!(suspicions(&[record("r", RunKind::Probing, columns)]), [], "{seed}");
     }
 }
 
@@ -250,7 +253,7 @@ fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
         let mut d = Dice::new(seed);
         for targets in [&even[..], &odd, &tenths] {
             let p = to_and_fro(targets, &mut d);
-            let clean = along(Kind::Positioning, p.clone(), &mut d);
+            let clean = along(RunKind::Positioning, p.clone(), &mut d);
             assert_eq!(suspicions(&[clean]), [], "{seed}");
         }
         for (targets, row, by) in
@@ -258,7 +261,7 @@ fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
         {
             let mut p = to_and_fro(targets, &mut d);
             p[row] *= by;
-            let r = along(Kind::Positioning, p, &mut d);
+            let r = along(RunKind::Positioning, p, &mut d);
             let found = suspicions(std::slice::from_ref(&r));
             assert_eq!(found.len(), 1, "{seed}: {row} by {by}: {found:?}");
             assert_eq!(
@@ -269,13 +272,13 @@ fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
         }
         let mut p = to_and_fro(&even, &mut d);
         p[7] = 50.0 + (p[7] - 350.0);
-        let lost = suspicions(&[along(Kind::Positioning, p.clone(), &mut d)]);
+        let lost = suspicions(&[along(RunKind::Positioning, p.clone(), &mut d)]);
         assert_eq!(lost.iter().map(Suspicion::row_list).collect::<Vec<_>>(), [vec![7]], "{lost:?}");
         // Back to a datum at 10 mm before each of the targets, where 100 mm is one of them.
         let datum: Vec<f64> = even.iter().flat_map(|p| [10.0, *p]).collect();
-        assert_eq!(suspicions(&[along(Kind::Probing, datum, &mut d)]), [], "{seed}");
+        assert_eq!(suspicions(&[along(RunKind::Probing, datum, &mut d)]), [], "{seed}");
         let drawn: Vec<f64> = (0..60).map(|_| tenths[d.below(tenths.len())]).collect();
-        assert_eq!(suspicions(&[along(Kind::Probing, drawn, &mut d)]), [], "{seed}");
+        assert_eq!(suspicions(&[along(RunKind::Probing, drawn, &mut d)]), [], "{seed}");
     }
 }
 
@@ -285,7 +288,7 @@ fn a_position_that_slipped_is_said_and_targets_that_are_there_are_not() {
 fn a_gauge_that_another_record_shows_as_coarse_may_stand_still() {
     let drift = |e: Vec<f64>| {
         let t = (0..e.len()).map(|i| 10.0 * i as f64).collect();
-        record("d", Kind::Drift, vec![column("t", "time", t), column("e", "error.z", e)])
+        record("d", RunKind::Drift, vec![column("t", "time", t), column("e", "error.z", e)])
     };
     let grown: Vec<f64> = (0..60).map(|i| 10.0 * (f64::from(i) / 20.0).floor()).collect();
     assert_eq!(suspicions(&[drift(grown.clone()), drift(vec![20.0; 60])]), []);

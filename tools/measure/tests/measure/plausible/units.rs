@@ -2,7 +2,7 @@
 
 use super::{column, record, serpentine};
 use rtec_measure::plausible::{MistakeKind, Suspicion, suspicions};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 
@@ -18,7 +18,7 @@ fn a_radius_in_inches_or_off_is_said() {
         let columns = vec![column("a", "angle", angles), column("e", "error.r", e)];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
         let circle = rtec_model::ballbar_circle::Circle { radius_mm, plane, centre_mm: None };
-        record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
+        record("b", RunKind::Ballbar, columns).with_circle(circle).unwrap()
     };
     for inches in [100.0, 150.0, 300.0].map(|mm| mm / 25.4) {
         let said = suspicions(&[record((inches * 1e4_f64).round() / 1e4, 3.0)]);
@@ -48,7 +48,7 @@ fn a_circle_in_inches_without_a_bar_is_said() {
             column("y", "position.y", of(f64::sin)),
             column("e", "error.x", e),
         ];
-        suspicions(&[record("circle", Kind::Ballbar, columns)])
+        suspicions(&[record("circle", RunKind::Ballbar, columns)])
     };
     for mm in [10.0, 12.5, 25.4, 100.0, 150.0] {
         assert_eq!(circle(mm), [], "{mm}");
@@ -75,7 +75,7 @@ fn inches_on_a_circle_are_said() {
         ];
         let plane = ["x", "y"].map(|n| rtec_model::record::Axis::new(n).unwrap());
         let circle = rtec_model::ballbar_circle::Circle { radius_mm, plane, centre_mm: None };
-        record("b", Kind::Ballbar, columns).with_circle(circle).unwrap()
+        record("b", RunKind::Ballbar, columns).with_circle(circle).unwrap()
     };
     let said = |r: Record| suspicions(&[r]).into_iter().map(|s| (s.what, s.column)).collect::<Vec<_>>();
     let both = [(MistakeKind::Unit, "x".to_owned()), (MistakeKind::Unit, "y".to_owned())];
@@ -112,7 +112,7 @@ fn a_plate_in_inches_is_said() {
             column("ex", "error.x", ex),
             column("ey", "error.y", ey),
         ];
-        suspicions(&[record("p", Kind::Plate, columns)])
+        suspicions(&[record("p", RunKind::Plate, columns)])
     };
     for pitch_mm in [25.0, 40.0, 33.3] {
         assert_eq!(plate(1.0, pitch_mm), [], "{pitch_mm}");
@@ -134,7 +134,7 @@ fn a_steep_scale_is_no_inch_and_a_steeper_line_is() {
         let e = x.iter().map(|x| ppm / 1000.0 * x + 0.3 * d.normal()).collect();
         suspicions(&[record(
             "r",
-            Kind::Positioning,
+            RunKind::Positioning,
             vec![column("x", "position.x", x), column("e", "error.x", e)],
         )])
     };
@@ -158,7 +158,7 @@ fn a_steep_scale_is_no_inch_and_a_steeper_line_is() {
 fn a_drift_over_a_plate_is_no_inch() {
     let mut d = Dice::new(6);
     let columns = serpentine(12, &mut |_, _, row| 2.1 * row as f64 + 2.0 * d.normal());
-    assert_eq!(suspicions(&[record("p", Kind::Plate, columns)]), []);
+    assert_eq!(suspicions(&[record("p", RunKind::Plate, columns)]), []);
 }
 
 /// Two plates, one of which warms while the other cools.
@@ -170,7 +170,7 @@ fn a_plate_that_cools_is_none_of_the_other_sign() {
         let degc = |row: usize| 21.0 + way * 0.9 * (row as f64 / 100.0 - 0.5);
         let mut columns = serpentine(10, &mut |_, _, row| 12.0 * (degc(row) - 21.0) + 0.3 * d.normal());
         columns.push(column("T1", "temperature", (0..100).map(degc).collect()));
-        record(name, Kind::Plate, columns)
+        record(name, RunKind::Plate, columns)
     };
     let records = [plate("a", 1.0), plate("b", -1.0)];
     assert_eq!(suspicions(&records), []);
@@ -195,7 +195,11 @@ fn another_unit_and_other_directions_from_a_row_on_are_said() {
         }
         let made = |way: Vec<f64>, e: Vec<f64>| {
             let columns = [("z", "position.z", p.clone()), ("dir", "direction.z", way), ("e", "error.z", e)];
-            record("half", Kind::Positioning, columns.into_iter().map(|(n, r, v)| column(n, r, v)).collect())
+            record(
+                "half",
+                RunKind::Positioning,
+                columns.into_iter().map(|(n, r, v)| column(n, r, v)).collect(),
+            )
         };
         assert_eq!(suspicions(&[made(way.clone(), e.clone())]), [], "{seed}");
         let rounded = |x: f64| (x * 1e4).round() / 1e4;
@@ -217,7 +221,7 @@ fn another_unit_and_other_directions_from_a_row_on_are_said() {
         let grows = |i: i32| if i < 100 { 0.0 } else { 60.0 * (1.0 - (-f64::from(i - 100) / 60.0).exp()) };
         let t: Vec<f64> = (0..300).map(|i| 60.0 * f64::from(i)).collect();
         let e = (0..300).map(|i| grows(i) + 0.05 * d.normal()).collect();
-        let r = record("drift", Kind::Drift, vec![column("t", "time", t), column("e", "error.z", e)]);
+        let r = record("drift", RunKind::Drift, vec![column("t", "time", t), column("e", "error.z", e)]);
         assert_eq!(suspicions(&[r]), [], "{seed}");
     }
 }

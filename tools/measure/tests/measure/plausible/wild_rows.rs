@@ -5,7 +5,7 @@ use super::{
     repeated, rows_again, scaled, serpentine,
 };
 use rtec_measure::plausible::{MistakeKind, Suspicion, steps_of, suspicions, unusable};
-use rtec_model::record::{Kind, Record};
+use rtec_model::record::{Record, RunKind};
 use std::f64::consts::TAU;
 use test_needs::cases;
 use test_needs::dice::Dice;
@@ -91,7 +91,7 @@ fn noise_single_wild_rows_and_days_are_said() {
                         .collect(),
                 ),
             ];
-            suspicions(&[record("d", Kind::Drift, columns)])
+            suspicions(&[record("d", RunKind::Drift, columns)])
         };
         assert_eq!(drift(0.1, 0.0, 1.0, &mut d), [], "{seed}");
         for sd_k in [3.0, 6.0, 8.0] {
@@ -117,7 +117,7 @@ fn noise_single_wild_rows_and_days_are_said() {
                 2.0 * (2.0 * a).sin() + play(*a) + 0.3 * d.normal() + if i == 100 { wild_um } else { 0.0 }
             });
             let columns = vec![column("e", "error.r", e.collect()), column("a", "angle", angles)];
-            suspicions(&[record("b", Kind::Ballbar, columns)])
+            suspicions(&[record("b", RunKind::Ballbar, columns)])
         };
         assert_eq!(bar(0.0, &mut d), [], "{seed}");
         for wild_um in [40.0, -400.0, 5000.0] {
@@ -136,15 +136,15 @@ fn few_rows(d: &mut Dice) -> Record {
     let n = 6 + d.below(24);
     let (noise, step) = noise(d, n);
     let mut columns = Vec::new();
-    let (kind, shape): (Kind, Vec<f64>) = match d.below(4) {
-        0 => (Kind::Positioning, vec![0.0; n]),
+    let (kind, shape): (RunKind, Vec<f64>) = match d.below(4) {
+        0 => (RunKind::Positioning, vec![0.0; n]),
         1 => {
             let (size, tau) = (d.between(-40.0, 40.0), d.between(0.5, 30.0));
-            (Kind::Drift, (0..n).map(|i| size * (1.0 - (-(i as f64) / tau).exp())).collect())
+            (RunKind::Drift, (0..n).map(|i| size * (1.0 - (-(i as f64) / tau).exp())).collect())
         }
         2 => {
             let (at, size) = (1 + d.below(n - 2), d.between(-30.0, 30.0));
-            (Kind::Drift, (0..n).map(|i| if i < at { 0.0 } else { size }).collect())
+            (RunKind::Drift, (0..n).map(|i| if i < at { 0.0 } else { size }).collect())
         }
         _ => {
             let (ppm, period, wave) = (d.between(-30.0, 30.0), d.between(60.0, 900.0), d.between(0.0, 5.0));
@@ -154,7 +154,7 @@ fn few_rows(d: &mut Dice) -> Record {
             columns.push(column("x", "position.x", (0..n).map(at).collect()));
             columns.push(column("d", "direction.x", (0..n).map(way).collect()));
             let e = |i: usize| ppm * at(i) / 1000.0 + wave * (TAU * at(i) / period).sin() + 2.0 * way(i);
-            (Kind::Positioning, (0..n).map(e).collect())
+            (RunKind::Positioning, (0..n).map(e).collect())
         }
     };
     let e = shape.iter().zip(noise).map(|(s, v)| s + v).collect();
@@ -203,7 +203,7 @@ fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
         let mut t1: Vec<f64> = (0..15).map(|i| 20.0 + 0.1 * f64::from(i) + 0.02 * d.normal()).collect();
         let clean = record(
             "d",
-            Kind::Drift,
+            RunKind::Drift,
             vec![
                 column("t", "time", t.clone()),
                 column("T1", "temperature", t1.clone()),
@@ -215,7 +215,7 @@ fn a_wild_reading_of_thirty_times_the_noise_is_named_in_fifteen_rows() {
         t1[14 - row] += 9.0;
         let columns =
             vec![column("t", "time", t), column("T1", "temperature", t1), column("e", "error.x", e)];
-        let all = suspicions(&[record("d", Kind::Drift, columns)]);
+        let all = suspicions(&[record("d", RunKind::Drift, columns)]);
         let named = |name: &str, row: usize| {
             all.iter().any(|s| s.column == name && s.what == MistakeKind::Outliers && s.row_list() == [row])
         };
@@ -287,7 +287,9 @@ fn the_turns_of_a_steep_curve_are_no_wild_rows() {
             column("e", "error.x", read(e, Some(0.28))),
         ];
         said.extend(
-            suspicions(&[record("steep", Kind::Positioning, columns)]).iter().map(|s| (seed, s.to_string())),
+            suspicions(&[record("steep", RunKind::Positioning, columns)])
+                .iter()
+                .map(|s| (seed, s.to_string())),
         );
     }
     assert!(said.is_empty(), "{said:#?}");
@@ -304,7 +306,7 @@ fn rows_before_a_step_are_no_wild_rows() {
                 let off = if wild.contains(&row) { 25.0 } else { 0.0 };
                 off + if row >= at { 12.0 } else { 0.0 } + 0.01 * x + 0.3 * d.normal()
             });
-            suspicions(&[record("p", Kind::Plate, columns)])
+            suspicions(&[record("p", RunKind::Plate, columns)])
         };
         assert_eq!(plate(&[], &mut d), [], "{seed}");
         let said = plate(&[5, 13, 24, 36, 45, 57, 66, 91], &mut d);

@@ -1,6 +1,6 @@
 //! `acceleration_error.A`: bending under the machine's own inertia.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, Searched};
 use std::sync::Arc;
 
 /// Extra price over an effect of the position, nats: it is rarer.
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("um_per_m_s2", "um/(m/s2)", 100.0).typically(3.0)
                 .within([-10_000.0, 10_000.0], "10 µm per mm/s²: so soft a drive train would resonate at 1.6 Hz"),
         ],
-        needs: vec![Need::Acceleration],
+        needs: vec![RequiredInput::Acceleration],
         // Around a circle at constant speed the acceleration is proportional to the position, as of a scale.
         searched: Searched { price: RARER, ..Searched::default() },
         ..LawDescription::default()

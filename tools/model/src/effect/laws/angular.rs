@@ -1,6 +1,6 @@
 //! `angular.A.B.C`: a tilt that grows along one axis, at the lever of another.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             [-50_000.0, 50_000.0],
             "50 mrad in a metre: a guideway is scraped, let alone ground, a hundred times better",
         )],
-        needs: vec![Need::Position(1), Need::Position(2)],
+        needs: vec![RequiredInput::Position(1), RequiredInput::Position(2)],
         symmetric: true,
         ..LawDescription::default()
     };

@@ -1,6 +1,6 @@
 //! `channel.A.NAME`: a logged quantity with no physics named.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, Searched};
 use std::sync::Arc;
 
 /// Extra price over an effect that has a physical cause, nats.
@@ -21,7 +21,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 "1e-12 of the channel's unit would make a micrometre of error: the unit is wrong",
             ),
         ],
-        needs: vec![Need::Channel],
+        needs: vec![RequiredInput::Channel],
         searched: Searched { price: NO_PHYSICS, ..Searched::default() },
         ..LawDescription::default()
     };

@@ -1,6 +1,6 @@
 //! `coolant.A`: a constant error while coolant flows.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             [-1000.0, 1000.0],
             "a spindle of steel half a metre long and 100 K colder is 0.6 mm shorter",
         )],
-        needs: vec![Need::Coolant],
+        needs: vec![RequiredInput::Coolant],
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = f64::from(i.coolant > 0.5) })

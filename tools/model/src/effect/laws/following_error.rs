@@ -1,6 +1,6 @@
 //! `following_error.A`: lag of the position loop.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter, Probing};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, Probing};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 [-10_000.0, 10_000.0],
                 "a position loop slower than Kv = 0.1/s does not follow at all",
             )],
-            needs: vec![Need::Velocity],
+            needs: vec![RequiredInput::Velocity],
             probing: Probing::Displaced,
             ..LawDescription::default()
         };

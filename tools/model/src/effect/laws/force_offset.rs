@@ -1,6 +1,6 @@
 //! `force_offset.A`: a constant force.
 
-use crate::effect::{LawDescription, Law, Linear, Mechanism, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, Parameter, Quantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -13,7 +13,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         quantity: Quantity::Force,
         parameters: vec![Parameter::linear("N", "N", 10_000.0).typically(20.0).within([-1e6, 1e6], "the weight of 100 t")],
         constant: true,
-        mechanism: Some(Mechanism::ConstantForce),
+        mechanism: Some(MechanicalParameter::ConstantForce),
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |_, _, out| out[0] = 1.0 })

@@ -2,7 +2,7 @@
 //! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis, Refine,
+    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis, Refine,
     ParameterSearch,
     Searched, State,
 };
@@ -35,7 +35,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([1e-6, TAU], "at most the whole turn")
                 .refined(Refine::Factor(0.2)),
         ],
-        needs: vec![Need::Angle],
+        needs: vec![RequiredInput::Angle],
         experiment: "the part probed densely all around, twice (a bump stays, a chip does not)".into(),
         owner: Owner::Part,
         searched: Searched { repeats: true, ..Searched::default() },

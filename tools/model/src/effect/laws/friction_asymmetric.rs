@@ -1,6 +1,6 @@
 //! `friction_asymmetric.A`: viscous friction that differs by direction.
 
-use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -14,8 +14,8 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(60.0)
                 .within([-1e6, 1e6], "as viscous friction itself"),
         ],
-        needs: vec![Need::Velocity],
-        mechanism: Some(Mechanism::AsymmetricFriction),
+        needs: vec![RequiredInput::Velocity],
+        mechanism: Some(MechanicalParameter::AsymmetricFriction),
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s.abs() / 1000.0 })

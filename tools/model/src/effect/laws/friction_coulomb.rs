@@ -1,6 +1,6 @@
 //! `friction_coulomb.A`: dry friction.
 
-use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Parameter, Quantity, sign};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity, sign};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -14,8 +14,8 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("N", "N", 10_000.0).typically(40.0)
                 .within([0.0, 1e6], "friction takes energy and gives none; at most the dry friction of 1000 t on rollers of 0.01"),
         ],
-        needs: vec![Need::Velocity],
-        mechanism: Some(Mechanism::CoulombFriction),
+        needs: vec![RequiredInput::Velocity],
+        mechanism: Some(MechanicalParameter::CoulombFriction),
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = sign(i.v_mm_s) })

@@ -1,6 +1,6 @@
 //! `inertia.A`: the force that accelerates an axis.
 
-use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -13,8 +13,8 @@ pub(super) fn law() -> Arc<dyn Law> {
         parameters: vec![
             Parameter::linear("kg", "kg", 100_000.0).typically(120.0).within([0.0, 1e6], "no mass is negative; 1000 t: no axis moves that"),
         ],
-        needs: vec![Need::Acceleration],
-        mechanism: Some(Mechanism::Mass),
+        needs: vec![RequiredInput::Acceleration],
+        mechanism: Some(MechanicalParameter::Mass),
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })

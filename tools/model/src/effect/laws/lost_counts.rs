@@ -1,7 +1,7 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
@@ -25,9 +25,9 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .refined(Refine::Moment)
                 .telling_apart(),
         ],
-        needs: vec![Need::Time],
+        needs: vec![RequiredInput::Time],
         experiment: "return to a fixed stop or to the reference mark before and after".into(),
-        heat: Heat::StandsIn,
+        heat: ThermalDependence::StandsIn,
         whole_counts: true,
         ..LawDescription::default()
     }))

@@ -1,6 +1,6 @@
 //! `offset.A`: the zero of an axis.
 
-use crate::effect::{LawDescription, Heat, Law, Linear, Parameter};
+use crate::effect::{LawDescription, ThermalDependence, Law, Linear, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -19,7 +19,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("um", "um", 2000.0).typically(10.0)
                 .within([-10_000.0, 10_000.0], "a gauge reaches 10 mm: farther off is another datum"),
         ],
-        heat: Heat::StandsIn,
+        heat: ThermalDependence::StandsIn,
         constant: true,
         ..LawDescription::default()
     };

@@ -1,7 +1,7 @@
 //! `position_map.A`: an axis's repeatable error beyond a straight line.
 
 use crate::effect::knots::{BrokenLine, parameters};
-use crate::effect::{LawDescription, Law, Need};
+use crate::effect::{LawDescription, Law, RequiredInput};
 use std::sync::Arc;
 
 /// Index of the axis in the name that the knots lie on.
@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "graduation of the scale, lead variation of the screw, bending of the guideway".into(),
         experiment: "linear displacement with closely spaced targets (ISO 230-2), several cycles".into(),
         parameters: parameters(),
-        needs: vec![Need::Position(ALONG)],
+        needs: vec![RequiredInput::Position(ALONG)],
         ..LawDescription::default()
     };
     Arc::new(BrokenLine { description, along: ALONG })

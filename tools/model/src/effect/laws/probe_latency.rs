@@ -1,6 +1,6 @@
 //! `probe_latency.A`: time from contact to capture.
 
-use crate::effect::{LawDescription, Law, Linear, Mechanism, Need, Owner, Parameter, Probing};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Owner, Parameter, Probing};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -13,10 +13,10 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("us", "us", 20000.0).typically(300.0)
                 .within([-1e6, 1e6], "no trigger of a probe is late by a second"),
         ],
-        needs: vec![Need::Velocity],
+        needs: vec![RequiredInput::Velocity],
         owner: Owner::Probe,
         probing: Probing::Only,
-        mechanism: Some(Mechanism::ProbeDelay),
+        mechanism: Some(MechanicalParameter::ProbeDelay),
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })

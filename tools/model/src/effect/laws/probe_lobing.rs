@@ -2,7 +2,7 @@
 
 use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, Need, Out, Owner, Parameter, GridHypothesis,
+    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis,
     ParameterSearch, Searched,
     State, ValueError,
 };
@@ -33,7 +33,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             lobes,
             phase(),
         ],
-        needs: vec![Need::Angle],
+        needs: vec![RequiredInput::Angle],
         owner: Owner::Probe,
         searched: Searched { repeats: true, ..Searched::default() },
         ..LawDescription::default()

@@ -1,6 +1,6 @@
 //! `reversal.A`: the lost motion of an axis after it turned back.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             [-1000.0, 1000.0],
             "lost motion of a millimetre is a loose coupling, and repeats in no way",
         )],
-        needs: vec![Need::Direction],
+        needs: vec![RequiredInput::Direction],
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.dir / 2.0 })

@@ -1,7 +1,7 @@
 //! `reversal_slope.A`: a reversal that grows along the axis.
 //! A worn screw causes it.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, Searched};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .typically(8.0)
                 .within([-1000.0, 1000.0], "lost motion that grows by a millimetre in a metre is a broken screw"),
         ],
-        needs: vec![Need::Direction, Need::Position(0)],
+        needs: vec![RequiredInput::Direction, RequiredInput::Position(0)],
         searched: Searched { beside: Some(super::reversal::NAME), ..Searched::default() },
         ..LawDescription::default()
     };

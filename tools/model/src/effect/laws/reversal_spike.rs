@@ -2,7 +2,7 @@
 //! It fades with the travel since the change.
 
 use crate::effect::{
-    LawDescription, Effect, Extent, Input, Law, Need, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
+    LawDescription, Effect, Extent, Input, Law, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
     State,
 };
 use std::sync::Arc;
@@ -28,7 +28,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([1e-9, 1e6], "a positive length")
                 .refined(Refine::Factor(0.3)),
         ],
-        needs: vec![Need::Direction, Need::Position(0)],
+        needs: vec![RequiredInput::Direction, RequiredInput::Position(0)],
         experiment:
             "ballbar (ISO 230-4), read at the quadrants; short strokes with dense readings after reversal"
                 .into(),

@@ -1,6 +1,6 @@
 //! `rotation.A.B`: the work or plate is turned in the plane of two axes.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             [-50_000.0, 50_000.0],
             "beyond 50 mrad an error in proportion to the angle is no longer the rotation's to a thousandth",
         )],
-        needs: vec![Need::Position(0), Need::Position(1)],
+        needs: vec![RequiredInput::Position(0), RequiredInput::Position(1)],
         ..LawDescription::default()
     };
     Arc::new(Linear {

@@ -1,6 +1,6 @@
 //! `scale.A`: an error proportional to the position.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("ppm", "ppm", 1000.0).typically(15.0)
                 .within([-1000.0, 1000.0], "the loosest screw (ISO 3408-3, grade 10) is 700 ppm off"),
         ],
-        needs: vec![Need::Position(0)],
+        needs: vec![RequiredInput::Position(0)],
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 })

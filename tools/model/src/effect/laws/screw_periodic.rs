@@ -2,7 +2,7 @@
 //! Its period is a turn of a screw or an encoder.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{LawDescription, Law, Need, Searched, Wave};
+use crate::effect::{LawDescription, Law, RequiredInput, Searched, Wave};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -27,7 +27,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             amplitude(100.0, 2.0).within([-1000.0, 1000.0], wobble),
             phase(),
         ],
-        needs: vec![Need::Position(0)],
+        needs: vec![RequiredInput::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
         ..LawDescription::default()
     };

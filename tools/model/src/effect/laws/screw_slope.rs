@@ -1,7 +1,7 @@
 //! `screw_slope.A`: the amplitude of a screw's wave grows along the axis.
 
 use crate::effect::wave::{Sine, period, phase};
-use crate::effect::{LawDescription, Law, Need, Parameter, ParameterSearch, Searched};
+use crate::effect::{LawDescription, Law, RequiredInput, Parameter, ParameterSearch, Searched};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-1000.0, 1000.0], "a screw that wobbles by more than a millimetre does not turn"),
             phase(),
         ],
-        needs: vec![Need::Position(0)],
+        needs: vec![RequiredInput::Position(0)],
         searched: Searched { repeats: true, beside: Some(super::screw_periodic::NAME), ..Searched::default() },
         ..LawDescription::default()
     };

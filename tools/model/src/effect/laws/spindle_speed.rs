@@ -1,6 +1,6 @@
 //! `spindle_speed.A`: growth that follows the spindle's speed at once.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -20,7 +20,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-500.0, 500.0], "as the linear term")
                 .or(0.0),
         ],
-        needs: vec![Need::SpindleSpeed],
+        needs: vec![RequiredInput::SpindleSpeed],
         ..LawDescription::default()
     };
     Arc::new(Linear {

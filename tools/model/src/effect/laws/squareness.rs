@@ -1,6 +1,6 @@
 //! `squareness.A.B`: two axes that are not square to each other.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, Need, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, Searched};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("urad", "urad", 2000.0).typically(25.0)
                 .within([-5000.0, 5000.0], "5 mrad, a third of a degree, is seen with a workshop square"),
         ],
-        needs: vec![Need::Position(1)],
+        needs: vec![RequiredInput::Position(1)],
         searched: Searched { one_beside: Some("rotation"), ..Searched::default() },
         ..LawDescription::default()
     };

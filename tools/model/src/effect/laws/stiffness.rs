@@ -1,6 +1,6 @@
 //! `stiffness.A`: bending under a load.
 
-use crate::effect::{LawDescription, Law, Linear, Need, Parameter};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -13,7 +13,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("um_per_N", "um/N", 1.0).typically(0.02)
                 .within([-100.0, 100.0], "0.01 N/µm: a spring, no machine"),
         ],
-        needs: vec![Need::Load],
+        needs: vec![RequiredInput::Load],
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.load_n })

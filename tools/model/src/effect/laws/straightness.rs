@@ -2,7 +2,7 @@
 //! A straight line is not part of it.
 
 use crate::effect::knots::{BrokenLine, parameters};
-use crate::effect::{LawDescription, Law, Naming, Need};
+use crate::effect::{LawDescription, Law, Naming, RequiredInput};
 use std::sync::Arc;
 
 /// Index of the axis in the name that the knots lie on.
@@ -17,7 +17,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             .into(),
         naming: Naming::Two,
         parameters: parameters(),
-        needs: vec![Need::Position(ALONG)],
+        needs: vec![RequiredInput::Position(ALONG)],
         ..LawDescription::default()
     };
     Arc::new(BrokenLine { description, along: ALONG })

@@ -1,7 +1,7 @@
 //! `subdivision.A`: a wave along the travel with the signal period of the scale.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{LawDescription, Law, Need, Searched, Wave};
+use crate::effect::{LawDescription, Law, RequiredInput, Searched, Wave};
 use std::sync::Arc;
 
 /// Unit of the period, mm.
@@ -31,7 +31,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             amplitude(5.0, 0.3).within([-50.0, 50.0], "a quarter of the longest period"),
             phase(),
         ],
-        needs: vec![Need::Position(0)],
+        needs: vec![RequiredInput::Position(0)],
         searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
         ..LawDescription::default()
     };

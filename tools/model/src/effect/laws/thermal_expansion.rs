@@ -1,7 +1,7 @@
 //! `thermal_expansion.A`: a temperature difference changes a length.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Heat, Input, Law, Need, Out, Parameter, State,
+    EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, State,
 };
 use std::sync::Arc;
 
@@ -18,8 +18,8 @@ pub(super) fn law() -> Arc<dyn Law> {
             Parameter::linear("ppm_per_K", "ppm/K", 50.0).typically(10.0)
                 .within([-200.0, 200.0], "plastics grow by 200 ppm/K, metals by 5 to 30"),
         ],
-        needs: vec![Need::Delta, Need::Position(0)],
-        heat: Heat::Expansion,
+        needs: vec![RequiredInput::Delta, RequiredInput::Position(0)],
+        heat: ThermalDependence::Expansion,
         companion: Some(super::scale::NAME),
         ..LawDescription::default()
     }))

@@ -1,7 +1,7 @@
 //! `thermal_growth.A`: a temperature difference moves a point.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Heat, Input, Law, Need, Out, Parameter,
+    EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter,
     State,
 };
 use std::sync::Arc;
@@ -32,8 +32,8 @@ pub(super) fn law() -> Arc<dyn Law> {
             "spindle warm-up from cold with gauges at the nose, dry and wet, then cool-down (ISO 230-3)"
                 .into(),
         parameters: gains().into(),
-        needs: vec![Need::Delta],
-        heat: Heat::Growth,
+        needs: vec![RequiredInput::Delta],
+        heat: ThermalDependence::Growth,
         companion: Some(super::offset::NAME),
         ..LawDescription::default()
     }))

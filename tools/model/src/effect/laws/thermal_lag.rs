@@ -2,7 +2,7 @@
 
 use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch,
     State,
 };
@@ -30,8 +30,8 @@ pub(super) fn law() -> Arc<dyn Law> {
             "spindle warm-up in steps, each held shorter and longer than the lag, then cool-down (ISO 230-3)"
                 .into(),
         parameters: vec![linear, square, tau],
-        needs: vec![Need::Delta, Need::Time],
-        heat: Heat::Growth,
+        needs: vec![RequiredInput::Delta, RequiredInput::Time],
+        heat: ThermalDependence::Growth,
         companion: Some(super::offset::NAME),
         lag: Some(TAU),
         ..LawDescription::default()

@@ -1,7 +1,7 @@
 //! `warm_up.A`: a drift from the start, without a logged cause.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Extent, Heat, Input, Law, Need, Out, Parameter, GridHypothesis,
+    EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch, State,
 };
 use std::sync::Arc;
@@ -25,10 +25,10 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .refined(Refine::TimeConstant(0.35))
                 .telling_apart(),
         ],
-        needs: vec![Need::Time],
+        needs: vec![RequiredInput::Time],
         experiment: "drift from a cold start with temperatures logged at every heat source (ISO 230-3)"
             .into(),
-        heat: Heat::FromStart,
+        heat: ThermalDependence::FromStart,
         ..LawDescription::default()
     }))
 }

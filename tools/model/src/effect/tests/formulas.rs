@@ -54,7 +54,7 @@ fn by_hand(name: &str, r: &Record, row: usize) -> f64 {
 fn laws_are_the_formulas() {
     for e in one_of_each() {
         let force = e.description().quantity == Quantity::Force;
-        let r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
+        let r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let out = value_on(&e, &r, if force { "force.x" } else { "error.x" });
         if by_hand(&e.name(), &r, 0).is_nan() {
             continue; // has a test of its own
@@ -70,7 +70,7 @@ fn laws_are_the_formulas() {
 fn slopes_agree_with_central_differences() {
     for e in one_of_each() {
         let force = e.description().quantity == Quantity::Force;
-        let r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
+        let r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let (_, component) = e.acts_on(&r)[0].clone();
         let bound = e.bind(&r).unwrap();
         let mut slopes = vec![0.0; r.rows() * e.values().len()];
@@ -106,7 +106,7 @@ fn slopes_agree_with_central_differences() {
 #[test]
 fn rotation_acts_on_both_axes() {
     let e = &one_of_each()[9];
-    let r = record(Kind::Plate, 5, &["error.x", "error.y"]);
+    let r = record(RunKind::Plate, 5, &["error.x", "error.y"]);
     let (x, y) = (&r.columns[1].data, &r.columns[2].data);
     for row in 0..5 {
         assert!((value_on(e, &r, "error.x")[row] + 30.0 * y[row] / 1e3).abs() < 1e-12);
@@ -183,7 +183,7 @@ fn spike_counts_travel_from_the_last_row_of_the_old_direction() {
 /// If a run turns beyond its targets, the first target is further from the turn.
 #[test]
 fn a_spike_dies_out_on_the_way_that_no_row_shows() {
-    let mut run = record(Kind::Positioning, 20, &["error.x"]);
+    let mut run = record(RunKind::Positioning, 20, &["error.x"]);
     for (column, of) in [("x", [1.0, 9.0, 9.0, 1.0]), ("dx", [1.0, 1.0, -1.0, -1.0])] {
         let data = &mut run.columns.iter_mut().find(|c| c.name == column).unwrap().data;
         data.iter_mut().enumerate().for_each(|(i, x)| *x = of[i.min(3)]);
@@ -209,7 +209,7 @@ fn a_spike_dies_out_on_the_way_that_no_row_shows() {
 fn outside_its_range_growth_is_held() {
     let mut e = one_of_each()[12].clone();
     e.range_k = Some([0.0, 1.0]);
-    let r = record(Kind::Drift, 60, &["error.x"]);
+    let r = record(RunKind::Drift, 60, &["error.x"]);
     let top = 0.114 - 0.0008;
     assert!(value_on(&e, &r, "error.x").iter().all(|v| (0.0..=top).contains(v)));
 }

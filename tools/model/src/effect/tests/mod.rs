@@ -7,7 +7,7 @@ use crate::record::Column;
 use std::path::Path;
 
 /// A record with every role and the given responses.
-fn record(kind: Kind, rows: usize, responses: &[&str]) -> Record {
+fn record(kind: RunKind, rows: usize, responses: &[&str]) -> Record {
     let axis = |n: &str| Axis::new(n).unwrap();
     let mut columns = Vec::new();
     let mut add = |name: &str, role: Role, of: &dyn Fn(f64) -> f64| {
@@ -60,7 +60,7 @@ fn one_of_each() -> Vec<Effect> {
         effect(
             "thermal_lag.x",
             &[1.2, 0.05, 90.0],
-            Some(Difference { sensor: "T1".into(), against: Against::Reference(18.0) }),
+            Some(Difference { sensor: "T1".into(), against: DifferenceReference::Reference(18.0) }),
         ),
         effect("warm_up.x", &[15.0, 120.0], None),
         effect("coolant.x", &[-3.0], None),

@@ -2,14 +2,14 @@
 
 use super::super::*;
 use super::{one_of_each, record, value_on};
-use crate::live::{AxisNow, Frame, Layout, Live};
+use crate::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 
 /// A whole record gives the same digits as its rows one by one.
 #[test]
 fn a_record_in_one_go_is_its_instants_one_by_one() {
     for e in one_of_each() {
         let force = e.description().quantity == Quantity::Force;
-        let mut r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
+        let mut r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         // Two rows of one instant.
         r.columns[0].data[10] = r.columns[0].data[9];
         let (bound, k) = (e.bind(&r).unwrap(), e.coefficient_count());
@@ -30,7 +30,7 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
 fn a_record_in_pieces_is_the_record_in_one_go() {
     for e in one_of_each() {
         let force = e.description().quantity == Quantity::Force;
-        let r = record(Kind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
+        let r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let mut whole = vec![0.0; 60];
         e.bind(&r).unwrap().add(&e, 0, &mut whole);
         let (mut states, mut pieces) = (States::default(), Vec::new());
@@ -52,16 +52,16 @@ fn probe_effects_find_their_response() {
     let roles = |e: &Effect, kind, of: &[&str]| {
         e.acts_on(&record(kind, 3, of)).into_iter().map(|(r, _)| r.to_string()).collect::<Vec<_>>()
     };
-    assert_eq!(roles(lobing, Kind::Probing, &["error.x"]), ["error.x"]);
-    assert_eq!(roles(lobing, Kind::Probing, &["error.x", "error.r"]), ["error.r"]);
-    assert_eq!(roles(lobing, Kind::Probing, &["error.x", "error.y"]), Vec::<String>::new());
-    assert_eq!(roles(latency, Kind::Probing, &["error.x"]), ["error.x"]);
-    assert_eq!(roles(latency, Kind::Positioning, &["error.x"]), Vec::<String>::new());
+    assert_eq!(roles(lobing, RunKind::Probing, &["error.x"]), ["error.x"]);
+    assert_eq!(roles(lobing, RunKind::Probing, &["error.x", "error.r"]), ["error.r"]);
+    assert_eq!(roles(lobing, RunKind::Probing, &["error.x", "error.y"]), Vec::<String>::new());
+    assert_eq!(roles(latency, RunKind::Probing, &["error.x"]), ["error.x"]);
+    assert_eq!(roles(latency, RunKind::Positioning, &["error.x"]), Vec::<String>::new());
 }
 
 #[test]
 fn direction_may_come_from_velocity() {
-    let with = record(Kind::Positioning, 20, &["error.x"]);
+    let with = record(RunKind::Positioning, 20, &["error.x"]);
     let mut without = with.clone();
     without.columns.retain(|c| c.name != "dx");
     let e = &one_of_each()[5];
@@ -75,17 +75,17 @@ fn direction_may_come_from_velocity() {
 fn a_sensor_that_is_not_there_is_named() {
     let mut e = one_of_each()[12].clone();
     e.delta = Some(Difference::pair("T1", "T99"));
-    let missing = e.bind(&record(Kind::Drift, 3, &["error.x"])).unwrap_err();
+    let missing = e.bind(&record(RunKind::Drift, 3, &["error.x"])).unwrap_err();
     assert_eq!((missing.what.as_str(), missing.has.as_str()), ("temperature.T99", "T1, T2"));
 }
 
 #[test]
 fn live_is_the_batch_row_by_row() {
     let effects = one_of_each();
-    let r = record(Kind::Probing, 60, &["error.x", "error.y", "force.x"]);
+    let r = record(RunKind::Probing, 60, &["error.x", "error.y", "force.x"]);
     let axes: Vec<Axis> = ["x", "y", "z"].iter().map(|n| Axis::new(n).unwrap()).collect();
-    let layout = Layout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec!["z9".into()] };
-    let mut live = Live::new(&effects, layout).unwrap();
+    let layout = StateLayout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec!["z9".into()] };
+    let mut live = LiveModel::new(&effects, layout).unwrap();
     let sums: Vec<Vec<f64>> = ["error.x", "error.y", "force.x"]
         .iter()
         .map(|response| {
@@ -100,15 +100,15 @@ fn live_is_the_batch_row_by_row() {
     let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
     for row in 0..r.rows() {
         let want: Vec<f64> = sums.iter().map(|s| s[row]).collect();
-        let x = AxisNow {
+        let x = AxisMotionState {
             position_mm: col("x", row),
             velocity_mm_s: col("vx", row),
             acceleration_mm_s2: col("ax", row),
             direction: col("dx", row),
             load_n: col("Fx", row),
         };
-        let rest = |n: &str| AxisNow { position_mm: col(n, row), ..AxisNow::default() };
-        live.evaluate(&Frame {
+        let rest = |n: &str| AxisMotionState { position_mm: col(n, row), ..AxisMotionState::default() };
+        live.evaluate(&MachineState {
             t_s: col("t", row),
             axes: &[x, rest("y"), rest("z")],
             temperatures_degc: &[col("T1", row), col("T2", row)],
@@ -133,7 +133,7 @@ fn candidates_need_their_channels() {
         let r = record(kind, 3, responses);
         d.candidates(&[&r]).iter().map(Effect::identity).collect::<Vec<_>>()
     };
-    let one = names(Kind::Positioning, &["error.x"]);
+    let one = names(RunKind::Positioning, &["error.x"]);
     for want in ["scale.x", "squareness.x.y", "squareness.x.z", "following_error.x", "channel.x.z9"] {
         assert!(one.iter().any(|n| n == want), "{want} not in {one:?}");
     }
@@ -142,13 +142,13 @@ fn candidates_need_their_channels() {
     {
         assert_eq!(one.iter().filter(|n| n.starts_with(start)).count(), count, "{start}");
     }
-    let two = names(Kind::Plate, &["error.x", "error.y"]);
+    let two = names(RunKind::Plate, &["error.x", "error.y"]);
     assert_eq!(two.iter().filter(|n| n.starts_with("rotation")).count(), 1);
-    let probing = names(Kind::Probing, &["error.x"]);
+    let probing = names(RunKind::Probing, &["error.x"]);
     assert!(
         probing.iter().any(|n| n == "probe_latency.x") && !probing.iter().any(|n| n == "following_error.x")
     );
-    let force = names(Kind::Dynamics, &["force.x"]);
+    let force = names(RunKind::Dynamics, &["force.x"]);
     assert_eq!(
         force,
         ["inertia.x", "friction_viscous.x", "friction_coulomb.x", "friction_asymmetric.x", "force_offset.x"]

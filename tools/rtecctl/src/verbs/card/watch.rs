@@ -5,7 +5,7 @@
 use super::{refused, unreachable};
 use crate::document::say_pretty;
 use crate::terminal::redraw;
-use rtec_control::card::{self, Access, OnCard};
+use rtec_control::card::{self, CardAccess, CardOperation};
 use rtec_control::config::Config;
 use rtec_control::line_readings::{WiredLine, wires};
 use rtec_driver::card::{AxisLines, Card, Sample};
@@ -214,7 +214,7 @@ struct Watching<'a> {
     options: Options,
 }
 
-impl OnCard for Watching<'_> {
+impl CardOperation for Watching<'_> {
     type Output = anyhow::Result<()>;
 
     fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
@@ -245,7 +245,8 @@ impl OnCard for Watching<'_> {
 /// # Errors
 /// When the card cannot be opened, or has no lines outside the daemon.
 pub(super) fn watch(config: &Config, options: Options) -> anyhow::Result<()> {
-    card::with(&config.card, Access::Read, Watching { config, options }).map_err(|e| refused(config, e))?
+    card::with(&config.card, CardAccess::Read, Watching { config, options })
+        .map_err(|e| refused(config, e))?
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use crate::verbs::{one_of, suspicions};
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use rtec_files::Said;
+use rtec_files::InputMessage;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::import::request::{ImportFormat, ImportRequest};
 use rtec_measure::record;
@@ -78,8 +78,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         out: args.out.clone(),
     };
     let mut record = asked.read(&mut |said| match said {
-        Said::Note(text) => eprintln!("{text}"),
-        Said::Warning(text) => eprintln!("warning: {text}"),
+        InputMessage::Note(text) => eprintln!("{text}"),
+        InputMessage::Warning(text) => eprintln!("warning: {text}"),
     })?;
     record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     if let Some(note) = &record.note {

@@ -1,7 +1,7 @@
 //! `rtecctl characterise record`: records temperatures, positions and gauges.
 //! It shows its progress.
 
-use crate::daemon::{self, Daemon, status};
+use crate::daemon::{self, DaemonArgs, status};
 use crate::verbs::suspicions;
 use anyhow::Context;
 use nix::sys::signal::Signal;
@@ -11,10 +11,10 @@ use rtec_files::InputError;
 use rtec_files::keys::{Section, SourceFile};
 use rtec_files::text::open_regular;
 use rtec_files::toml::Document;
-use rtec_model::record::{Column, Kind, LINEAR, Record, Role, check};
-use rtec_sensors::bank::Bank;
-use rtec_sensors::feed::Feed;
-use rtec_sensors::{SensorConfig, Use};
+use rtec_model::record::{Column, LINEAR, Record, Role, RunKind, check};
+use rtec_sensors::bank::SensorBank;
+use rtec_sensors::sensor_line_feed::SensorLineFeed;
+use rtec_sensors::{SensorConfig, SensorUse};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -111,7 +111,7 @@ impl Recorder {
     }
 
     /// Checks before the run that the record can be written.
-    fn check(&self, out: &Path, kind: Kind, columns: &[Column], response: bool) -> Result<(), InputError> {
+    fn check(&self, out: &Path, kind: RunKind, columns: &[Column], response: bool) -> Result<(), InputError> {
         if response && !columns.iter().any(|c| c.role.is_response()) {
             return Err(usage("no response".into(), "--columns with an error.AXIS or force.AXIS"));
         }
@@ -139,7 +139,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let daemon = Daemon::at(args.recorder.socket.clone().flatten());
+    let daemon = DaemonArgs::at(args.recorder.socket.clone().flatten());
     let keeps = matches!(args.spool, Some(None));
     if keeps {
         // Asked before the run, not after it.
@@ -165,7 +165,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// A shift's log needs a response only on request.
 pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
     let kind = args.kind.as_deref().unwrap_or("drift");
-    let kind = Kind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
+    let kind = RunKind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
     let period = args.period.unwrap_or(1.0);
     let duration = args.duration.ok_or_else(|| usage("no --duration".into(), "how long to record, s"))?;
     if !(period >= 0.001 && duration >= period && duration.is_finite()) {
@@ -175,7 +175,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let ended = on_signal()?;
     let mut columns = vec![Column::new("t", Role::Time, Vec::new())];
     let sensors = read_sensors(args.sensors.as_deref())?;
-    let mut bank = Bank::new(sensors, &args.root, rtec_measure::record::read_log)?;
+    let mut bank = SensorBank::new(sensors, &args.root, rtec_measure::record::read_log)?;
     columns
         .extend(bank.sensors().iter().map(|w| Column::new(&w.config().name, Role::Temperature, Vec::new())));
     let (own, mut corrector) = (columns.len(), args.corrector(with_response)?);
@@ -185,7 +185,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let gauges = columns.len();
     columns.extend(args.gauges()?);
     args.check(out, kind, &columns, with_response)?;
-    let mut feed = args.feed.as_deref().map(Feed::new);
+    let mut feed = args.feed.as_deref().map(SensorLineFeed::new);
     let (part, mut file) = rows_apart(out, &columns)?;
     let (start, begun) = (Instant::now(), rtec_files::date::format(rtec_files::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
@@ -251,9 +251,9 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             rows => format!(", {rows} with a reading that is none"),
         };
         let text = format!("no complete row in {duration:.0} s ({what}{faulty})");
-        return Err(crate::Outcome::Unreachable(text).into());
+        return Err(crate::CommandFailure::Unreachable(text).into());
     }
-    if let Some(refused) = feed.as_ref().map(Feed::refused).filter(|n| *n > 0) {
+    if let Some(refused) = feed.as_ref().map(SensorLineFeed::refused).filter(|n| *n > 0) {
         eprintln!("warning: lines of the feed that were no readings: {refused}");
     }
     if left_out > 0 {
@@ -285,7 +285,7 @@ fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::f
 }
 
 /// Reports lines of the feed that cannot be read, a repeated one once.
-fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
+fn say_odd_lines(feed: &mut SensorLineFeed, now_s: f64, said: &mut String) {
     for odd in feed.odd_lines() {
         if odd != *said {
             eprintln!("warning: at {now_s:.3} s: {odd}");
@@ -295,7 +295,7 @@ fn say_odd_lines(feed: &mut Feed, now_s: f64, said: &mut String) {
 }
 
 /// Reports a lost connection, and its return.
-fn say_lost(feed: &Feed, now_s: f64, lost: &mut bool) {
+fn say_lost(feed: &SensorLineFeed, now_s: f64, lost: &mut bool) {
     match feed.lost() {
         Some(why) if !*lost => {
             eprintln!("warning: at {now_s:.3} s: the feed is lost: {why}; it is tried again");
@@ -307,8 +307,8 @@ fn say_lost(feed: &Feed, now_s: f64, lost: &mut bool) {
 }
 
 /// Columns and sensors without a value now, with the reason.
-fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> Vec<String> {
-    let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != Use::Good).map(|w| {
+fn silent(bank: &SensorBank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> Vec<String> {
+    let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != SensorUse::Good).map(|w| {
         let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
         format!("{} {why}", w.config().name)
     });
@@ -322,7 +322,13 @@ fn silent(bank: &Bank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> 
 const HELD_S: f64 = 180.0;
 
 /// Takes the feed's values since the last poll, and their times, s.
-fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>], came_s: &mut [f64]) {
+fn take(
+    feed: &mut SensorLineFeed,
+    now_s: f64,
+    columns: &[Column],
+    last: &mut [Option<f64>],
+    came_s: &mut [f64],
+) {
     feed.poll(now_s);
     for ((value, came), c) in last.iter_mut().zip(came_s).zip(columns) {
         if let Ok(new) = feed.value(&c.name) {
@@ -334,7 +340,7 @@ fn take(feed: &mut Feed, now_s: f64, columns: &[Column], last: &mut [Option<f64>
 }
 
 /// What is wrong with a feed that gave no row.
-fn trouble(feed: &Feed, gauges: &[Column]) -> String {
+fn trouble(feed: &SensorLineFeed, gauges: &[Column]) -> String {
     gauges.iter().find_map(|c| feed.value(&c.name).err()).unwrap_or_default()
 }
 
@@ -372,7 +378,7 @@ struct DaemonTotals {
 
 impl DaemonTotals {
     fn connect(socket: Option<PathBuf>) -> anyhow::Result<Self> {
-        let mut client = Daemon::at(socket).view()?;
+        let mut client = DaemonArgs::at(socket).view()?;
         let status = status(&mut client)?;
         let count_um = vec![None; status.axes.len()];
         Ok(Self { client, status, count_um })

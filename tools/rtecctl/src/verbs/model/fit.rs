@@ -6,7 +6,7 @@ use crate::rounding::with_bounds;
 use crate::verbs::{read_records, suspicions};
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_fit::thermal::{self, Fitted, Report};
+use rtec_fit::thermal::{self, FittedEffect, ThermalFitReport};
 use rtec_fit::workflow::{self, Fit, FitRequest};
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine};
@@ -103,7 +103,7 @@ impl Common {
         let (train, holdout) = (read_records(&self.records)?, read_records(holdout)?);
         let done = workflow::fit(train, holdout, asked, &mut suspicions::say)?;
         if let Some(path) = &self.plot {
-            draw(path, &done.reports.iter().map(Report::chart).collect::<Vec<_>>())?;
+            draw(path, &done.reports.iter().map(ThermalFitReport::chart).collect::<Vec<_>>())?;
         }
         Ok(done)
     }
@@ -215,7 +215,7 @@ fn named(args: &FitArgs, asked: &FitRequest) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn print_effects(effects: &[Fitted]) {
+fn print_effects(effects: &[FittedEffect]) {
     for e in effects {
         let of = [&e.sensor, &e.minus].into_iter().flatten().cloned().collect::<Vec<_>>().join("-");
         for (name, p) in &e.parameters {
@@ -251,7 +251,7 @@ pub(crate) fn draw_beside<'c>(
     Ok(())
 }
 
-fn print_sensor_selection(r: &Report) {
+fn print_sensor_selection(r: &ThermalFitReport) {
     println!("{}", r.response);
     if let Some(e) = &r.environment {
         println!("environment: {e} ({})", r.environment_by);

@@ -1,9 +1,9 @@
 //! `rtecctl model load` and `unload`: choose the model that the daemon runs.
 
-use crate::Outcome;
-use crate::daemon::{Daemon, absolute, check, unexpected, unreachable};
+use crate::CommandFailure;
+use crate::daemon::{DaemonArgs, absolute, check, unexpected, unreachable};
 use crate::document::say_line;
-use rtec_control::protocol::{Change, ClientRequest, ModelPreview, Response};
+use rtec_control::protocol::{AxisTotalChange, ClientRequest, ModelPreview, Response};
 use rtec_files::InputError;
 use rtec_files::text::open_regular;
 use rtec_model::machine::Machine;
@@ -27,7 +27,7 @@ pub(crate) struct LoadArgs {
     #[arg(long)]
     expired: bool,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
@@ -53,7 +53,7 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     }
     let refused = !preview.expired.is_empty() && !args.expired;
     if !refused && !args.yes && !agreed()? {
-        return Err(Outcome::No("nothing is loaded; the daemon goes on as before".to_owned()).into());
+        return Err(CommandFailure::No("nothing is loaded; the daemon goes on as before".to_owned()).into());
     }
     request(Some(preview.sha256))?;
     if !args.daemon.json {
@@ -76,11 +76,11 @@ fn of_model(file: &Path) -> Result<ModelFiles, InputError> {
     Ok(ModelFiles { warnings: machine.changed_sources(), files })
 }
 
-pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
+pub(crate) fn unload(daemon: &DaemonArgs) -> anyhow::Result<()> {
     daemon.order(&ClientRequest::ModelUnload {}, "model unloaded; corrections go back in a ramp")
 }
 
-pub(crate) fn again(daemon: &Daemon) -> anyhow::Result<()> {
+pub(crate) fn again(daemon: &DaemonArgs) -> anyhow::Result<()> {
     daemon.order(&ClientRequest::ModelAgain {}, "model taken up again; corrections go to it in a ramp")
 }
 
@@ -105,7 +105,7 @@ fn table(p: &ModelPreview) -> String {
         let _ = writeln!(text, "warning: {warning}");
     }
     text += "axis     now/counts       now/µm then/counts      then/µm    change/µm\n";
-    for Change { axis, now_counts, now_um, then_counts, then_um, holds } in &p.axes {
+    for AxisTotalChange { axis, now_counts, now_um, then_counts, then_um, holds } in &p.axes {
         let change_um = then_um - now_um;
         let _ = writeln!(
             text,

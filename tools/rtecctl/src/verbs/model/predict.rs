@@ -3,7 +3,7 @@
 use crate::verbs::suspicions;
 use anyhow::Context;
 use rtec_files::write::AtomicFile;
-use rtec_measure::prediction::{self, Failed};
+use rtec_measure::prediction::{self, PredictionError};
 use rtec_model::machine::Machine;
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let writing = || format!("writing {}", args.out.display());
     let mut out = AtomicFile::create(&args.out).with_context(writing)?;
     match prediction::write(&machine, &args.record, args.interval, &mut out, &mut suspicions::say) {
-        Err(Failed::Input(found)) => return Err(found.into()),
+        Err(PredictionError::Input(found)) => return Err(found.into()),
         written => written.with_context(writing)?,
     }
     out.finish().with_context(writing)

@@ -2,7 +2,7 @@
 //! They use data that it has not seen, or a recorded shift.
 
 use super::fit::{draw, draw_beside};
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_pretty;
 use crate::verbs::{read_records, suspicions};
 use rtec_control::config::{Config, ConfiguredAxis};
@@ -73,7 +73,8 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     if found.no_better.is_empty() {
         return Ok(());
     }
-    Err(Outcome::No(format!("no better than without the model: {}", found.no_better.join(", "))).into())
+    Err(CommandFailure::No(format!("no better than without the model: {}", found.no_better.join(", ")))
+        .into())
 }
 
 /// Prints one response on a line.

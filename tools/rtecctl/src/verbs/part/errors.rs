@@ -4,9 +4,9 @@ use super::{print, write_all};
 use crate::document::say_pretty;
 use crate::verbs::one_of;
 use crate::verbs::suspicions;
-use rtec_part::determine::{self, ErrorRequest, Feature};
+use rtec_part::error_determination::{self, ErrorRequest, ProbedFeature};
 use rtec_part::errors::ErrorReport;
-use rtec_part::fit;
+use rtec_part::geometric_fit;
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -27,8 +27,8 @@ pub(crate) struct Args {
     #[arg(long)]
     tip_mm: Option<f64>,
     /// What was probed [default: recognised from the points]
-    #[arg(long, value_parser = one_of(&Feature::ALL, &[]))]
-    feature: Option<Feature>,
+    #[arg(long, value_parser = one_of(&ProbedFeature::ALL, &[]))]
+    feature: Option<ProbedFeature>,
     /// Nominal inclination of a taper to the part's axis, in degrees: the difference is shown, error.cor does not take it out
     #[arg(long, allow_negative_numbers = true)]
     taper_deg: Option<f64>,
@@ -77,7 +77,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         trip_window_mm: args.trip_window_mm,
         with_size: args.with_size,
     };
-    let report = determine::determine(&asked, &mut suspicions::said)?;
+    let report = error_determination::determine(&asked, &mut suspicions::said)?;
     if args.with_size && !report.is_size_known() {
         let size = report.size_error_um.unwrap_or(0.0);
         let within = report.size_within_um().unwrap_or(f64::INFINITY);
@@ -147,7 +147,8 @@ fn text(r: &ErrorReport, with_size: bool) -> String {
         }
     }
     let angles: Vec<f64> = r.errors.iter().map(|e| e.angle_rad).collect();
-    let held = fit::form_in_size(&angles).filter(|held| *held > MUCH_FORM && r.size_error_um.is_some());
+    let held =
+        geometric_fit::form_in_size(&angles).filter(|held| *held > MUCH_FORM && r.size_error_um.is_some());
     if let Some(held) = held {
         let _ = writeln!(
             t,

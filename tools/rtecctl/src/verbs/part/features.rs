@@ -4,7 +4,7 @@ use super::{print, write_all};
 use crate::document::say_pretty;
 use crate::verbs::one_of;
 use rtec_part::contour::{Contour, FeatureKind};
-use rtec_part::drawing::{self, Options};
+use rtec_part::drawing::{self, DxfOptions};
 use rtec_part::svg::Svg;
 use rtec_part::unit::Unit;
 use serde_json::json;
@@ -43,7 +43,7 @@ impl DrawingArgs {
 impl DrawingOptions {
     pub(crate) fn read(&self, drawing: &Path) -> anyhow::Result<(Contour, Unit)> {
         let unit = self.units;
-        let options = Options { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
+        let options = DxfOptions { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
         let read = drawing::read(drawing, &options)?;
         if let (Some(asked), Some(header)) = (unit, drawing::header_unit(drawing)?)
             && asked != header

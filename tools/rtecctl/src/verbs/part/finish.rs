@@ -1,13 +1,13 @@
 //! `rtecctl part finish`: a simulated cut around the nose.
 //! It runs with or without the corrector's table.
 
-use super::bench::BenchArgs;
 use super::points::positive;
+use super::simulated_machine::SimMachineArgs;
 use super::{failed, print, within, write_all};
 use crate::document::say_pretty;
 use rtec_model::machine::Machine;
-use rtec_part::cor::read_arc;
-use rtec_part::fit::Zx;
+use rtec_part::error_cor_file::read_arc;
+use rtec_part::geometric_fit::Zx;
 use rtec_part::table::FinishTable;
 use rtec_sim::lathe::{axes, design};
 use rtec_sim::workpiece::Workpiece;
@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 127.0, allow_negative_numbers = true)]
     centre_z_mm: f64,
     #[command(flatten)]
-    bench: BenchArgs,
+    bench: SimMachineArgs,
     /// Folder for workpiece.csv
     #[arg(long)]
     out: PathBuf,

@@ -2,11 +2,11 @@
 
 use super::points::positive;
 use super::{print, usage, within, write_all};
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_pretty;
 use rtec_model::record::span;
 use rtec_part::comparison_page::{logged, side_by_side};
-use rtec_part::errors::{ErrorReport, Nominal, Probed};
+use rtec_part::errors::{ErrorReport, NominalShape, ProbedPoints};
 use std::path::{Path, PathBuf};
 
 /// Compare the part before and after the finish cut
@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<ErrorReport> {
         let radius_mm = positive(name, radius_mm)?;
-        Ok(Probed::read(file)?.errors(Nominal::Circle { radius_mm }, tip_mm)?)
+        Ok(ProbedPoints::read(file)?.errors(NominalShape::Circle { radius_mm }, tip_mm)?)
     };
     let before = read(&args.before, "--before-radius-mm", args.before_radius_mm)?;
     let after = read(&args.after, "--radius-mm", args.radius_mm)?;
@@ -130,5 +130,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         print(&(decisions.join("\n") + "\n"))?;
     }
     let Some((limit_um, false)) = limit else { return Ok(()) };
-    Err(Outcome::No(format!("{judged_um:.2} µm from nominal, more than {limit_um} µm")).into())
+    Err(CommandFailure::No(format!("{judged_um:.2} µm from nominal, more than {limit_um} µm")).into())
 }

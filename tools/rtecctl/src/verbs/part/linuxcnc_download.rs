@@ -3,7 +3,7 @@
 //! is in LinuxCNC's own program folder.
 
 use super::usage;
-use crate::Outcome;
+use crate::CommandFailure;
 use anyhow::Context as _;
 use std::io::{BufRead, BufReader, Write as _};
 use std::net::{TcpStream, ToSocketAddrs as _};
@@ -53,7 +53,7 @@ impl DownloadArgs {
         let Some(address) = &self.download else { return Ok(()) };
         let there = self.folder_there.as_ref().unwrap_or(folder).join(name);
         let (connect, enable) = self.passwords.split_once(',').unwrap_or((&self.passwords, "EMCTOO"));
-        let unreachable = |e| Outcome::Unreachable(format!("LinuxCNC at {address}: {e}"));
+        let unreachable = |e| CommandFailure::Unreachable(format!("LinuxCNC at {address}: {e}"));
         let mut client = Client::connect(address).map_err(unreachable)?;
         let mut ask = |command: &str, answer: &str| client.ask(command, answer).map_err(unreachable);
         let path = there.display().to_string();
@@ -67,12 +67,17 @@ impl DownloadArgs {
         ] {
             let said = ask(&command, answer)?;
             if said.contains("NAK") {
-                return Err(Outcome::No(format!("LinuxCNC at {address} refuses `{command}`: {said}")).into());
+                return Err(
+                    CommandFailure::No(format!("LinuxCNC at {address} refuses `{command}`: {said}")).into()
+                );
             }
         }
         let open = ask("get program", "PROGRAM")?;
         if !open.to_lowercase().ends_with(&path.to_lowercase()) {
-            return Err(Outcome::No(format!("LinuxCNC at {address} has another program open: {open}")).into());
+            return Err(CommandFailure::No(format!(
+                "LinuxCNC at {address} has another program open: {open}"
+            ))
+            .into());
         }
         // LinuxCNC closes the connection; the result does not matter.
         let _ = ask("quit", "");

@@ -3,10 +3,10 @@
 
 use super::table::CutArgs;
 use super::within;
-use crate::daemon::{Daemon, absolute};
+use crate::daemon::{DaemonArgs, absolute};
 use rtec_control::protocol::{ClientRequest, PartTable};
 use rtec_files::text::open_regular;
-use rtec_part::cor::FeatureErrors;
+use rtec_part::error_cor_file::FeatureErrors;
 use std::path::PathBuf;
 
 /// Have the daemon take out a part's errors in the finish cut
@@ -30,7 +30,7 @@ pub(crate) struct LoadArgs {
     #[arg(long, default_value = "x")]
     x_axis: String,
     #[command(flatten)]
-    daemon: Daemon,
+    daemon: DaemonArgs,
 }
 
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
@@ -66,6 +66,6 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-pub(crate) fn unload(daemon: &Daemon) -> anyhow::Result<()> {
+pub(crate) fn unload(daemon: &DaemonArgs) -> anyhow::Result<()> {
     daemon.order(&ClientRequest::TableUnload {}, "part table unloaded; corrections go back in a ramp")
 }

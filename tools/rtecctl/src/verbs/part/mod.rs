@@ -1,22 +1,22 @@
 //! `rtecctl part`: from a drawing to a probed, compensated part (NISTIR 4854).
 //! One file per step.
 
-mod bench;
 mod errors;
 mod features;
 mod finish;
 mod inspect;
 mod linuxcnc_download;
 mod load;
+mod plan_page;
 mod points;
 mod post_process;
 mod probe;
 mod program;
 mod run;
+mod simulated_machine;
 mod table;
-mod web;
 
-use crate::Outcome;
+use crate::CommandFailure;
 use rtec_sim::turning::TurningError;
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -38,7 +38,7 @@ super::verbs_below! {
     Table Box<table::Args> => table::run;
     Load Box<load::LoadArgs> => load::load;
     /// Take the part table out: corrections go back in a ramp
-    Unload crate::daemon::Daemon => load::unload;
+    Unload crate::daemon::DaemonArgs => load::unload;
     Finish Box<finish::Args> => finish::run;
     Inspect Box<inspect::Args> => inspect::run;
     PostProcess Box<post_process::Args> => post_process::run;
@@ -90,8 +90,8 @@ fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) 
 fn failed(error: TurningError) -> anyhow::Error {
     match error {
         TurningError::Points(input) => input.into(),
-        TurningError::Fault(_) => Outcome::Fault(error.to_string()).into(),
-        TurningError::Trip(_) => Outcome::No(error.to_string()).into(),
+        TurningError::Fault(_) => CommandFailure::Fault(error.to_string()).into(),
+        TurningError::Trip(_) => CommandFailure::No(error.to_string()).into(),
         other => other.into(),
     }
 }

@@ -1,12 +1,12 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
 use super::features::DrawingArgs;
-use super::web::{Page, PlanEditor};
+use super::plan_page::{PlanEditor, PlanPage};
 use super::{print, usage, within, write_all};
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_pretty;
-use rtec_part::fit::Zx;
-use rtec_part::path::{Collision, Plan, ProbeGeometry, ProbingMotion, Stem, number_at};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::path::{Collision, ProbeGeometry, ProbingMotion, ProbingPlan, Stem, number_at};
 use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -189,7 +189,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         over_travel_mm: positive("--over-travel-mm", args.over_travel_mm.unwrap_or(motion.over_travel_mm()))?,
         stem,
     };
-    let mut plan = Plan::new(probe);
+    let mut plan = ProbingPlan::new(probe);
     let twice = |(k, c): &(usize, &Choice)| args.features[..*k].iter().any(|o| o.feature == c.feature);
     if let Some((_, choice)) = args.features.iter().enumerate().find(twice) {
         return Err(usage("--feature", format!("{} twice", choice.feature), "each feature once"));
@@ -222,7 +222,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         plan.add_bypasses(&contour, clear_mm);
     }
     if args.web {
-        let page = Page::listen(args.port)?;
+        let page = PlanPage::listen(args.port)?;
         eprintln!("open {} and say Done there when you are", page.url());
         let clear_mm = args.bypass.unwrap_or(2.0);
         let session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
@@ -243,11 +243,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if hits.is_empty() {
         return Ok(());
     }
-    Err(Outcome::No(format!("{} collisions: add --bypass, a margin or a shorter stand-off", hits.len()))
-        .into())
+    Err(CommandFailure::No(format!(
+        "{} collisions: add --bypass, a margin or a shorter stand-off",
+        hits.len()
+    ))
+    .into())
 }
 
-fn text(plan: &Plan, hits: &[Collision]) -> String {
+fn text(plan: &ProbingPlan, hits: &[Collision]) -> String {
     let (points, ProbeGeometry { stand_off_mm, over_travel_mm, .. }) = (plan.points.len(), &plan.probe);
     let mut t =
         format!("{points} points, stand-off {stand_off_mm:.3} mm, over-travel {over_travel_mm:.3} mm\n");

@@ -4,8 +4,8 @@
 use super::{print, usage, within, write_all};
 use crate::document::say_pretty;
 use rtec_files::text::short;
-use rtec_part::batch::{BatchFinding, Judgement, PlaceStatistics, WildReading, evaluate_columns};
-use rtec_part::cor::{error_cor, read_arc};
+use rtec_part::batch::{BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns};
+use rtec_part::error_cor_file::{error_cor, read_arc};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     within("--least-um", args.least_um, 0.0..=f64::MAX, "0 or more, in µm")?;
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
-    let judgement = Judgement { alpha: args.alpha, least_um: args.least_um };
+    let judgement = SignificanceLimits { alpha: args.alpha, least_um: args.least_um };
     let batch = evaluate_columns(&args.batch, &args.columns, seen.as_deref(), judgement)?;
     if let Some(written) = &batch.written {
         eprintln!("note: {written}");

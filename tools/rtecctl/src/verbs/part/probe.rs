@@ -1,20 +1,20 @@
 //! `rtecctl part probe`: a probing session, simulated or by the daemon.
 //! The engine captures the positions.
 
-use super::bench::BenchArgs;
 use super::points::positive;
+use super::simulated_machine::SimMachineArgs;
 use super::{failed, print, usage, write_all};
-use crate::Outcome;
-use crate::daemon::{self, Daemon, unreachable};
+use crate::CommandFailure;
+use crate::daemon::{self, DaemonArgs, unreachable};
 use crate::document::say_pretty;
 use crate::verbs::one_of;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
 use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
-use rtec_part::fit::Zx;
+use rtec_part::geometric_fit::Zx;
 use rtec_part::path::{approaches, read_expected, read_pathfin};
-use rtec_part::probe::{Captured, Trip, TripFault, assign, probed_csv, run_record};
+use rtec_part::probe::{CapturedTrips, Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::unit::Unit;
 use rtec_sim::workpiece::Workpiece;
 use std::fmt::Write as _;
@@ -46,7 +46,7 @@ pub(crate) struct Args {
     #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
     path_units: Unit,
     #[command(flatten)]
-    bench: BenchArgs,
+    bench: SimMachineArgs,
     /// Folder for probed.csv and the run record probing.run.toml
     #[arg(long)]
     out: PathBuf,
@@ -137,7 +137,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
         return Err(usage("--origin-mm", "nothing", "the machine's position at the part's origin, Z,X"));
     };
     let origin = Zx::new(z_mm, x_mm);
-    let daemon = Daemon::at(args.socket.clone());
+    let daemon = DaemonArgs::at(args.socket.clone());
     let ask = |request: &ClientRequest| daemon::ask(&mut daemon.connect()?, request);
     let status = daemon::status(&mut daemon.connect()?)?;
     for (option, name) in [("--z-axis", &args.z_axis), ("--x-axis", &args.x_axis)] {
@@ -147,7 +147,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
         }
     }
     if let Some(why) = status.not_homed() {
-        return Err(Outcome::No(why).into());
+        return Err(CommandFailure::No(why).into());
     }
     // The watch starts first, so that no trip can come in between.
     let mut events = daemon.connect()?;
@@ -190,11 +190,11 @@ fn follow(
     window_mm: f64,
     patience: Duration,
 ) -> anyhow::Result<(Vec<Trip>, Temperatures)> {
-    let mut captured = Captured::default();
+    let mut captured = CapturedTrips::default();
     let mut degc = Vec::new();
     // The two axes of a trip arrive when each meets its next edge; they share the trip's time.
     let mut half: Option<(usize, protocol::ProbeTripReport)> = None;
-    let no = |fault: TripFault| anyhow::Error::from(Outcome::No(fault.to_string()));
+    let no = |fault: TripFault| anyhow::Error::from(CommandFailure::No(fault.to_string()));
     // The session's own clock begins at its first trip.
     let mut zero_ns = None;
     loop {
@@ -211,9 +211,9 @@ fn follow(
             Err(error) => return Err(unreachable(error)),
         };
         let trip = match (happened.kind.as_str(), happened.trip) {
-            ("fault", _) => return Err(Outcome::Fault(happened.text).into()),
+            ("fault", _) => return Err(CommandFailure::Fault(happened.text).into()),
             ("mode", _) if ["disabled", "run", "shadow"].iter().any(|m| happened.text.ends_with(m)) => {
-                return Err(Outcome::No("probing was switched off by somebody else".to_owned()).into());
+                return Err(CommandFailure::No("probing was switched off by somebody else".to_owned()).into());
             }
             ("bounce", _) => {
                 captured.bounces.push(captured.trips.len() + 1);

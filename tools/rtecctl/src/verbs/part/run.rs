@@ -1,10 +1,10 @@
 //! `rtecctl part run`: the whole process-intermittent loop, simulated.
 
-use super::bench::BenchArgs;
 use super::features::{DrawingOptions, write_drawn};
 use super::points::positive;
+use super::simulated_machine::SimMachineArgs;
 use super::{failed, print, usage, write_all};
-use crate::Outcome;
+use crate::CommandFailure;
 use crate::document::say_pretty;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
@@ -21,7 +21,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     how: DrawingOptions,
     #[command(flatten)]
-    bench: BenchArgs,
+    bench: SimMachineArgs,
     /// What is known of the machine: corrected live while cutting, off line in what was probed
     #[arg(long, value_name = "MACHINE.TOML")]
     model: Option<PathBuf>,
@@ -85,12 +85,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let printed = if args.json { say_pretty(&outcome) } else { print(&text(&outcome)) };
     printed?;
     if !outcome.balanced() {
-        return Err(Outcome::No("the ledger does not balance".into()).into());
+        return Err(CommandFailure::No("the ledger does not balance".into()).into());
     }
     let limit_um = args.limit_um.unwrap_or(outcome.increment_um);
     if outcome.finish.largest_um > limit_um {
         let what = format!("{:.2} µm left, more than {limit_um:.2} µm", outcome.finish.largest_um);
-        return Err(Outcome::No(what).into());
+        return Err(CommandFailure::No(what).into());
     }
     Ok(())
 }

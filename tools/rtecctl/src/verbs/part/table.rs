@@ -3,10 +3,10 @@
 use super::points::positive;
 use super::{print, usage, within, write_all};
 use crate::document::say_pretty;
-use rtec_part::cor::FeatureErrors;
-use rtec_part::fit::Zx;
-use rtec_part::line_table::LineTable;
-use rtec_part::table::{AxisCounts, FinishCut, FinishTable, csv};
+use rtec_part::error_cor_file::FeatureErrors;
+use rtec_part::geometric_fit::Zx;
+use rtec_part::straight_table::StraightTable;
+use rtec_part::table::{AxisCounts, FinishArc, FinishTable, csv};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -71,7 +71,7 @@ pub(crate) struct CutArgs {
 }
 
 impl CutArgs {
-    pub(crate) fn cut(&self) -> anyhow::Result<FinishCut> {
+    pub(crate) fn cut(&self) -> anyhow::Result<FinishArc> {
         let given = |name: &str, value: Option<f64>| {
             let expected = "a number in mm: the errors are those of an arc, by angle";
             value.ok_or_else(|| usage(name, "nothing", expected))
@@ -86,7 +86,7 @@ impl CutArgs {
             return Err(usage("--nose-mm", nose_mm.to_string(), expected));
         }
         let nose_mm = if self.hollow { -nose_mm } else { nose_mm };
-        Ok(FinishCut { centre, radius_mm, nose_mm, origin })
+        Ok(FinishArc { centre, radius_mm, nose_mm, origin })
     }
 
     /// Refuses options of an arc together with the errors of a straight feature.
@@ -160,7 +160,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
         FeatureErrors::Line(errors) => {
             args.cut.is_of_no_arc()?;
-            let table = LineTable { errors, axes, nose_mm, origin };
+            let table = StraightTable { errors, axes, nose_mm, origin };
             let rows = table.rows(usize::from(args.between));
             let text = table.csv(&rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|_| table.straight_moves()))

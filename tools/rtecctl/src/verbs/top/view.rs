@@ -5,8 +5,8 @@ use ratatui_core::style::{Color, Modifier, Style};
 use ratatui_core::terminal::Frame;
 use ratatui_core::text::{Line, Span, Text};
 use rtec_control::protocol::{
-    AxisReport, Contribution, DaemonSnapshot, DaemonStatus, Distribution, Explained, NumberedEvent, Reading,
-    word,
+    AxisExplanation, AxisReport, Contribution, DaemonSnapshot, DaemonStatus, NumberedEvent, SensorReading,
+    TimeDistribution, word,
 };
 use rtec_model::record::span;
 use std::collections::VecDeque;
@@ -27,7 +27,7 @@ pub(super) struct View {
     colour: bool,
     every: Duration,
     status: Option<DaemonStatus>,
-    explained: Vec<Explained>,
+    explained: Vec<AxisExplanation>,
     events: Vec<NumberedEvent>,
     /// Total of each axis, µm, oldest first.
     trend: Vec<VecDeque<f64>>,
@@ -219,8 +219,8 @@ impl View {
         lines
     }
 
-    fn sensors(&self, sensors: &[Reading]) -> Vec<Line<'static>> {
-        let line = |r: &Reading| {
+    fn sensors(&self, sensors: &[SensorReading]) -> Vec<Line<'static>> {
+        let line = |r: &SensorReading| {
             let value = r.degc.map_or("-".to_owned(), |v| format!("{v:.2}"));
             let age = r.age_s.map_or("never".to_owned(), |a| format!("{a:.0} s"));
             let style = if r.state == "good" { Style::new() } else { self.doubtful() };
@@ -304,7 +304,7 @@ fn thread_line(s: &DaemonStatus) -> Line<'static> {
     Line::raw(format!(" {card}  poll gap {gap}  edge to done {done}{unarmed}"))
 }
 
-fn times(d: &Distribution) -> String {
+fn times(d: &TimeDistribution) -> String {
     if d.samples == 0 {
         return "-".to_owned();
     }

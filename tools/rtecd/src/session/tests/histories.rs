@@ -35,9 +35,9 @@ use rtec_control::role::Role as Caller;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
-use rtec_rt::event::{Fault, Faults};
 use rtec_rt::journal::{Journal, MachineRecord};
 use rtec_rt::link::link;
+use rtec_rt::link_messages::{Fault, Faults};
 use rtec_rt::thread::SteppedLoop;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -258,7 +258,7 @@ impl Life {
         let stale_ns =
             if self.planted == Some(Planted::NeverStale) { u64::MAX } else { STALE_MS * 1_000_000 };
         *self.world.turns.borrow_mut() = Some(SteppedLoop::new(engine, card, rt, stale_ns));
-        let time: Rc<dyn Time> = Rc::clone(&self.world) as Rc<dyn Time>;
+        let time: Rc<dyn ControlClock> = Rc::clone(&self.world) as Rc<dyn ControlClock>;
         let sensor = |n: &str| {
             SensorMonitor::new(SensorConfig {
                 timeout_s: 0.1,

@@ -18,7 +18,7 @@ impl Wires for Patient {
 /// A daemon on a machine with every line wired, whose inputs the test sets.
 struct Hand {
     session: Session,
-    running: rtec_rt::thread::Running<MockCard<Patient, Monotonic>>,
+    running: rtec_rt::thread::RunningThread<MockCard<Patient, Monotonic>>,
     inputs: std::sync::Arc<std::sync::atomic::AtomicU64>,
     _directory: tempfile::TempDir,
 }

@@ -10,7 +10,7 @@ pub(super) struct World {
     pub(super) judge: RefCell<Judge>,
 }
 
-impl Time for World {
+impl ControlClock for World {
     fn now(&self) -> Instant {
         self.base + Duration::from_nanos(self.machine.borrow().t_ns)
     }

@@ -164,8 +164,8 @@ impl Life {
         for _ in 0..20 {
             self.tell(&format!("{request:?}"));
             match session.answer(request, RequestContext::default(), control) {
-                Answer::Again(_) => self.world.run(2_000_000),
-                Answer::Now(response) => {
+                RequestAnswer::Again(_) => self.world.run(2_000_000),
+                RequestAnswer::Now(response) => {
                     let no = matches!(
                         response,
                         Response::Refused { .. } | Response::Fault { .. } | Response::Bad { .. }
@@ -174,7 +174,7 @@ impl Life {
                     tally.kept_totals += u64::from(!no && kept && in_effect);
                     return;
                 }
-                Answer::Later(_) => unreachable!("nothing is loaded by request here"),
+                RequestAnswer::Later(_) => unreachable!("nothing is loaded by request here"),
             }
         }
     }

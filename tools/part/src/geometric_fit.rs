@@ -361,7 +361,7 @@ pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
 
 /// A fit through all points, and a second one without some of them.
 #[derive(Debug, Clone)]
-pub struct TwoStep {
+pub struct TwoStepFit {
     /// Least squares through all points.
     pub plain: FittedShape,
     /// Least squares through the points that were kept.
@@ -376,7 +376,7 @@ pub struct TwoStep {
     pub errors_um: Vec<f64>,
 }
 
-impl TwoStep {
+impl TwoStepFit {
     /// The second fit leaves out the points of these indices, ascending.
     ///
     /// # Errors
@@ -412,7 +412,7 @@ impl TwoStep {
 ///
 /// # Errors
 /// As [`least_squares`].
-pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
+pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStepFit, FitError> {
     let needed = shape.parameters() + 1;
     if points.len() < needed {
         return Err(FitError::TooFew { found: points.len(), needed });
@@ -435,7 +435,7 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStep, FitError> {
         rejected.truncate(points.len() - needed);
         rejected.sort_unstable();
     }
-    TwoStep::without(shape, points, rejected)
+    TwoStepFit::without(shape, points, rejected)
 }
 
 /// Probability per feature that a good point is left out.
@@ -551,7 +551,7 @@ fn ends(fitted: &FittedShape, points: &[Zx]) -> [usize; 2] {
 /// A robust fit (MM-estimate).
 /// Points that do not belong to the shape have no weight.
 #[derive(Debug, Clone)]
-pub struct Robust {
+pub struct RobustFit {
     /// The shape on which most of the points agree.
     pub fitted: FittedShape,
     /// Robust scale of the deviations that belong to the shape, in µm.
@@ -577,7 +577,7 @@ const CANDIDATE_POINTS: usize = 24;
 ///
 /// # Errors
 /// As [`least_squares`].
-pub fn robust(shape: FitShape, points: &[Zx]) -> Result<Robust, FitError> {
+pub fn robust(shape: FitShape, points: &[Zx]) -> Result<RobustFit, FitError> {
     let (n, p) = (points.len(), shape.parameters());
     if n < p + 1 {
         return Err(FitError::TooFew { found: n, needed: p + 1 });
@@ -630,5 +630,5 @@ pub fn robust(shape: FitShape, points: &[Zx]) -> Result<Robust, FitError> {
         }
     }
     let errors_um = deviations_um(&fitted, points);
-    Ok(Robust { fitted, scale_um, weights, errors_um })
+    Ok(RobustFit { fitted, scale_um, weights, errors_um })
 }

@@ -2,23 +2,24 @@
 //! Each is a family of hypotheses over its non-linear parameters. Effects that the rows cannot show are left
 //! out.
 
-use crate::bank::Bank;
 use crate::cause::{Cause, Shape, sizes};
+use crate::hypothesis_columns::HypothesisColumns;
 use crate::priors::{IMPLAUSIBLE, JUMP_UM_PROBABILITY, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, Segment, is_placed};
 use crate::setup;
 use crate::shapes::shapes;
 use crate::smooth::{Kernel, directions, knots, shares};
-use crate::wave::Along;
+use crate::wave::WaveVariable;
 use rtec_model::effect::{
-    Dictionary, Difference, Effect, GridHypothesis, Heat, Need, ParameterSearch, Quantity, Refine,
+    Dictionary, Difference, Effect, GridHypothesis, ParameterSearch, Quantity, Refine, RequiredInput,
+    ThermalDependence,
 };
 use rtec_model::record::{Axis, Record, Role};
 use std::sync::Arc;
 
 /// One name, or one shape.
 #[derive(Debug)]
-pub struct Family {
+pub struct HypothesisFamily {
     /// An effect without its sensor and values; `None` for a shape.
     pub effect: Option<Effect>,
     /// Index of the model's effect that it replaces.
@@ -56,13 +57,13 @@ pub enum Scan {
     /// A wave of any period.
     Wave {
         /// The variable it runs along.
-        along: Along,
+        along: WaveVariable,
         /// Unit of the period in that of the variable.
         unit: f64,
     },
 }
 
-impl Family {
+impl HypothesisFamily {
     fn unnamed(shape: Shape, scan: Scan) -> Self {
         Self { effect: None, replaces: None, shape: Some(shape), set_up: false, prior: 0.0, scan }
     }
@@ -93,18 +94,18 @@ impl Family {
 
 /// All families, and the columns of those on a fixed grid.
 #[derive(Debug)]
-pub struct Families {
+pub struct HypothesisFamilies {
     /// The families.
-    pub list: Vec<Family>,
+    pub list: Vec<HypothesisFamily>,
     /// Their columns.
-    pub bank: Bank,
+    pub bank: HypothesisColumns,
 }
 
-impl Families {
+impl HypothesisFamilies {
     /// All families that these rows could show in addition to a model.
     #[must_use]
     pub fn new(rows: &Rows<'_>, dictionary: &Dictionary, model: &[Effect]) -> Self {
-        let mut all = Self { list: Vec::new(), bank: Bank::new(rows.n) };
+        let mut all = Self { list: Vec::new(), bank: HypothesisColumns::new(rows.n) };
         let mut candidates: Vec<Effect> = Vec::new();
         for record in rows.records {
             for effect in dictionary.candidates(&[record]) {
@@ -131,7 +132,7 @@ impl Families {
             let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
             let group = all.bank.push(columns);
             let scan = Scan::Grid(vec![(group, 0.0, cause)]);
-            all.list.push(Family::unnamed(shape, scan));
+            all.list.push(HypothesisFamily::unnamed(shape, scan));
         }
         all.unnamed_waves(rows);
         let shapes = all.list.len() - named;
@@ -148,7 +149,7 @@ impl Families {
             let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
             let scan = Scan::Grid(vec![(all.bank.push(columns), 0.0, cause)]);
             let prior = JUMP_UM_PROBABILITY.1.ln();
-            all.list.push(Family { set_up: true, prior, ..Family::unnamed(shape, scan) });
+            all.list.push(HypothesisFamily { set_up: true, prior, ..HypothesisFamily::unnamed(shape, scan) });
         }
         all
     }
@@ -157,7 +158,7 @@ impl Families {
         let mut effect = effect.clone();
         effect.delta = None;
         let prior = -effect.description().searched.price;
-        self.list.push(Family {
+        self.list.push(HypothesisFamily {
             effect: Some(effect),
             replaces: None,
             shape: None,
@@ -180,7 +181,7 @@ impl Families {
         }
         let group = self.bank.push(columns);
         let prior = crate::priors::KNOWN_REPLACED.ln() + PRICE;
-        self.list.push(Family {
+        self.list.push(HypothesisFamily {
             effect: Some(effect.clone()),
             replaces: Some(place),
             shape: None,
@@ -204,7 +205,7 @@ impl Families {
                     && m.delta.as_ref().map(|d| &d.sensor) == e.delta.as_ref().map(|d| &d.sensor)
             })
         };
-        let reads = |n: Need| law.needs.contains(&n);
+        let reads = |n: RequiredInput| law.needs.contains(&n);
         if let Some(beside) = law.searched.beside.filter(|_| law.place(ParameterSearch::Amplitude).is_some())
         {
             let same = |m: &&Effect| m.description().name == beside && m.axes() == effect.axes();
@@ -235,12 +236,14 @@ impl Families {
             if let (Some(steps), Some(step)) = (facts.steps, step_of(&along)) {
                 range[1] = range[1].min(1.0 / (steps * step));
             }
-            if let Some(along) = Along::new(along, range) {
+            if let Some(along) = WaveVariable::new(along, range) {
                 self.push(effect, Scan::Wave { along, unit: facts.unit_mm });
             }
             return;
         }
-        if reads(Need::Delta) && matches!(law.heat, Heat::Growth | Heat::Expansion) {
+        if reads(RequiredInput::Delta)
+            && matches!(law.heat, ThermalDependence::Growth | ThermalDependence::Expansion)
+        {
             let mut sensors: Vec<String> = Vec::new();
             for d in own.iter().filter_map(|e| e.delta.as_ref()) {
                 for s in d.sensors().map(str::to_owned) {
@@ -367,10 +370,10 @@ impl Families {
                 along.push((s.rows.start + i, *place, *share));
             }
         }
-        let Some(along) = Along::new(along, [0.0, fastest]) else { return };
+        let Some(along) = WaveVariable::new(along, [0.0, fastest]) else { return };
         let response = rows.responses[response].to_string();
         let shape = Shape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
-        self.list.push(Family::unnamed(shape, Scan::Wave { along, unit: 1.0 }));
+        self.list.push(HypothesisFamily::unnamed(shape, Scan::Wave { along, unit: 1.0 }));
     }
 
     /// Log prior share of each of `n` sensors alone, and of each pair.

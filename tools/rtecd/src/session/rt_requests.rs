@@ -6,8 +6,8 @@ use rtec_control::protocol::{
     Jump, Response, explain_fault, explain_not_homed, explain_refusal, explain_unknown, word,
 };
 use rtec_rt::axis::INCREMENT_COUNTS;
-use rtec_rt::event::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Status};
 use rtec_rt::link::{ControlEnd, REQUESTS};
+use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Status};
 use std::time::Duration;
 
 /// Edge rate below which an axis counts as at rest, Hz.
@@ -15,7 +15,7 @@ use std::time::Duration;
 const STANDSTILL_HZ: f64 = 50.0;
 
 /// The events of a request, or its refusal.
-type Carried = Result<Vec<Event>, Response>;
+type EventsOrRefusal = Result<Vec<Event>, Response>;
 
 /// What to do when the real-time thread has ended.
 pub(super) const ENDED: &str = "the real-time thread has ended: see the log, then restart the daemon";
@@ -23,7 +23,7 @@ pub(super) const ENDED: &str = "the real-time thread has ended: see the log, the
 impl Session {
     /// Sends a request and waits until it is completed.
     /// Returns the events of the meantime.
-    pub(super) fn send(&mut self, request: Request, control: &mut ControlEnd) -> Carried {
+    pub(super) fn send(&mut self, request: Request, control: &mut ControlEnd) -> EventsOrRefusal {
         let silent =
             "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
         // No look since a request was last left unanswered, so this one is not waited for.
@@ -72,7 +72,7 @@ impl Session {
     }
 
     /// Sends a request and makes an answer from the events.
-    pub(super) fn carry_out(&mut self, request: Request, control: &mut ControlEnd) -> Carried {
+    pub(super) fn carry_out(&mut self, request: Request, control: &mut ControlEnd) -> EventsOrRefusal {
         let events = self.send(request, control)?;
         for event in &events {
             let text = match event.kind {

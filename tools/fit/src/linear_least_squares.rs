@@ -8,16 +8,18 @@
 
 use crate::places::{self, StructuredResidual};
 use crate::statistics::quantile;
-use crate::thermal::{Fitted, Intervals, jackknife_interval, provenance};
+use crate::thermal::{FittedEffect, Intervals, jackknife_interval, provenance};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::text::short;
 use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
-use rtec_measure::steps::{ReadingResolution, is_coarse_cause, step_of};
-use rtec_model::effect::{Dictionary, Difference, Effect, Missing, Need, ParameterSearch, Quantity};
-use rtec_model::machine::{FitNote, Machine, NORMAL_95, Source};
-use rtec_model::record::{Axis, Column, Kind, Record, Role, span};
+use rtec_measure::gauge_resolution::{ReadingResolution, is_coarse_cause, step_of};
+use rtec_model::effect::{
+    Dictionary, Difference, Effect, MissingInput, ParameterSearch, Quantity, RequiredInput,
+};
+use rtec_model::machine::{FitNote, Machine, NORMAL_95, SourceRecord};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -37,7 +39,7 @@ pub(crate) struct FittedValue {
 /// A linear problem.
 /// It has one column per parameter; the rows of all records follow each other.
 #[derive(Debug, Default)]
-pub(crate) struct Problem {
+pub(crate) struct LinearProblem {
     columns: Vec<Vec<f64>>,
     y: Vec<f64>,
     /// The rows of each response of each record.
@@ -76,7 +78,7 @@ struct CoarseCause {
 /// The step in which a cause was read.
 /// Commanded positions are not readings and have none.
 fn cause_step(record: &Record, column: &Column) -> Option<f64> {
-    let moving = matches!(record.kind, Kind::Dynamics | Kind::Ballbar | Kind::FeedSweep);
+    let moving = matches!(record.kind, RunKind::Dynamics | RunKind::Ballbar | RunKind::FeedSweep);
     match column.role {
         Role::Temperature | Role::Load(_) | Role::Channel => {}
         Role::Position(_) | Role::Velocity(_) if moving => {}
@@ -98,7 +100,7 @@ pub(crate) fn unread(record: &Record, column: &Column) -> Option<String> {
     })
 }
 
-impl Problem {
+impl LinearProblem {
     pub(crate) fn new(parameters: usize) -> Self {
         Self { columns: vec![Vec::new(); parameters], ..Self::default() }
     }
@@ -388,7 +390,7 @@ pub struct Zero {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NamedReport {
     /// The fitted effects with their intervals.
-    pub effects: Vec<Fitted>,
+    pub effects: Vec<FittedEffect>,
     /// RMS per response over all records, before and after, µm.
     /// Each record's own zero is subtracted.
     pub rms_um: Vec<(String, [f64; 2])>,
@@ -406,7 +408,7 @@ fn written(
     found: &[FittedValue],
     records: &[&Record],
     date: &str,
-) -> Result<Vec<Fitted>, InputError> {
+) -> Result<Vec<FittedEffect>, InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
     let mut fitted = Vec::new();
     let mut at = 0;
@@ -417,7 +419,7 @@ fn written(
         effect.set_coefficients(&own.iter().map(|f| f.value).collect::<Vec<_>>());
         let names = effect.description().parameters.iter().map(|p| p.name.clone());
         let interval: Intervals = names.zip(own.iter().map(|f| vec![f.interval])).collect();
-        fitted.push(Fitted::of(&effect, &interval));
+        fitted.push(FittedEffect::of(&effect, &interval));
         let provenance = provenance(&effect, records, date.to_owned(), interval);
         machine.push(effect, provenance).map_err(|e| usage(e.to_string(), "each effect once"))?;
     }
@@ -436,7 +438,7 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
             "an effect as scale, reversal, squareness; `reconcile` fits the others".into(),
         ));
     }
-    match (effect.description().needs.contains(&Need::Delta), delta) {
+    match (effect.description().needs.contains(&RequiredInput::Delta), delta) {
         (true, Some(d)) => {
             effect.delta = Some(match d.split_once('-') {
                 Some((sensor, minus)) => Difference::pair(sensor, minus),
@@ -470,7 +472,7 @@ fn effects_of(base: &Machine, names: &[String]) -> Result<Vec<Effect>, InputErro
 
 /// Half widths of a response by kind of run, from each piece's response and kind.
 fn by_kind_um(
-    problem: &Problem,
+    problem: &LinearProblem,
     found: &[FittedValue],
     piece_of: &[(Role, Option<String>)],
     role: &Role,
@@ -486,7 +488,7 @@ fn by_kind_um(
 
 /// Messages about pieces whose residuals are not noise, one line each.
 fn structure(
-    problem: &Problem,
+    problem: &LinearProblem,
     found: &[FittedValue],
     owners: &[&Record],
     piece_of: &[(Role, Option<String>)],
@@ -504,7 +506,7 @@ fn structure(
 }
 
 /// Change of a response per unit of each coefficient, row by row.
-fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Result<Vec<Vec<f64>>, Missing> {
+fn basis_of(effects: &[Effect], record: &Record, role: &Role) -> Result<Vec<Vec<f64>>, MissingInput> {
     let mut columns = Vec::new();
     for effect in effects {
         let (bound, rows) = (effect.bind(record)?, record.rows());
@@ -558,7 +560,7 @@ pub fn fit_named(
         return Err(usage(found, &format!("a record with a column of role {quantity}.{axis}")));
     }
     let count: usize = effects.iter().map(Effect::coefficient_count).sum();
-    let mut problem = Problem::new(count);
+    let mut problem = LinearProblem::new(count);
     let mut roles: Vec<Role> = Vec::new();
     // Response and kind of run of each piece.
     let mut piece_of: Vec<(Role, Option<String>)> = Vec::new();
@@ -617,7 +619,7 @@ pub fn fit_named(
             valid: Vec::new(),
             at_mm: Some(FitNote::places(&seen)),
             by_kind_um: by_kind_um(&problem, &found, &piece_of, role),
-            from: seen.iter().map(|r| Source::of(r)).collect(),
+            from: seen.iter().map(|r| SourceRecord::of(r)).collect(),
         };
         if let Some(earlier) = base.fits().iter().find(|f| f.response == note.response) {
             note.on(earlier, 0.0);

@@ -1,6 +1,6 @@
 //! The reports of the evaluations, each in its standard's order.
 
-use super::{Report, Run, Table};
+use super::{Report, ReportedRecord, Table};
 use crate::ballbar::{Ballbar, Contour};
 use crate::export::number;
 use crate::history::{Figure, History};
@@ -8,7 +8,7 @@ use crate::iso230::{
     Budget, Conditions, Diagonal, Diagonals, Drift, Figures, Positioning, Returns, Straightness, Target,
 };
 use crate::plate::Plate;
-use crate::plot::{Chart, Colour, Picture, PlotError, Polar, Series, Style};
+use crate::plot::{Chart, Colour, PlotError, PlotSpec, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
 
@@ -187,7 +187,7 @@ pub(crate) fn ballbar(
         report.table(Table::new(&title, &["symbol", "figure", "#value (µm)"], rows));
         diagnosis(&mut report, b);
         for plot in circles(b) {
-            report.plot(Picture::Polar(plot))?;
+            report.plot(PlotSpec::Polar(plot))?;
         }
         let (first, second) = b.plane.split_once('-').unwrap_or(("first", "second"));
         let (cx, cy) = (format!("#centre {first}"), format!("#centre {second}"));
@@ -306,7 +306,7 @@ fn natural(name: &str) -> (String, u64) {
 /// Thermal drift: the whole test, then phase by phase, each sensor.
 pub(crate) fn drift(
     all: &[Drift],
-    run: &Run,
+    run: &ReportedRecord,
     charts: Vec<Chart>,
     conditions: &Conditions,
 ) -> Result<Report, PlotError> {
@@ -470,7 +470,7 @@ pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Resu
     let by_diameter = p.rms_um_by_diameter.iter();
     let by_diameter = by_diameter.map(|(d, v)| left(&format!("left over, holes of {d} mm"), *v));
     report.table(Table::new(title, &head, rows.into_iter().chain(by_diameter)));
-    report.plot(Picture::Vectors(p.plot(record)))?;
+    report.plot(PlotSpec::Vectors(p.plot(record)))?;
     Ok(report)
 }
 

@@ -6,15 +6,15 @@ use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
 use crate::noise::NoiseGenerator;
-use crate::path::{AXES, AXIS_NAMES};
-use rtec_model::effect::{Effect, Mechanism, Owner};
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use crate::trajectory::{AXES, AXIS_NAMES};
+use rtec_model::effect::{Effect, MechanicalParameter, Owner};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::record::Axis;
 
 /// Inputs that a model of the simulated machine may read.
 /// They are the controller's axes, all sensors and these channels.
-pub(crate) fn layout(channels: Vec<String>) -> Layout {
-    Layout {
+pub(crate) fn layout(channels: Vec<String>) -> StateLayout {
+    StateLayout {
         axes: AXIS_NAMES.iter().filter_map(|n| Axis::new(n)).collect(),
         sensors: SENSORS.iter().map(|s| s.0.to_owned()).collect(),
         channels,
@@ -28,7 +28,8 @@ pub(crate) fn of_the_probe(effect: &Effect) -> bool {
 
 /// Delay from contact to the probe's line by the true machine's effects, ns.
 pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) -> u64 {
-    let late = effects.into_iter().filter(|e| e.description().mechanism == Some(Mechanism::ProbeDelay));
+    let late =
+        effects.into_iter().filter(|e| e.description().mechanism == Some(MechanicalParameter::ProbeDelay));
     let us = late.map(|e| e.scalar(0)).fold(0.0, f64::max);
     (us * 1000.0) as u64
 }
@@ -42,12 +43,12 @@ pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
         for effect in effects.iter().copied().filter(of_axis) {
             let value = effect.values().first().copied().unwrap_or(0.0);
             match effect.description().mechanism {
-                Some(Mechanism::Mass) => friction.mass_kg = Some(value),
-                Some(Mechanism::ViscousFriction) => friction.viscous_n_s_per_m = Some(value),
-                Some(Mechanism::CoulombFriction) => friction.coulomb_n = Some(value),
-                Some(Mechanism::AsymmetricFriction) => friction.asymmetric_n_s_per_m = value,
-                Some(Mechanism::ConstantForce) => friction.offset_n = value,
-                Some(Mechanism::ProbeDelay) | None => {}
+                Some(MechanicalParameter::Mass) => friction.mass_kg = Some(value),
+                Some(MechanicalParameter::ViscousFriction) => friction.viscous_n_s_per_m = Some(value),
+                Some(MechanicalParameter::CoulombFriction) => friction.coulomb_n = Some(value),
+                Some(MechanicalParameter::AsymmetricFriction) => friction.asymmetric_n_s_per_m = value,
+                Some(MechanicalParameter::ConstantForce) => friction.offset_n = value,
+                Some(MechanicalParameter::ProbeDelay) | None => {}
             }
         }
         machine.axes[n].extra_friction = friction;
@@ -60,30 +61,30 @@ pub(crate) fn frame<'a>(
     machine: &SimMachine,
     heat: &'a Heat,
     channels: &'a [f64],
-    axes: &'a [AxisNow; AXES],
-) -> Frame<'a> {
-    Frame {
+    axes: &'a [AxisMotionState; AXES],
+) -> MachineState<'a> {
+    MachineState {
         t_s,
         axes,
         temperatures_degc: heat.readings_degc(),
         channels,
         rpm: machine.rpm(),
         coolant: f64::from(u8::from(machine.coolant())),
-        ..Frame::default()
+        ..MachineState::default()
     }
 }
 
 /// The true machine's errors, and the heat that causes them.
 #[derive(Debug)]
-pub(crate) struct Errors {
+pub(crate) struct TrueErrors {
     pub heat: Heat,
-    truth: Live,
+    truth: LiveModel,
     pub channels: Vec<f64>,
     noise: NoiseGenerator,
 }
 
-impl Errors {
-    pub(crate) fn new(truth: Live, heat: Heat, seed: u64) -> Self {
+impl TrueErrors {
+    pub(crate) fn new(truth: LiveModel, heat: Heat, seed: u64) -> Self {
         let channels = vec![0.0; truth.layout().channels.len()];
         Self { heat, truth, channels, noise: NoiseGenerator::new(seed, 0xC0) }
     }
@@ -112,10 +113,10 @@ impl Errors {
 
     /// Evaluates the errors at the machine's position and moves its tool by them.
     pub(crate) fn act(&mut self, t_s: f64, machine: &mut SimMachine, load_n: &[f64; AXES], angle_rad: f64) {
-        let mut axes = [AxisNow::default(); AXES];
+        let mut axes = [AxisMotionState::default(); AXES];
         for n in 0..machine.axes.len() {
             let p = machine.place(n);
-            axes[p] = AxisNow {
+            axes[p] = AxisMotionState {
                 position_mm: machine.position_mm(n),
                 velocity_mm_s: machine.velocity_mm_s(n),
                 acceleration_mm_s2: machine.acceleration_mm_s2(n),
@@ -124,7 +125,7 @@ impl Errors {
             };
         }
         let frame = frame(t_s, machine, &self.heat, &self.channels, &axes);
-        self.truth.evaluate(&Frame { angle_rad, ..frame });
+        self.truth.evaluate(&MachineState { angle_rad, ..frame });
         machine.tool_offset_mm = self.errors_um().map(|e| e / 1000.0);
     }
 

@@ -4,13 +4,13 @@ use super::points::{MotionArgs, positive};
 use super::{usage, within};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
-use rtec_sim::lathe::{self, Bench};
-use rtec_sim::turning::Setup;
+use rtec_sim::lathe::{self, LatheSpec};
+use rtec_sim::turning::TurningExperiment;
 use std::path::{Path, PathBuf};
 
 /// The simulated machine
 #[derive(Debug, clap::Args)]
-pub(crate) struct BenchArgs {
+pub(crate) struct SimMachineArgs {
     /// Machine, tool and probe as TOML; by default those of NISTIR 4854
     #[arg(long)]
     bench: Option<PathBuf>,
@@ -39,10 +39,10 @@ pub(crate) struct BenchArgs {
     motion: MotionArgs,
 }
 
-impl BenchArgs {
-    pub(crate) fn setup(&self) -> anyhow::Result<Setup> {
+impl SimMachineArgs {
+    pub(crate) fn setup(&self) -> anyhow::Result<TurningExperiment> {
         let bench = match &self.bench {
-            None => Bench::default(),
+            None => LatheSpec::default(),
             Some(file) => read_bench(file)?,
         };
         if lathe::design(&self.design).is_none() {
@@ -52,7 +52,7 @@ impl BenchArgs {
         }
         let begin_s = within("--begin-s", self.begin_s, 0.0..=1e6, "a time in s, 0 to 1 000 000")?;
         let machine = Machine::read_or_ideal(self.true_machine.as_deref(), "ideal lathe")?;
-        Ok(Setup {
+        Ok(TurningExperiment {
             machine,
             begin_s,
             lead_s: bench.control_ms * 1e-3 + 1.0 / bench.gain,
@@ -63,14 +63,14 @@ impl BenchArgs {
             cut_feed_mm_min: positive("--cut-feed-mm-min", self.cut_feed_mm_min)?,
             window_mm: positive("--trip-window-mm", self.trip_window_mm)?,
             seed: self.seed,
-            ..Setup::default()
+            ..TurningExperiment::default()
         })
     }
 }
 
-fn read_bench(file: &Path) -> anyhow::Result<Bench> {
+fn read_bench(file: &Path) -> anyhow::Result<LatheSpec> {
     let text = rtec_files::text::read(file)?;
-    let bench: Bench = rtec_files::toml::from_str(file, &text, "keys of the simulated machine")?;
+    let bench: LatheSpec = rtec_files::toml::from_str(file, &text, "keys of the simulated machine")?;
     bench.check().map_err(|(key, expected)| {
         let at = text.find(key).unwrap_or(0);
         InputError::at_offset(file, &text, at, format!("{key} out of range"), expected)

@@ -8,10 +8,10 @@ use pyo3::prelude::*;
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_files::date;
-use rtec_files::stamp::signed;
+use rtec_files::format_stamp::signed;
 use rtec_files::trace::{RequestReader, TraceReader, request_columns, trace_columns};
-use rtec_files::{InputError, Said};
-use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, TermFound};
+use rtec_files::{InputError, InputMessage};
+use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, FittedChainTerm};
 use rtec_fit::thermal::{self, prediction_chart, residual_chart};
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
@@ -20,16 +20,16 @@ use rtec_measure::history::Limits;
 use rtec_measure::iso230::Conditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
 use rtec_measure::plausible;
-use rtec_measure::plot::Picture;
+use rtec_measure::plot::PlotSpec;
 use rtec_measure::{export, import};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::chain::Chain;
 use rtec_model::record::{Axis, Role};
-use rtec_part::determine;
+use rtec_part::error_determination;
 use rtec_reconcile::{Options, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{InsertionDesign, replay_any};
-use rtec_sim::compensation_experiments::{EXPERIMENTS, Setting};
+use rtec_sim::compensation_experiments::{EXPERIMENTS, ExperimentInputs};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::example::EXAMPLES;
 use rtec_sim::insertion_designs::{TestMotion, compare};
@@ -110,7 +110,7 @@ pub(crate) fn evaluate(
 /// The options of a fit, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct FitAsked {
+pub(crate) struct FitOptions {
     sensors: Vec<String>,
     environment: Option<String>,
     folds: usize,
@@ -122,7 +122,7 @@ pub(crate) struct FitAsked {
     despite_suspicions: bool,
 }
 
-impl FitAsked {
+impl FitOptions {
     fn asked(self) -> Result<workflow::FitRequest, Failure> {
         if !(3..=50).contains(&self.folds) {
             return Err(bad("folds", self.folds.to_string(), "3 to 50 blocks"));
@@ -153,7 +153,7 @@ pub(crate) fn fit(
     py: Python<'_>,
     train: Vec<Record>,
     holdout: Vec<Record>,
-    asked: FitAsked,
+    asked: FitOptions,
     selection: bool,
 ) -> Answered<Fitted> {
     work(py, move |say| {
@@ -165,7 +165,7 @@ pub(crate) fn fit(
             done.is_to_be_written(&paths.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
         }
         let document = if selection { done.selection()? } else { done.document()? };
-        let pictures = drawn(done.reports.iter().map(|r| Picture::from(r.chart())))?;
+        let pictures = drawn(done.reports.iter().map(|r| PlotSpec::from(r.chart())))?;
         Ok((pretty(&document)?, Machine { inner: done.machine }, pictures, outers(done.records)))
     })
 }
@@ -175,7 +175,7 @@ pub(crate) fn fit_named(
     py: Python<'_>,
     records: Vec<Record>,
     effects: Vec<String>,
-    asked: FitAsked,
+    asked: FitOptions,
 ) -> Answered<Fitted> {
     work(py, move |say| {
         if effects.is_empty() {
@@ -185,12 +185,12 @@ pub(crate) fn fit_named(
         let done = workflow::fit_named(inners(records), &effects, &asked, say)?;
         let ideal = rtec_model::machine::Machine::ideal("");
         let base = asked.options.base.as_ref().unwrap_or(&ideal);
-        let mut pictures: Vec<Picture> = Vec::new();
+        let mut pictures: Vec<PlotSpec> = Vec::new();
         for record in &done.records {
             let (before, after) = (base.beyond(record)?, done.machine.beyond(record)?);
             let both = before.responses().zip(after.responses());
             pictures
-                .extend(both.map(|(b, a)| Picture::from(residual_chart(record, &b.role, &b.data, &a.data))));
+                .extend(both.map(|(b, a)| PlotSpec::from(residual_chart(record, &b.role, &b.data, &a.data))));
         }
         let document = pretty(&done.document()?)?;
         Ok((document, Machine { inner: done.machine }, drawn(pictures.iter())?, outers(done.records)))
@@ -225,7 +225,7 @@ pub(crate) fn fit_chain(
         let text = chain_fit::text(&chain, &fitted, &report)?;
         let pictures = report.rms_um.iter().zip(&report.left_um).filter_map(|((of, response, _), left)| {
             let record = records.iter().find(|r| r.path == *of)?;
-            Some(Picture::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
+            Some(PlotSpec::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
         });
         Ok((pretty(&report)?, text, drawn(pictures)?, regression_of_chain(&records, &report)))
     })?;
@@ -246,7 +246,7 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
     let together = |of: &dyn Fn(usize, &ChainRows) -> Vec<f64>| -> Vec<f64> {
         report.rows.iter().enumerate().flat_map(|(k, r)| of(k, r)).collect()
     };
-    let coefficient = |(n, t): (usize, &TermFound)| RegressionColumn {
+    let coefficient = |(n, t): (usize, &FittedChainTerm)| RegressionColumn {
         name: format!("{}.{}", t.joint, t.component),
         parameter: format!("p{} dT{}", t.p, t.dt),
         unit: if t.component.starts_with('d') { "um" } else { "urad" }.to_owned(),
@@ -279,14 +279,14 @@ pub(crate) fn validate(py: Python<'_>, machine: Machine, records: Vec<Record>) -
             return Err(bad("validate", "no record", "records that the model has not seen"));
         }
         let found = rtec_fit::validate::validate(&machine.inner, &inners(records), say)?;
-        Ok((pretty(&found.document)?, drawn(found.charts.into_iter().map(Picture::from))?))
+        Ok((pretty(&found.document)?, drawn(found.charts.into_iter().map(PlotSpec::from))?))
     })
 }
 
 /// The options of an export, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct ExportAsked {
+pub(crate) struct ExportOptions {
     axis: String,
     from_mm: f64,
     to_mm: f64,
@@ -313,7 +313,7 @@ pub(crate) struct ExportAsked {
 pub(crate) fn export_table(
     py: Python<'_>,
     machine: Machine,
-    asked: ExportAsked,
+    asked: ExportOptions,
 ) -> Answered<(String, String)> {
     work(py, move |say| {
         let order = export::request::ExportRequest {
@@ -344,8 +344,8 @@ pub(crate) fn export_table(
         };
         let done = order.of(&machine.inner)?;
         let file = machine.inner.path.display();
-        done.warnings.iter().for_each(|w| say(Said::Warning(format!("{file}: {w}"))));
-        done.notes.into_iter().for_each(|n| say(Said::Note(n)));
+        done.warnings.iter().for_each(|w| say(InputMessage::Warning(format!("{file}: {w}"))));
+        done.notes.into_iter().for_each(|n| say(InputMessage::Note(n)));
         Ok((pretty(&done.document)?, done.text))
     })
 }
@@ -353,7 +353,7 @@ pub(crate) fn export_table(
 /// The options of an import, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct ImportAsked {
+pub(crate) struct ImportOptions {
     file: PathBuf,
     format: String,
     out: PathBuf,
@@ -373,7 +373,7 @@ pub(crate) struct ImportAsked {
 
 /// Another tool's file as a record, which is not yet written.
 #[pyfunction]
-pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> Answered<Record> {
+pub(crate) fn import_record(py: Python<'_>, asked: ImportOptions) -> Answered<Record> {
     work(py, move |say| {
         let circle = match (asked.radius_mm, asked.plane) {
             (Some(radius_mm), Some([a, b])) => {
@@ -401,7 +401,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportAsked) -> Answered<Reco
         };
         let inner = asked.read(say)?;
         if let Some(note) = &inner.note {
-            say(Said::Note(note.clone()));
+            say(InputMessage::Note(note.clone()));
         }
         plausible::said(std::slice::from_ref(&inner), say);
         Ok(Record { inner })
@@ -417,7 +417,7 @@ pub(crate) fn prediction_picture(py: Python<'_>, machine: &Machine, record: &Rec
         let says = rtec_measure::prediction::predict(&machine, &record, say)?;
         let chart = |(response, (_, data)): (&rtec_model::record::Column, &(String, Vec<f64>))| {
             let widths = machine.half_widths_um(&record, &response.role);
-            Picture::from(prediction_chart(&record, response, data, widths.as_deref()))
+            PlotSpec::from(prediction_chart(&record, response, data, widths.as_deref()))
         };
         drawn(record.responses().zip(&says).map(chart))
     })
@@ -450,10 +450,10 @@ pub(crate) fn reconcile(
         let (train, holdout) = (inners(train), inners(holdout));
         let answer = rtec_reconcile::reconcile(&train, &holdout, &machine.inner, &options)?;
         for note in &answer.derived {
-            say(Said::Note(note.clone()));
+            say(InputMessage::Note(note.clone()));
         }
         for s in &answer.suspicions {
-            say(Said::Warning(s.to_string()));
+            say(InputMessage::Warning(s.to_string()));
         }
         for records in [&train, &holdout] {
             plausible::say_conditions(records, &answer.suspicions, say);
@@ -604,7 +604,7 @@ pub(crate) fn replay(
 /// The options for probed points, from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct PartAsked {
+pub(crate) struct PartErrorOptions {
     points: PathBuf,
     columns: Vec<String>,
     radius_mm: Option<f64>,
@@ -621,11 +621,11 @@ pub(crate) struct PartAsked {
 
 /// The document, `error.cor` and the whiskers as SVG.
 #[pyfunction]
-pub(crate) fn part_errors(py: Python<'_>, asked: PartAsked) -> Answered<(String, String, String)> {
+pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(String, String, String)> {
     work(py, move |say| {
-        let features = named(determine::Feature::ALL);
-        let report = determine::determine(
-            &determine::ErrorRequest {
+        let features = named(error_determination::ProbedFeature::ALL);
+        let report = error_determination::determine(
+            &error_determination::ErrorRequest {
                 columns: asked.columns,
                 radius_mm: asked.radius_mm,
                 tip_mm: asked.tip_mm,
@@ -637,7 +637,7 @@ pub(crate) fn part_errors(py: Python<'_>, asked: PartAsked) -> Answered<(String,
                 path: asked.path,
                 trip_window_mm: asked.trip_window_mm,
                 with_size: asked.with_size,
-                ..determine::ErrorRequest::of(&asked.points)
+                ..error_determination::ErrorRequest::of(&asked.points)
             },
             say,
         )?;
@@ -667,7 +667,7 @@ pub(crate) fn simulate(
         };
         let known = known.map(|m| m.inner);
         let spec = MachineSpec::machining_centre();
-        let setting = Setting { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
+        let setting = ExperimentInputs { spec: &spec, truth: &truth, known: known.as_ref(), seed, out: &out };
         let done = found.run(&setting)?;
         Ok((outers(done.records), serde_json::to_string_pretty(&done.summary)?))
     })

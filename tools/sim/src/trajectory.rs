@@ -15,7 +15,7 @@ pub struct Limits {
 
 /// Path length, speed and acceleration along the path at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Along {
+pub struct PathState {
     /// Distance from the start, mm.
     pub s_mm: f64,
     /// Speed along the path, mm/s.
@@ -44,24 +44,24 @@ impl Ramp {
     }
 
     /// State `t_s` after rest, at a jerk of `j_mm_s3`.
-    fn at(&self, t_s: f64, j_mm_s3: f64) -> Along {
+    fn at(&self, t_s: f64, j_mm_s3: f64) -> PathState {
         let (j, tj, ta) = (j_mm_s3, self.rise_s, self.whole_s);
         let peak_a = j * tj;
         let peak_v = peak_a * (ta - tj);
         if t_s < tj {
             let (s_mm, v_mm_s) = (j * t_s * t_s * t_s / 6.0, j * t_s * t_s / 2.0);
-            Along { s_mm, v_mm_s, a_mm_s2: j * t_s }
+            PathState { s_mm, v_mm_s, a_mm_s2: j * t_s }
         } else if t_s < ta - tj {
             let u = t_s - tj;
             let v0 = peak_a * tj / 2.0;
-            Along {
+            PathState {
                 s_mm: peak_a * tj * tj / 6.0 + v0 * u + peak_a * u * u / 2.0,
                 v_mm_s: v0 + peak_a * u,
                 a_mm_s2: peak_a,
             }
         } else {
             let w = ta - t_s;
-            Along {
+            PathState {
                 s_mm: peak_v * ta / 2.0 - peak_v * w + j * w * w * w / 6.0,
                 v_mm_s: peak_v - j * w * w / 2.0,
                 a_mm_s2: j * w,
@@ -108,19 +108,19 @@ impl FeedProfile {
     }
 
     /// State of the motion `t_s` after its start.
-    pub fn at(&self, t_s: f64) -> Along {
+    pub fn at(&self, t_s: f64) -> PathState {
         let total_s = self.duration_s();
         let up_s = self.up.whole_s;
         if t_s >= total_s {
-            Along { s_mm: self.length_mm, ..Along::default() }
+            PathState { s_mm: self.length_mm, ..PathState::default() }
         } else if t_s < up_s {
             self.up.at(t_s.max(0.0), self.jerk_mm_s3)
         } else if t_s <= up_s + self.cruise_s {
             let v_mm_s = self.speed_mm_s;
-            Along { s_mm: v_mm_s * (up_s / 2.0 + (t_s - up_s)), v_mm_s, a_mm_s2: 0.0 }
+            PathState { s_mm: v_mm_s * (up_s / 2.0 + (t_s - up_s)), v_mm_s, a_mm_s2: 0.0 }
         } else {
             let back = self.down.at(total_s - t_s, self.jerk_mm_s3);
-            Along { s_mm: self.length_mm - back.s_mm, v_mm_s: back.v_mm_s, a_mm_s2: -back.a_mm_s2 }
+            PathState { s_mm: self.length_mm - back.s_mm, v_mm_s: back.v_mm_s, a_mm_s2: -back.a_mm_s2 }
         }
     }
 }
@@ -132,7 +132,7 @@ pub(crate) const AXIS_NAMES: [&str; AXES] = ["x", "y", "z"];
 
 /// Position, speed and acceleration of every axis, mm and s.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Command {
+pub struct Setpoint {
     /// Position of X, Y, Z, mm.
     pub p_mm: [f64; AXES],
     /// Velocity of X, Y, Z, mm/s.
@@ -193,10 +193,10 @@ impl MoveShape {
     }
 
     /// State of all axes at a position along the path.
-    pub fn at(&self, along: Along) -> Command {
+    pub fn at(&self, along: PathState) -> Setpoint {
         let length = self.length_mm();
-        let Along { s_mm: s, v_mm_s: v, a_mm_s2: a } = along;
-        let mut c = Command::default();
+        let PathState { s_mm: s, v_mm_s: v, a_mm_s2: a } = along;
+        let mut c = Setpoint::default();
         match self {
             Self::Line { from, to } => {
                 for n in 0..AXES {
@@ -278,7 +278,7 @@ mod tests {
             third_mm: 0.0,
         };
         let (v, ds) = (50.0, 1e-4);
-        let at = |s: f64| arc.at(Along { s_mm: s, v_mm_s: v, a_mm_s2: 7.0 });
+        let at = |s: f64| arc.at(PathState { s_mm: s, v_mm_s: v, a_mm_s2: 7.0 });
         for s in [0.1, 9.0, 29.0] {
             let (a, b, c) = (at(s - ds), at(s), at(s + ds));
             assert!((libm::hypot(b.p_mm[0], b.p_mm[1]) - 10.0).abs() < 1e-12);

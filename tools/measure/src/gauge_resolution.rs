@@ -7,7 +7,7 @@
 use crate::iso230::targets;
 use rtec_files::text::short;
 use rtec_model::ballbar_circle::tick;
-use rtec_model::record::{Column, Kind, Record, Role, shared_step, span};
+use rtec_model::record::{Column, Record, Role, RunKind, shared_step, span};
 
 /// Readings with more different values are not coarse.
 const MOST_VALUES: usize = 400;
@@ -86,7 +86,7 @@ pub fn is_coarse_cause(cause: &Column, step: f64, range: f64) -> bool {
 
 /// A warning if several rows of a drift test share a time.
 pub(crate) fn shared_time(record: &Record) -> Option<String> {
-    let step = record.data(&Role::Time).filter(|_| record.kind == Kind::Drift).and_then(shared_step)?;
+    let step = record.data(&Role::Time).filter(|_| record.kind == RunKind::Drift).and_then(shared_step)?;
     let (file, step) = (record.path.display(), short(step));
     Some(format!(
         "{file}: time in steps of {step} s, several rows at each: models take them as even within it, and a row's moment is known within \
@@ -97,7 +97,7 @@ pub(crate) fn shared_time(record: &Record) -> Option<String> {
 /// Messages about coarse resolution in a record.
 /// Of its gauges if `responses`, of its sensors, and in motion of positions and clock.
 pub fn said(record: &Record, responses: bool) -> Vec<String> {
-    let moving = matches!(record.kind, Kind::Ballbar | Kind::Dynamics | Kind::FeedSweep);
+    let moving = matches!(record.kind, RunKind::Ballbar | RunKind::Dynamics | RunKind::FeedSweep);
     let mut said = Vec::new();
     for column in record.responses().filter(|_| responses) {
         let [low, high] = span(&column.data);

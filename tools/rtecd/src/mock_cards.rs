@@ -2,18 +2,18 @@
 
 use crate::Failure;
 use nix::sys::statfs::{SYSFS_MAGIC, statfs};
-use rtec_control::config::{Config, ConfiguredAxis, Simulated};
+use rtec_control::config::{Config, ConfiguredAxis, SimulatedAxis};
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::{MockCard, Wires};
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::trace::TraceReader;
-use rtec_part::fit::Zx;
+use rtec_part::geometric_fit::Zx;
 use rtec_sim::lathe::Lathe;
 use rtec_sim::machining_task::{CutRecorder, MachiningTask};
-use rtec_sim::strokes::{MovingAxes, Operator, StrokeMotion, Truth, moving_axes};
-use rtec_sim::wires::MachineWires;
+use rtec_sim::strokes::{MovingAxes, Operator, StrokeMotion, TrueAxisState, moving_axes};
+use rtec_sim::wired_machines::WiredMachines;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ const MAX_POINTS: usize = 50_000_000;
 
 /// The person at the simulated machine, who jogs axes and reads displays.
 pub(crate) struct SimulatedOperator {
-    axes: Vec<(Arc<Truth>, Simulated)>,
+    axes: Vec<(Arc<TrueAxisState>, SimulatedAxis)>,
     operator: Operator,
 }
 
@@ -77,7 +77,7 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Simulat
 pub(crate) fn lathe(
     config: &Config,
     file: &Path,
-) -> Result<(MockCard<MachineWires<Lathe>, Monotonic>, CutRecorder), InputError> {
+) -> Result<(MockCard<WiredMachines<Lathe>, Monotonic>, CutRecorder), InputError> {
     let axis = |name: &str| {
         let missing = || InputError::whole(file, format!("a configuration without axis {name}"), "z and x");
         config.axes.iter().find(|a| a.name == name).ok_or_else(missing)

@@ -14,7 +14,7 @@ use std::time::Duration;
 /// A feed of lines `NAME VALUE` or `NAME=VALUE`.
 /// It comes from `host:port` (TCP) or a serial device.
 #[derive(Debug, Default)]
-pub struct Feed {
+pub struct SensorLineFeed {
     pub(crate) from: String,
     stream: Option<Stream>,
     partial: Vec<u8>,
@@ -25,7 +25,7 @@ pub struct Feed {
     trouble: String,
     /// The time of each key's last value, and the last unreadable line since then.
     came: BTreeMap<String, (f64, Option<String>)>,
-    /// Lines that could not be read, until [`Feed::odd_lines`] takes them.
+    /// Lines that could not be read, until [`SensorLineFeed::odd_lines`] takes them.
     /// At most [`ODD_LINES`] are kept.
     odd: Vec<String>,
     /// Total number of lines that could not be read.
@@ -66,7 +66,7 @@ enum Stream {
     Serial(fs::File),
 }
 
-impl Feed {
+impl SensorLineFeed {
     /// A feed that connects at its first poll.
     pub fn new(from: &str) -> Self {
         Self {
@@ -290,10 +290,10 @@ mod tests {
     fn whatever_comes_over_the_network_stays_within_bounds() {
         let server = TcpListener::bind("127.0.0.1:0").unwrap();
         let from = server.local_addr().unwrap().to_string();
-        let mut feed = Feed::of(&from, ["T1".to_owned()]);
+        let mut feed = SensorLineFeed::of(&from, ["T1".to_owned()]);
         feed.poll(0.0);
         let (mut peer, _) = server.accept().unwrap();
-        let until = |feed: &mut Feed, is: &dyn Fn(&Feed) -> bool| {
+        let until = |feed: &mut SensorLineFeed, is: &dyn Fn(&SensorLineFeed) -> bool| {
             for _ in 0..20_000 {
                 feed.poll(1.0);
                 if is(feed) {
@@ -304,7 +304,7 @@ mod tests {
             panic!("{feed:?}");
         };
         peer.write_all(b"T1 \x1b[2J\x1b]0;owned\x07\n").unwrap();
-        let why = |feed: &Feed| feed.value("T1").unwrap_err();
+        let why = |feed: &SensorLineFeed| feed.value("T1").unwrap_err();
         until(&mut feed, &|f| why(f).contains("is no line"));
         assert!(!why(&feed).chars().any(char::is_control), "{:?}", why(&feed));
         for wild in ["1e308", "-1e7", "inf", "nan"] {
@@ -327,7 +327,7 @@ mod tests {
         assert!(feed.stream.is_none());
         flood.join().unwrap();
         // If the keys are not given, at most this many are kept.
-        let mut feed = Feed::new(&from);
+        let mut feed = SensorLineFeed::new(&from);
         for n in 0..10_000 {
             feed.partial.extend_from_slice(format!("K{n} 1\n").as_bytes());
         }
@@ -341,7 +341,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let device = directory.path().join("ttyUSB0");
         fs::write(&device, "T1 20\n").unwrap();
-        let mut feed = Feed::new(device.to_str().unwrap());
+        let mut feed = SensorLineFeed::new(device.to_str().unwrap());
         feed.poll(0.0);
         assert_eq!(feed.value("T1"), Ok(20.0));
         fs::remove_file(&device).unwrap();

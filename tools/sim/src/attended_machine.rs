@@ -4,7 +4,7 @@
 use crate::machine::{SERVO_NS, SimMachine};
 
 /// A machine, and what happens at it.
-pub trait Attended {
+pub trait AttendedMachine {
     /// The attended machine.
     fn machine(&self) -> &SimMachine;
 

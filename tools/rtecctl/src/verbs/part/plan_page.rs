@@ -8,8 +8,8 @@
 use crate::http::{Answer, Handler, Request, Server};
 use rtec_model::record::hex;
 use rtec_part::contour::Contour;
-use rtec_part::fit::Zx;
-use rtec_part::path::Plan;
+use rtec_part::geometric_fit::Zx;
+use rtec_part::path::ProbingPlan;
 use rtec_part::unit::Unit;
 use serde_json::{Value, json};
 use std::fs::File;
@@ -28,7 +28,7 @@ pub(crate) struct PlanEditor {
     /// The part that is probed.
     pub(crate) contour: Contour,
     /// Gauging points and the probe's path, as edited so far.
-    pub(crate) plan: Plan,
+    pub(crate) plan: ProbingPlan,
     /// Unit of the path file.
     pub(crate) unit: Unit,
     /// Folder that `Save` writes to.
@@ -38,14 +38,14 @@ pub(crate) struct PlanEditor {
 }
 
 /// A page that is ready to be served.
-pub(crate) struct Page {
+pub(crate) struct PlanPage {
     server: Server,
     address: SocketAddr,
     /// First part of every path.
     secret: String,
 }
 
-impl Page {
+impl PlanPage {
     /// Listens on the loopback address; port 0 takes a free one.
     ///
     /// # Errors

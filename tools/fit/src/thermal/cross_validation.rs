@@ -9,7 +9,7 @@ use std::ops::Range;
 
 /// A structure with its cross-validation.
 #[derive(Debug, Clone)]
-pub(super) struct Judged {
+pub(super) struct ValidatedStructure {
     pub(super) terms: Vec<Term>,
     /// Mean square per fold.
     pub(super) mse: Vec<f64>,
@@ -36,7 +36,7 @@ const CERTAIN: f64 = 9.0;
 /// Largest movement of one term, relative to the response's whole movement.
 const CANCELLED: f64 = 2.0;
 
-impl Judged {
+impl ValidatedStructure {
     /// Root of the mean over the folds.
     pub(super) fn rms(&self) -> f64 {
         (self.mse.iter().sum::<f64>() / self.mse.len() as f64).sqrt()
@@ -106,7 +106,7 @@ pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
 
 /// A column less its mean over the folds, scaled.
 /// With it the normal equations keep their digits.
-struct Ready {
+struct ScaledColumn {
     mean: f64,
     scale: f64,
     values: Vec<f64>,
@@ -120,7 +120,7 @@ pub(super) struct GramColumns<'a> {
     problem: &'a Problem,
     folds: &'a [usize],
     total: f64,
-    columns: Vec<Ready>,
+    columns: Vec<ScaledColumn>,
     /// Products of every column with those up to itself, row after row.
     /// There is one set per fold, and one for all folds.
     products: Vec<Vec<f64>>,
@@ -132,7 +132,7 @@ pub(super) struct GramColumns<'a> {
 }
 
 /// A least-squares solution on the folds.
-pub(super) struct Solved {
+pub(super) struct FoldSolution {
     /// Mean square per fold, each left out.
     pub(super) mse: Vec<f64>,
     /// Constant, then one coefficient per term.
@@ -141,7 +141,7 @@ pub(super) struct Solved {
     left: f64,
 }
 
-impl Solved {
+impl FoldSolution {
     /// Root of the mean over the folds.
     pub(super) fn rms(&self) -> f64 {
         (self.mse.iter().sum::<f64>() / self.mse.len() as f64).sqrt()
@@ -158,7 +158,7 @@ impl<'a> GramColumns<'a> {
         let mut beside = Self { problem, folds, total, columns, products, all, roots, roots_of_all };
         beside.push(&problem.y)?;
         let (values, weighted) = (vec![1.0; problem.y.len()], problem.weight.clone());
-        beside.enter(Ready { mean: 0.0, scale: 1.0, values, weighted });
+        beside.enter(ScaledColumn { mean: 0.0, scale: 1.0, values, weighted });
         Some(beside)
     }
 
@@ -190,7 +190,7 @@ impl<'a> GramColumns<'a> {
         Some(())
     }
 
-    fn ready(&self, column: &[f64]) -> Option<Ready> {
+    fn ready(&self, column: &[f64]) -> Option<ScaledColumn> {
         let weight = &self.problem.weight;
         let stretches = || self.folds.iter().map(|f| self.problem.stretches[*f].clone());
         let mean = stretches().map(|s| dot(&weight[s.clone()], &column[s])).sum::<f64>() / self.total;
@@ -202,10 +202,10 @@ impl<'a> GramColumns<'a> {
         }
         let scale = variance.sqrt();
         values.iter_mut().chain(&mut weighted).for_each(|v| *v /= scale);
-        Some(Ready { mean, scale, values, weighted })
+        Some(ScaledColumn { mean, scale, values, weighted })
     }
 
-    fn enter(&mut self, column: Ready) {
+    fn enter(&mut self, column: ScaledColumn) {
         self.columns.push(column);
         let new = &self.columns[self.columns.len() - 1];
         let begin = self.all.len();
@@ -235,7 +235,7 @@ impl<'a> GramColumns<'a> {
 
     /// Least squares on all folds, judged by leaving out each in turn.
     /// `None` if the columns are dependent.
-    pub(super) fn solve(&mut self) -> Option<Solved> {
+    pub(super) fn solve(&mut self) -> Option<FoldSolution> {
         rtec_files::computation::step();
         let response = &self.columns[0];
         let fit = self.roots_of_all.least_squares(&self.all)?;
@@ -252,21 +252,21 @@ impl<'a> GramColumns<'a> {
         coefficients.extend(fit[1..].iter().zip(terms).map(|(c, t)| c * response.scale / t.scale));
         let means: f64 = coefficients[1..].iter().zip(terms).map(|(c, t)| c * t.mean).sum();
         coefficients[0] = response.mean + fit[0] * response.scale - means;
-        Some(Solved { mse, coefficients, left })
+        Some(FoldSolution { mse, coefficients, left })
     }
 
     /// Fits and judges these terms, whose columns are here.
     /// `None` if they are dependent.
-    pub(super) fn judge(&mut self, terms: &[Term]) -> Option<Judged> {
+    pub(super) fn judge(&mut self, terms: &[Term]) -> Option<ValidatedStructure> {
         let solved = self.solve()?;
         let independent = independent(self.residuals(&solved).into_iter()).max(self.folds.len() as f64);
-        let Solved { mse, coefficients, left } = solved;
+        let FoldSolution { mse, coefficients, left } = solved;
         let r = (1.0 - left).max(0.0).sqrt();
-        Some(Judged { terms: terms.to_vec(), mse, r, coefficients, left, independent })
+        Some(ValidatedStructure { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 
     /// The residual of the response, one value per bin of the folds.
-    fn residuals(&self, solved: &Solved) -> Vec<f64> {
+    fn residuals(&self, solved: &FoldSolution) -> Vec<f64> {
         let response = &self.columns[0];
         let mut left: Vec<f64> = response.values.iter().map(|v| v * response.scale + response.mean).collect();
         for v in &mut left {
@@ -326,7 +326,7 @@ impl Roots {
     }
 
     /// Adds the next row of the factor and its forward substitution.
-    /// `false` if at most the share `least` of the column is independent of those before.
+    /// `false` if at most the share `linear_least_squares` of the column is independent of those before.
     fn enter(&mut self, own: &[f64], least: f64) -> bool {
         let (roots, k) = (&mut self.factor, self.response.len());
         for j in 0..=k {
@@ -364,7 +364,7 @@ fn left_over(products: &[f64], coefficients: &[f64]) -> f64 {
 impl Problem {
     /// Fits the terms on the given folds, judged by leaving out each in turn.
     /// `None` if the columns are dependent.
-    pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<Judged> {
+    pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<ValidatedStructure> {
         self.beside(terms, folds)?.judge(terms)
     }
 
@@ -430,7 +430,7 @@ impl Problem {
     }
 
     /// Whether a judged structure is physical.
-    pub(super) fn is_physical(&self, judged: &Judged, folds: &[usize]) -> bool {
+    pub(super) fn is_physical(&self, judged: &ValidatedStructure, folds: &[usize]) -> bool {
         self.physical(&judged.terms, &judged.coefficients, folds)
     }
 }
@@ -442,7 +442,7 @@ mod tests {
     use super::*;
     use crate::thermal::Options;
     use nalgebra::{DMatrix, DVector};
-    use rtec_model::record::{Axis, Column, Kind, Record, Role};
+    use rtec_model::record::{Axis, Column, Record, Role, RunKind};
     use std::path::Path;
 
     /// Rows of several sensors; more rows than bins, so that the last bin weighs less.
@@ -457,7 +457,7 @@ mod tests {
             let degc = rows().map(|i| 20.0 + warm(i, k as f64) / (1.0 + k as f64)).collect();
             columns.push(Column::new(&format!("T{k}"), Role::Temperature, degc));
         }
-        Record::new(Path::new("drift.run.toml"), Kind::Drift, columns).unwrap()
+        Record::new(Path::new("drift.run.toml"), RunKind::Drift, columns).unwrap()
     }
 
     fn response() -> Role {

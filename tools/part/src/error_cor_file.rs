@@ -1,7 +1,7 @@
 //! `error.cor`: the file of a feature's errors.
 //! Errors of an arc are by angle, those of a straight feature by place.
 
-use crate::fit::Zx;
+use crate::geometric_fit::Zx;
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
 use rtec_model::record::span;

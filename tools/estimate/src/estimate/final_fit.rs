@@ -1,29 +1,29 @@
 //! The last fit: values and intervals of the set that was found.
 
-use super::{EstimatedMember, RefinedEffect, SetUp};
+use super::{EstimatedMember, RefinedEffect, SetUpEstimate};
 use crate::cause::Cause;
-use crate::effort::LAST_STEPS;
-use crate::family::Scan;
+use crate::hypothesis_family::Scan;
 use crate::priors::HELD;
 use crate::problem::{chance_of, is_beyond_chance};
-use crate::search::{Search, Set, same_period};
+use crate::search::{HypothesisSet, Search, same_period};
+use crate::search_limits::LAST_STEPS;
 use crate::setup;
 use rtec_least_squares::dot;
 use rtec_model::effect::{Effect, ParameterSearch, Refine};
 use rtec_model::machine::NORMAL_95;
 
 /// The last fit: all linear and non-linear parameters together.
-pub(super) struct Last<'s, 'p> {
+pub(super) struct FinalFit<'s, 'p> {
     pub(super) search: &'s Search<'p>,
     pub(super) model: &'s [Effect],
-    pub(super) members: Vec<Solved>,
+    pub(super) members: Vec<FinalFitMember>,
     pub(super) left: f64,
     pub(super) inverse: Vec<Vec<f64>>,
     pub(super) beta: Vec<f64>,
 }
 
 /// A member of the last fit.
-pub(super) struct Solved {
+pub(super) struct FinalFitMember {
     pub(super) cause: Cause,
     /// Size of its prior, in typical sizes.
     pub(super) level: f64,
@@ -36,7 +36,7 @@ pub(super) struct Solved {
     pub(super) left_out: Vec<(usize, usize, f64)>,
 }
 
-impl Solved {
+impl FinalFitMember {
     /// Coefficients in standard deviations of the cause's columns.
     pub(super) fn linear(&self, beta: &[f64]) -> Vec<f64> {
         beta[self.at..self.at + self.width].iter().map(|b| b * self.level).collect()
@@ -55,7 +55,7 @@ pub(super) struct Bent {
 }
 
 /// Non-linear values that the last fit moves, with their standard deviations.
-pub(super) fn bent(search: &Search<'_>, set: &Set, family: usize, effect: &Effect) -> Vec<Bent> {
+pub(super) fn bent(search: &Search<'_>, set: &HypothesisSet, family: usize, effect: &Effect) -> Vec<Bent> {
     let families = &search.families.list;
     let family = &families[family];
     if family.replaces.is_some() || effect.width() > 1 {
@@ -91,8 +91,8 @@ pub(super) fn bent(search: &Search<'_>, set: &Set, family: usize, effect: &Effec
     law.parameters.iter().enumerate().filter_map(of).collect()
 }
 
-impl<'s, 'p> Last<'s, 'p> {
-    pub(super) fn new(search: &'s Search<'p>, set: &Set, model: &'s [Effect]) -> Self {
+impl<'s, 'p> FinalFit<'s, 'p> {
+    pub(super) fn new(search: &'s Search<'p>, set: &HypothesisSet, model: &'s [Effect]) -> Self {
         let mut causes: Vec<Cause> = set.members.iter().map(|m| m.cause.clone()).collect();
         let mut best: Option<Self> = None;
         let beta = search.coefficients(set);
@@ -138,7 +138,7 @@ impl<'s, 'p> Last<'s, 'p> {
 
     pub(super) fn fit(
         search: &'s Search<'p>,
-        set: &Set,
+        set: &HypothesisSet,
         model: &'s [Effect],
         causes: &[Cause],
         solved: &[Option<Effect>],
@@ -170,7 +170,14 @@ impl<'s, 'p> Last<'s, 'p> {
                 }
             }
             let cause = cause.clone();
-            members.push(Solved { cause, level: m.level, at, width, bent: own, left_out: Vec::new() });
+            members.push(FinalFitMember {
+                cause,
+                level: m.level,
+                at,
+                width,
+                bent: own,
+                left_out: Vec::new(),
+            });
         }
         let mut beta = factor.solve();
         let left = factor.left();
@@ -358,16 +365,16 @@ impl<'s, 'p> Last<'s, 'p> {
     }
 
     /// Jumps at pauses, which are searched like hypotheses.
-    pub(super) fn jumps(&self, search: &Search<'_>, found: &[EstimatedMember]) -> Vec<SetUp> {
+    pub(super) fn jumps(&self, search: &Search<'_>, found: &[EstimatedMember]) -> Vec<SetUpEstimate> {
         let terms = setup::jumps(search.problem.rows);
-        let of = |(m, f): (&Solved, &EstimatedMember)| {
+        let of = |(m, f): (&FinalFitMember, &EstimatedMember)| {
             let shape = f.shape.as_ref()?;
             let Cause::Shape(both) = &m.cause else { return None };
             let term = terms
                 .iter()
                 .find(|t| t.column.iter().zip(&both.1[0]).all(|(a, b)| (*a == 0.0) == (*b == 0.0)))?;
             let size = crate::priors::JUMP_UM_PROBABILITY.0 * m.level;
-            Some(SetUp {
+            Some(SetUpEstimate {
                 record: term.record,
                 response: shape.response.clone(),
                 what: setup::SetUpKind::Jump,
@@ -383,16 +390,16 @@ impl<'s, 'p> Last<'s, 'p> {
             .collect()
     }
 
-    pub(super) fn set_up(&self) -> Vec<SetUp> {
+    pub(super) fn set_up(&self) -> Vec<SetUpEstimate> {
         let problem = self.search.problem;
         let named = |w: setup::SetUpKind| {
             use setup::SetUpKind::{CentreFirst, CentreSecond, Jump, Line, Zero};
             matches!(w, Zero | CentreFirst | CentreSecond | Line | Jump)
         };
-        let of = |(i, t): (usize, &setup::Term)| {
+        let of = |(i, t): (usize, &setup::SetUpTerm)| {
             let row = t.column.iter().position(|x| *x != 0.0)?;
             let segment = problem.rows.segments.iter().find(|s| s.rows.contains(&row))?;
-            Some(SetUp {
+            Some(SetUpEstimate {
                 record: t.record,
                 response: problem.rows.responses[segment.response].to_string(),
                 what: t.what,

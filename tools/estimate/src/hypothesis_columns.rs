@@ -8,7 +8,7 @@ use std::ops::Range;
 
 /// Columns in groups.
 #[derive(Debug, Default, Clone)]
-pub struct Bank {
+pub struct HypothesisColumns {
     n: usize,
     raw: Vec<Vec<f64>>,
     /// Whitened columns, one after the other.
@@ -28,7 +28,7 @@ pub struct ScreeningProducts {
     pub among: Vec<f64>,
 }
 
-impl Bank {
+impl HypothesisColumns {
     /// An empty bank for columns of `n` rows.
     #[must_use]
     pub fn new(n: usize) -> Self {
@@ -90,7 +90,7 @@ impl Bank {
             return vec![self.shares(one.as_ref())];
         }
         let (k, m) = (columns.len(), self.raw.len());
-        let packed: Vec<f32> = columns.iter().flat_map(|c| c.as_ref()).map(|x| *x as f32).collect();
+        let packed: Vec<f32> = columns.iter().flat_map(AsRef::as_ref).map(|x| *x as f32).collect();
         let products = self.products(0..m, &packed, k);
         (0..k).map(|j| (0..m).map(|i| products[i * k + j]).collect()).collect()
     }

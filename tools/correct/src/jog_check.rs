@@ -2,7 +2,7 @@
 
 use rtec_files::InputError;
 use rtec_model::effect::STANDARD_DEGC;
-use rtec_model::live::{AxisNow, Frame, Layout, Live};
+use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
 
 /// Largest relative difference of indicator and scale; no machine errs by more.
@@ -16,7 +16,7 @@ const UNIT: f64 = 0.01;
 /// The model has no effect on the axis, or reads what no machine has.
 pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Result<f64, InputError> {
     let refused = |found: String, expected: &str| InputError::whole(&machine.path, found, expected);
-    let mut layout = Layout { sensors: machine.sensors(), ..Layout::default() };
+    let mut layout = StateLayout { sensors: machine.sensors(), ..StateLayout::default() };
     for effect in machine.effects() {
         layout.axes.extend(effect.axes().iter().cloned());
         layout.channels.extend(effect.channel().map(str::to_owned));
@@ -28,8 +28,8 @@ pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Re
     let own = layout.axes.iter().position(|a| a.as_str() == axis);
     let own = own.ok_or_else(|| refused(format!("no effect on axis {axis}"), "the model of this machine"))?;
     let (degc, channels) = (vec![STANDARD_DEGC; layout.sensors.len()], vec![0.0; layout.channels.len()]);
-    let mut axes = vec![AxisNow::default(); layout.axes.len()];
-    let mut live = Live::of(machine, layout)
+    let mut axes = vec![AxisMotionState::default(); layout.axes.len()];
+    let mut live = LiveModel::of(machine, layout)
         .map_err(|missing| refused(missing.to_string(), "a model of axes, sensors and channels"))?;
     let mut t_s = 0.0;
     let mut step_um: f64 = 0.0;
@@ -37,15 +37,15 @@ pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Re
         let mut before: Option<f64> = None;
         for (direction, coolant) in [(-1.0, 0.0), (1.0, 0.0), (1.0, 1.0), (-1.0, 1.0)] {
             t_s += 1.0;
-            axes[own] = AxisNow { position_mm, direction, ..AxisNow::default() };
+            axes[own] = AxisMotionState { position_mm, direction, ..AxisMotionState::default() };
             let (axes, temperatures_degc) = (&axes[..], &degc[..]);
-            live.evaluate(&Frame {
+            live.evaluate(&MachineState {
                 t_s,
                 axes,
                 temperatures_degc,
                 channels: &channels,
                 coolant,
-                ..Frame::default()
+                ..MachineState::default()
             });
             let now = live.errors_um()[own];
             step_um = before.map_or(step_um, |before| step_um.max((now - before).abs()));

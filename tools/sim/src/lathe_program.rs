@@ -1,31 +1,31 @@
 //! A program on the lathe, with the unchanged engine between scales and controller.
 //! A corrector uses the probed errors and the machine's known model.
 
-use crate::attended::Attended;
+use crate::attended_machine::AttendedMachine;
 use crate::control::{Control, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
-use crate::insertion::{GateDesign, Report};
+use crate::insertion::{EventSink, GateDesign};
 use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
 use crate::machine::ServoFault;
-use crate::polled::Polled;
+use crate::polled::PolledCard;
 use crate::sim::keep;
 use crate::workpiece::Workpiece;
 use rtec_correct::AxisSetup;
 use rtec_correct::part_table::PartTable;
 use rtec_driver::card::{AxisLines, CardError, MachineLines};
 use rtec_files::InputError;
-use rtec_model::effect::Missing;
+use rtec_model::effect::MissingInput;
 use rtec_model::machine::Machine;
-use rtec_part::fit::Zx;
-use rtec_part::probe::Captured;
-use rtec_part::table::{FinishCut, FinishTable};
+use rtec_part::geometric_fit::Zx;
+use rtec_part::probe::CapturedTrips;
+use rtec_part::table::{FinishArc, FinishTable};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
-use rtec_rt::event::{Event, EventKind, Request, Status};
+use rtec_rt::link_messages::{Event, EventKind, Request, Status};
 
 /// Purpose of a program on the machine.
 #[derive(Debug, Clone, Copy)]
-pub enum Job<'a> {
+pub enum ProgramPurpose<'a> {
     /// Cut without corrections.
     Cut,
     /// Cut with the corrections of a table, of a machine model, or of both.
@@ -37,7 +37,7 @@ pub enum Job<'a> {
 
 /// Results of a program.
 #[derive(Debug, Clone)]
-pub struct Ran {
+pub struct ProgramResult {
     /// Events that the engine reported, in order.
     pub events: Vec<Event>,
     /// The engine at the end.
@@ -65,7 +65,7 @@ pub enum RunError {
     NoMove,
     /// An effect reads what this machine does not have.
     #[error("effect {} reads {}; the simulated lathe has the axes z and x and the sensors T1 to T20", .0.effect, .0.what)]
-    Missing(#[from] Missing),
+    Missing(#[from] MissingInput),
     /// The corrector's model reads something that this machine does not have.
     #[error(transparent)]
     Model(#[from] InputError),
@@ -126,10 +126,10 @@ const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard
 
 /// The corrected axes: homed, enabled, and in probing mode if `probing`.
 fn corrected(
-    card: &mut Polled<Lathe>,
+    card: &mut PolledCard<Lathe>,
     stand: &LatheState,
     probing: bool,
-    report: &mut impl Report,
+    report: &mut impl EventSink,
 ) -> Result<CorrectedMachine, StartError> {
     let poll_ns = stand.bench.poll_ns as u64;
     let configs = LINES.map(|lines| AxisConfig {
@@ -159,20 +159,22 @@ fn corrected(
 /// The engine refuses the configuration, there is no move, or the controller gave up.
 pub fn run(
     stand: &LatheState,
-    cut: &FinishCut,
+    cut: &FinishArc,
     moves: &[Move],
-    job: Job,
+    job: ProgramPurpose,
     part: &mut Workpiece,
-) -> Result<Ran, RunError> {
+) -> Result<ProgramResult, RunError> {
     let start = moves.first().ok_or(RunError::NoMove)?.segment.at(0.0) + cut.origin;
-    let tip_mm = if let Job::Probe(tip_mm) = job { Some(tip_mm) } else { None };
+    let tip_mm = if let ProgramPurpose::Probe(tip_mm) = job { Some(tip_mm) } else { None };
     let lathe = Lathe::new(stand, start, cut.origin, moves, tip_mm, part)?;
     let mut law = match job {
-        Job::Corrected(table, model, lead_s) => Some(control(stand, table, model, lead_s, &lathe.past)?),
-        Job::Cut | Job::Probe(_) => None,
+        ProgramPurpose::Corrected(table, model, lead_s) => {
+            Some(control(stand, table, model, lead_s, &lathe.past)?)
+        }
+        ProgramPurpose::Cut | ProgramPurpose::Probe(_) => None,
     };
     let over = |lathe: &Lathe| lathe.finished() || lathe.machine().fault().is_some();
-    let mut card = Polled::new(lathe, over, stand.bench.poll_ns, stand.seed);
+    let mut card = PolledCard::new(lathe, over, stand.bench.poll_ns, stand.seed);
     let mut events = Vec::new();
     let mut report = |event: Event| keep(&mut events, event);
     let mut corrected = corrected(&mut card, stand, tip_mm.is_some(), &mut report)?;
@@ -219,7 +221,7 @@ pub fn run(
     let cuts = lathe.cuts.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     cut_away(part, stand.bench, &cuts, stand.seed);
     let (trips, degc) = lathe.trips.iter().cloned().unzip();
-    Ok(Ran {
+    Ok(ProgramResult {
         events,
         status,
         seconds: machine.now_ns() as f64 * 1e-9,
@@ -231,7 +233,7 @@ pub fn run(
 
 /// Pairs the trips of axis 0 (Z) and 1 (X) by their time.
 /// Positions are of the scale's edges: a whole number is the boundary below a count.
-pub fn captured(events: &[Event]) -> Captured {
+pub fn captured(events: &[Event]) -> CapturedTrips {
     struct Open {
         trip_ns: (u64, u64),
         /// Position and half width of Z and X, counts.
@@ -262,5 +264,5 @@ pub fn captured(events: &[Event]) -> Captured {
             Some(([z, x], dz.hypot(dx), (low + high) as f64 / 2e9))
         })
         .collect();
-    Captured { trips, bounces }
+    CapturedTrips { trips, bounces }
 }

@@ -1,12 +1,12 @@
 //! The finish cut of a straight feature: errors by place become requested counts.
 
-use crate::cor::LineError;
-use crate::fit::Zx;
+use crate::error_cor_file::LineError;
+use crate::geometric_fit::Zx;
 use crate::table::{AxisCounts, FinishCorrectionRow, csv_of, interpolated};
 
 /// A straight feature's errors, ready for its finish cut.
 #[derive(Debug, Clone)]
-pub struct LineTable {
+pub struct StraightTable {
     /// Errors by place, places ascending.
     pub errors: Vec<LineError>,
     /// The counts of Z and of X.
@@ -17,7 +17,7 @@ pub struct LineTable {
     pub origin: Zx,
 }
 
-impl LineTable {
+impl StraightTable {
     /// Direction of the surface normal, and along the feature towards larger places.
     fn directions(&self) -> (Zx, Zx) {
         let n = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| Zx::at_angle(e.angle_rad));

@@ -1,14 +1,14 @@
 //! An effect over a record, with its columns looked up once.
 //! Basis values, sums and slopes are computed column by column.
 
-use super::{Effect, Input, Naming, Need, Out, STANDARD_DEGC, State, sign};
+use super::{Effect, Input, Naming, Out, RequiredInput, STANDARD_DEGC, State, sign};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
 /// A sensor or channel that an effect names and a record does not have.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no {what}, which effect {effect} reads (the record has: {has})")]
-pub struct Missing {
+pub struct MissingInput {
     /// The effect that reads it.
     pub effect: String,
     /// What is missing, as `temperature.T8` or `channel.z9`.
@@ -17,7 +17,7 @@ pub struct Missing {
     pub has: String,
 }
 
-impl Missing {
+impl MissingInput {
     /// The error for the record that does not have it.
     pub fn of(&self, record: &Record) -> InputError {
         InputError::whole(&record.path, self.to_string(), format!("a column of role {}", self.what))
@@ -190,9 +190,9 @@ impl Effect {
     /// # Errors
     /// A sensor or channel that the record does not have. A quantity that it does not log (velocity, load, …) is
     /// taken as zero and listed in [`EffectColumns::taken_as_zero`].
-    pub fn bind<'r>(&self, record: &'r Record) -> Result<EffectColumns<'r>, Missing> {
+    pub fn bind<'r>(&self, record: &'r Record) -> Result<EffectColumns<'r>, MissingInput> {
         let named = |data: Option<&'r [f64]>, role: &Role, name: &str| {
-            data.ok_or_else(|| Missing {
+            data.ok_or_else(|| MissingInput {
                 effect: self.name(),
                 what: format!("{role}.{name}"),
                 has: record.names(role).collect::<Vec<_>>().join(", "),
@@ -214,20 +214,20 @@ impl Effect {
             let role = need.role(&self.axes);
             let data = record.data(&role);
             let place = match need {
-                Need::Time => continue,
-                Need::Delta => {
+                RequiredInput::Time => continue,
+                RequiredInput::Delta => {
                     let Some(d) = &self.delta else { continue };
                     bound.sensor = Some(named(record.temperature(&d.sensor), &role, &d.sensor)?);
                     bound.minus = d.minus().map(|m| named(record.temperature(m), &role, m)).transpose()?;
                     bound.reference = d.reference_degc();
                     continue;
                 }
-                Need::Channel => {
+                RequiredInput::Channel => {
                     let name = self.channel().unwrap_or_default();
                     bound.channel = Some(named(record.channel(name), &role, name)?);
                     continue;
                 }
-                Need::Direction if data.is_none() => {
+                RequiredInput::Direction if data.is_none() => {
                     bound.dir = record.data(&Role::Velocity(self.axes[0].clone()));
                     bound.dir_from_velocity = true;
                     if bound.dir.is_none() {
@@ -235,14 +235,14 @@ impl Effect {
                     }
                     continue;
                 }
-                Need::Position(n) => &mut bound.p[n],
-                Need::Direction => &mut bound.dir,
-                Need::Velocity => &mut bound.v,
-                Need::Acceleration => &mut bound.a,
-                Need::Load => &mut bound.load,
-                Need::SpindleSpeed => &mut bound.rpm,
-                Need::Coolant => &mut bound.coolant,
-                Need::Angle => &mut bound.angle,
+                RequiredInput::Position(n) => &mut bound.p[n],
+                RequiredInput::Direction => &mut bound.dir,
+                RequiredInput::Velocity => &mut bound.v,
+                RequiredInput::Acceleration => &mut bound.a,
+                RequiredInput::Load => &mut bound.load,
+                RequiredInput::SpindleSpeed => &mut bound.rpm,
+                RequiredInput::Coolant => &mut bound.coolant,
+                RequiredInput::Angle => &mut bound.angle,
             };
             *place = data;
             if data.is_none() {

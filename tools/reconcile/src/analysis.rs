@@ -28,7 +28,7 @@ pub struct Finding {
 
 /// The answer, before anything is written into the model.
 #[derive(Debug, Clone)]
-pub(crate) struct Answer {
+pub(crate) struct Analysis {
     /// Effects with half widths of their intervals, strongest first.
     pub(crate) findings: Vec<(Finding, Vec<f64>)>,
     pub(crate) unexplained: Vec<Shape>,
@@ -37,7 +37,7 @@ pub(crate) struct Answer {
 
 /// Half widths of the model's intervals, effect by effect and value by value.
 pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
-    let of = |l: &rtec_model::machine::Listed| {
+    let of = |l: &rtec_model::machine::ListedEffect| {
         let width = l.effect.width();
         let names = l.effect.description().parameters.iter();
         names
@@ -58,7 +58,7 @@ fn p_value(f: &EstimatedMember) -> f64 {
 }
 
 /// Analyses records beside a model, at a false-alarm rate.
-pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answer {
+pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Analysis {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let estimate = rtec_estimate::estimate(records, machine.dictionary(), &model, &stated(machine));
     let mut findings = Vec::new();
@@ -77,12 +77,18 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Answ
             (None, None) => {}
         }
     }
-    Answer { findings, unexplained, estimate }
+    Analysis { findings, unexplained, estimate }
 }
 
 /// Log evidence of the best explanation of records, from an answer's members.
 /// The search stops early if it is far below `enough`.
-pub(crate) fn score(records: &[Record], machine: &Machine, from: &Answer, units: Units, enough: f64) -> f64 {
+pub(crate) fn score(
+    records: &[Record],
+    machine: &Machine,
+    from: &Analysis,
+    units: Units,
+    enough: f64,
+) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let start = &from.estimate.members;
     rtec_estimate::score(records, machine.dictionary(), &model, &stated(machine), start, units, enough)

@@ -1,7 +1,7 @@
 //! The messages of the link: requests, events and status.
 //! All are `Copy`; nothing allocates.
 
-use rtec_driver::card::TroubleKind;
+use rtec_driver::card::CardFaultKind;
 use serde::{Deserialize, Serialize};
 
 /// Axes that one engine can hold.
@@ -90,14 +90,14 @@ pub enum Fault {
     StateFileLost,
 }
 
-impl From<TroubleKind> for Fault {
-    fn from(kind: TroubleKind) -> Self {
+impl From<CardFaultKind> for Fault {
+    fn from(kind: CardFaultKind) -> Self {
         match kind {
-            TroubleKind::SequenceGap => Self::SequenceGap,
-            TroubleKind::QueueOverflow => Self::QueueOverflow,
-            TroubleKind::EdgeMissed => Self::EdgeMissed,
-            TroubleKind::CounterOverflow => Self::CounterOverflow,
-            TroubleKind::CounterError => Self::CounterError,
+            CardFaultKind::SequenceGap => Self::SequenceGap,
+            CardFaultKind::QueueOverflow => Self::QueueOverflow,
+            CardFaultKind::EdgeMissed => Self::EdgeMissed,
+            CardFaultKind::CounterOverflow => Self::CounterOverflow,
+            CardFaultKind::CounterError => Self::CounterError,
         }
     }
 }
@@ -285,14 +285,14 @@ pub enum EventKind {
     /// The MTC counts (`true`), or it was switched off and its count is unknown.
     ControllerReady(bool),
     /// The probe tripped.
-    Trip(Capture),
+    Trip(ProbeCapture),
     /// The probe tripped again before the capture was complete.
     Bounce,
 }
 
 /// Position of an axis around a trip of the probe.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Capture {
+pub struct ProbeCapture {
     /// The trip lies between these two times, ns.
     pub trip_ns: (u64, u64),
     /// The last count edge before the trip: its place and its time, ns.
@@ -302,7 +302,7 @@ pub struct Capture {
     pub after: Option<(i64, u64)>,
 }
 
-impl Capture {
+impl ProbeCapture {
     /// Position at the trip, and half the width of its uncertainty, both in counts.
     /// The position is interpolated between the two neighbouring edges at constant speed.
     pub fn position_counts(&self) -> (f64, f64) {
@@ -343,7 +343,7 @@ pub enum Mode {
 /// Why an axis is, or is not, correcting now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum GateState {
+pub enum InsertionStatus {
     /// Nothing is pending.
     #[default]
     Done,
@@ -391,7 +391,7 @@ pub struct AxisStatus {
     /// The MTC has been homed, and nothing has put it in doubt since.
     pub mtc_known: bool,
     /// Why it is or is not correcting.
-    pub gate: GateState,
+    pub gate: InsertionStatus,
     /// Scale edges per second now.
     pub edge_rate_hz: f64,
     /// The axis's latched faults.
@@ -454,7 +454,7 @@ impl Status {
     /// Whether every axis's ledger balances.
     /// An axis in the middle of an insertion is left out.
     pub fn balanced(&self) -> bool {
-        self.axes().iter().all(|a| a.gate == GateState::Inserting || a.mtc_minus_scale == a.in_effect)
+        self.axes().iter().all(|a| a.gate == InsertionStatus::Inserting || a.mtc_minus_scale == a.in_effect)
     }
 }
 
@@ -480,7 +480,7 @@ mod tests {
 
     #[test]
     fn a_trip_lies_between_its_two_edges_in_proportion_to_the_times() {
-        let capture = |trip_ns, before, after| Capture { trip_ns, before, after }.position_counts();
+        let capture = |trip_ns, before, after| ProbeCapture { trip_ns, before, after }.position_counts();
         // Boundaries 7 and 9 at 1000 and 5000 ns: half a count in 1000 ns.
         assert_eq!(capture((1900, 2100), (7, Some(1000)), Some((9, 5000))), (7.5, 0.05));
         assert_eq!(capture((1900, 2100), (9, Some(1000)), Some((7, 5000))), (8.5, 0.05));
@@ -512,7 +512,7 @@ mod tests {
         assert!(status.balanced(), "the third is not in use");
         status.axes[1] = off;
         assert!(!status.balanced());
-        status.axes[1].gate = GateState::Inserting;
+        status.axes[1].gate = InsertionStatus::Inserting;
         assert!(status.balanced(), "halfway through an insertion");
     }
 }

@@ -1,18 +1,18 @@
 //! A feature's errors from probed points as users give them.
 //! It checks the request, reports what is left out, and refuses implausible numbers.
 
-use crate::errors::{ErrorReport, Nominal, Probed};
-use crate::fit::{self, FitShape, FittedShape, Zx};
+use crate::errors::{ErrorReport, NominalShape, ProbedPoints};
+use crate::geometric_fit::{self, FitShape, FittedShape, Zx};
 use crate::path::{approaches, read_expected, read_pathfin};
 use crate::unit::Unit;
-use rtec_files::{InputError, Said};
-use rtec_model::effect::{Effect, Need};
+use rtec_files::{InputError, InputMessage};
+use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
 rtec_files::choice! {
     /// The kind of feature that was probed.
-    pub enum Feature {
+    pub enum ProbedFeature {
         Circle = "circle", "A sphere or a fillet";
         Line = "line", "A cylinder, a face or a taper";
     }
@@ -31,7 +31,7 @@ pub struct ErrorRequest {
     /// Radius of the probe's tip, mm; `None` means 0, which a message reports.
     pub tip_mm: Option<f64>,
     /// The kind of feature; `None` to recognise it from the points.
-    pub feature: Option<Feature>,
+    pub feature: Option<ProbedFeature>,
     /// Nominal inclination of a taper to the part's axis, degrees.
     pub taper_deg: Option<f64>,
     /// A machine model whose prediction is subtracted.
@@ -85,9 +85,13 @@ const OTHER_TAPER_DEG: f64 = 1.0;
 const FALSE_TRIP_UM: f64 = 200.0;
 
 /// The nominal feature, as requested or as recognised from the points.
-fn nominal(args: &ErrorRequest, probed: &Probed, say: &mut dyn FnMut(Said)) -> Result<Nominal, InputError> {
+fn nominal(
+    args: &ErrorRequest,
+    probed: &ProbedPoints,
+    say: &mut dyn FnMut(InputMessage),
+) -> Result<NominalShape, InputError> {
     let straight = match args.feature {
-        Some(feature) => feature == Feature::Line,
+        Some(feature) => feature == ProbedFeature::Line,
         None => probed.is_straight(args.radius_mm.is_some())?,
     };
     match (straight, args.radius_mm) {
@@ -100,14 +104,14 @@ fn nominal(args: &ErrorRequest, probed: &Probed, say: &mut dyn FnMut(Said)) -> R
         }
         (true, _) => {
             if args.feature.is_none() {
-                say(Said::Note(
+                say(InputMessage::Note(
                     "the points lie on a straight line: taken as a cylinder, face or taper".to_owned(),
                 ));
             }
-            Ok(Nominal::Line { taper_deg: args.taper_deg })
+            Ok(NominalShape::Line { taper_deg: args.taper_deg })
         }
         (false, Some(radius_mm)) if radius_mm.is_finite() && radius_mm > 0.0 => {
-            Ok(Nominal::Circle { radius_mm })
+            Ok(NominalShape::Circle { radius_mm })
         }
         (false, _) => Err(usage(
             "--radius-mm",
@@ -119,10 +123,13 @@ fn nominal(args: &ErrorRequest, probed: &Probed, say: &mut dyn FnMut(Said)) -> R
 
 /// Reads the points, the side of each touch and the expected places.
 /// It subtracts the prediction of the machine's model.
-fn read(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<(Probed, Option<Vec<Zx>>), InputError> {
-    let mut probed = Probed::read_columns(&args.points, &args.columns)?;
+fn read(
+    args: &ErrorRequest,
+    say: &mut dyn FnMut(InputMessage),
+) -> Result<(ProbedPoints, Option<Vec<Zx>>), InputError> {
+    let mut probed = ProbedPoints::read_columns(&args.points, &args.columns)?;
     if let Some(written) = probed.written() {
-        say(Said::Note(written));
+        say(InputMessage::Note(written));
     }
     if let Some(file) = &args.path {
         let path = read_pathfin(file, args.path_units)?;
@@ -147,10 +154,11 @@ fn read(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<(Probed, Optio
                 return Err(usage("--origin-mm", found, "Z,X: two numbers in mm, as 300,100"));
             }
             None => {
-                let placed =
-                    |e: &&Effect| e.description().needs.iter().any(|n| matches!(n, Need::Position(_)));
+                let placed = |e: &&Effect| {
+                    e.description().needs.iter().any(|n| matches!(n, RequiredInput::Position(_)))
+                };
                 if let Some(effect) = machine.effects().find(placed) {
-                    say(Said::Warning(format!(
+                    say(InputMessage::Warning(format!(
                         "no --origin-mm: the part's zero is taken as the machine's zero, and {} reads the machine's position",
                         effect.name()
                     )));
@@ -160,14 +168,14 @@ fn read(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<(Probed, Optio
         };
         let blind = probed.read_blind(&machine);
         if !blind.is_empty() {
-            say(Said::Warning(format!(
+            say(InputMessage::Warning(format!(
                 "{} of the model: the points do not record what is read (approach_z,approach_x or --path for a direction, t_s \
                  for the time, no column for others); it counts as none, of the time as the row's number",
                 blind.join(", ")
             )));
         }
         for beyond in probed.beyond_stated(&machine, origin) {
-            say(Said::Warning(format!(
+            say(InputMessage::Warning(format!(
                 "{beyond}; is --origin-mm Z,X, the machine's position at the part's zero?"
             )));
         }
@@ -177,7 +185,12 @@ fn read(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<(Probed, Optio
 }
 
 /// Reports places that were touched several times, and points that may be false.
-fn say_touches(args: &ErrorRequest, probed: &Probed, report: &ErrorReport, say: &mut dyn FnMut(Said)) {
+fn say_touches(
+    args: &ErrorRequest,
+    probed: &ProbedPoints,
+    report: &ErrorReport,
+    say: &mut dyn FnMut(InputMessage),
+) {
     if let Some(repeats) = &report.repeats {
         let between = match repeats.sd_between_um {
             Some(um) => {
@@ -185,13 +198,13 @@ fn say_touches(args: &ErrorRequest, probed: &Probed, report: &ErrorReport, say: 
             }
             None => "too few places for a standard error".to_owned(),
         };
-        say(Said::Note(format!(
+        say(InputMessage::Note(format!(
             "{} points are touches of {} places: touches of one place scatter by {:.2} µm, {between}",
             report.points, repeats.places, repeats.sd_within_um
         )));
     }
     if let Some(row) = probed.at_zero() {
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "{}:{row}: a point at exactly Z 0 X 0: was no position captured there? Then take its row out",
             args.points.display()
         )));
@@ -207,7 +220,7 @@ const NEARER: f64 = 20.0;
 /// It is returned if the points as given are on no circle, because a lathe shows diameters.
 fn radius_if_x_is_diameter(points: &[Zx]) -> Option<f64> {
     let halved: Vec<Zx> = points.iter().map(|p| Zx::new(p.z, 0.5 * p.x)).collect();
-    let fit = |points: &[Zx]| fit::two_step(FitShape::Circle, points).ok();
+    let fit = |points: &[Zx]| geometric_fit::two_step(FitShape::Circle, points).ok();
     let by_half = fit(&halved)?;
     let FittedShape::Circle { radius_mm, .. } = by_half.plain else { return None };
     // Three points are on a circle either way.
@@ -247,7 +260,7 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 ///
 /// # Errors
 /// A file that cannot be read, an implausible number, points that do not determine the feature.
-pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<ErrorReport, InputError> {
+pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(InputMessage)) -> Result<ErrorReport, InputError> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
     }
@@ -262,24 +275,24 @@ pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<Error
     refuse_diameters(args, &probed.tip_centre)?;
     let mut report = probed.errors(nominal(args, &probed, say)?, tip_mm)?;
     if let Some(step) = report.step_um {
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "the points are written in steps of {} µm, more than they scatter by: what rounding may do is in the standard errors",
             rtec_files::text::short(1e-6 * (1e6 * step).round())
         )));
     }
     say_touches(args, &probed, &report, say);
     if report.hollow {
-        say(Said::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
+        say(InputMessage::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
     }
     if let Some((off, hint)) = taper_slip(args, &report) {
-        say(Said::Warning(format!("{off:+.3}° from --taper-deg{hint}")));
+        say(InputMessage::Warning(format!("{off:+.3}° from --taper-deg{hint}")));
     }
     if report.feature == "line" && probed.approach.is_none() {
-        say(Said::Note("no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
+        say(InputMessage::Note("no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
              errors would come out with the other sign".to_owned()));
     }
     if args.tip_mm.is_none() {
-        say(Said::Note("no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
+        say(InputMessage::Note("no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
              the radius (a straight feature's place) is off by the tip's; the form is not".to_owned()));
     }
     if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
@@ -302,7 +315,7 @@ pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<Error
     let farthest =
         report.errors.iter().enumerate().max_by(|a, b| a.1.error_um.abs().total_cmp(&b.1.error_um.abs()));
     if let Some((n, e)) = farthest.filter(|(_, e)| e.error_um.abs() > FALSE_TRIP_UM) {
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "point {} is {:+.0} µm off the {}, and error.cor takes it as the part's: if it was a false trip, take its row \
              out, or give the expected trips (--expected)",
             n + 1,
@@ -319,14 +332,14 @@ pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(Said)) -> Result<Error
         } else {
             ": more than a cut part is off; look at --radius-mm and --tip-mm"
         };
-        say(Said::Warning(format!("{off_um:+.0} µm from nominal{like}")));
+        say(InputMessage::Warning(format!("{off_um:+.0} µm from nominal{like}")));
         if args.with_size {
             let expected = "one that a finish cut takes out, within 500 µm";
             return Err(usage("--with-size", format!("a size error of {off_um:+.0} µm"), expected));
         }
     }
     if let Some((own, robust)) = sizes_differ(&report) {
-        say(Said::Warning(format!(
+        say(InputMessage::Warning(format!(
             "the size is not certain: {own:+.1} µm by the fit of error.cor, {robust:+.1} µm by the robust fit, which leaves \
              out {} points; a form error over much of the arc pulls the first{}",
             report.robust.down_weighted.len(),

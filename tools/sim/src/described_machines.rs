@@ -45,14 +45,14 @@ pub(crate) const WO97_CHAIN: &str = include_str!("../papers/wo97-chain.toml");
 
 /// Source of the descriptions.
 #[derive(Debug, Default)]
-pub struct SourceFiles {
+pub struct MachineDescriptions {
     /// A folder with the user's files; for a missing one the program's is used.
     folder: Option<PathBuf>,
     /// Files that were missing there.
     missing: Mutex<BTreeSet<&'static str>>,
 }
 
-impl SourceFiles {
+impl MachineDescriptions {
     /// The descriptions of a folder, or the program's.
     pub fn of(folder: Option<PathBuf>) -> Self {
         Self { folder, ..Self::default() }
@@ -125,14 +125,14 @@ mod tests {
     #[test]
     fn every_machine_can_be_read_and_a_folder_stands_for_the_program() {
         for (name, _) in FILES.iter().filter(|f| f.0.ends_with("-machine.toml")) {
-            let machine = SourceFiles::default().machine(name).unwrap();
+            let machine = MachineDescriptions::default().machine(name).unwrap();
             assert!(machine.effects().next().is_some() || machine.chain().is_some(), "{name}");
         }
-        assert!(SourceFiles::default().machine("wo97-machine.toml").unwrap().chain().is_some());
+        assert!(MachineDescriptions::default().machine("wo97-machine.toml").unwrap().chain().is_some());
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("4832-machine.toml");
         std::fs::write(&file, "name = \"mine\"\n").unwrap();
-        let own = SourceFiles::of(Some(dir.path().to_owned()));
+        let own = MachineDescriptions::of(Some(dir.path().to_owned()));
         assert_eq!(own.machine("4832-machine.toml").unwrap().name(), "mine");
         assert_eq!(own.machine("4854-machine.toml").unwrap().name(), "turning centre of NISTIR 4854");
         assert!(own.machine("none.toml").is_err());

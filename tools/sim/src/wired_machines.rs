@@ -3,7 +3,7 @@
 //! highest speed. After a late poll the machine has waited. An insertion takes a few polls, and no count
 //! overtakes it if the process is not scheduled in the middle of it.
 
-use crate::attended::Attended;
+use crate::attended_machine::AttendedMachine;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::mock::Wires;
 
@@ -16,7 +16,7 @@ struct Station<A> {
 
 /// Several machines on one card.
 #[derive(Debug)]
-pub struct MachineWires<A> {
+pub struct WiredMachines<A> {
     stations: Vec<Station<A>>,
     probe: u64,
     hold: u64,
@@ -39,7 +39,7 @@ fn bit(line: Option<u8>) -> u64 {
     line.map_or(0, |b| 1 << b)
 }
 
-impl<A: Attended> Station<A> {
+impl<A: AttendedMachine> Station<A> {
     fn set_outputs(&mut self, outputs: u64, hold: u64) {
         let mut own = if outputs & hold == 0 { 0 } else { bit(OWN.hold) };
         for (n, lines) in self.lines.iter().enumerate() {
@@ -62,7 +62,7 @@ impl<A: Attended> Station<A> {
     }
 }
 
-impl<A: Attended> MachineWires<A> {
+impl<A: AttendedMachine> WiredMachines<A> {
     /// Machines, each with the card's lines of its axes.
     /// Feed hold and probe are common to all.
     pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {
@@ -83,7 +83,7 @@ impl<A: Attended> MachineWires<A> {
     }
 }
 
-impl<A: Attended> Wires for MachineWires<A> {
+impl<A: AttendedMachine> Wires for WiredMachines<A> {
     #[inline]
     fn levels(&mut self, t_ns: u64, outputs: u64) -> u64 {
         self.now_ns = t_ns - *self.start_ns.get_or_insert(t_ns);
@@ -110,7 +110,7 @@ impl<A: Attended> Wires for MachineWires<A> {
 }
 
 #[cfg(test)]
-impl<A> MachineWires<A> {
+impl<A> WiredMachines<A> {
     pub(crate) fn attended(&self, n: usize) -> &A {
         &self.stations[n].attended
     }
