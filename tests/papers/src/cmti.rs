@@ -5,7 +5,7 @@ use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
 use crate::{PaperError, Progress};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchResult, BenchSetup, Edge, InsertionDesign, constant};
+use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
@@ -202,7 +202,7 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     // Counted, not only reckoned: over a tenth of a second.
     let edges = constant(0, hz, (4.0 * hz / 10.0) as u64, 1);
     let computer = ComputerTiming::dsp();
-    let seen = BenchSetup { edges: &edges, keep_log: true, ..BenchSetup::new(InsertionDesign::C, &computer) };
+    let seen = BenchRun { edges: &edges, keep_log: true, ..BenchRun::new(InsertionDesign::C, &computer) };
     let seen = seen.run().ok_or_else(|| cannot("the fastest motion"))?;
     let (mut a, mut xor) = (0_u64, 0_u64);
     for w in seen.log.windows(2) {
@@ -249,8 +249,8 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
 /// A total asked at an edge of a motion, if all of it was inserted.
 fn compensated(circuit: &Circuit, edges: &[Edge], at: usize, total: i64, seed: u64) -> Option<BenchResult> {
     let (dsp, totals) = (ComputerTiming::dsp(), [(edges[at].0, total)]);
-    let new = BenchSetup::new(InsertionDesign::Ecc, &dsp);
-    let seen = BenchSetup { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
+    let new = BenchRun::new(InsertionDesign::Ecc, &dsp);
+    let seen = BenchRun { edges, totals: &totals, pll: circuit.pll, seed, ..new }.run();
     seen.filter(|s| s.completed == total && s.error_counts() == 0)
 }
 

@@ -15,7 +15,7 @@
 //! those made with the daemon's tools. If its end is also published elsewhere from time to time ([`Anchor`]),
 //! older parts cannot be forged unseen.
 
-use crate::protocol::Caller;
+use crate::protocol::ClientProcess;
 use rtec_files::date;
 use rtec_model::record::hex;
 use serde::{Deserialize, Serialize};
@@ -67,7 +67,7 @@ pub struct Entry {
     pub axis: Option<String>,
     /// Who made the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub by: Option<Caller>,
+    pub by: Option<ClientProcess>,
     /// The request, in the protocol's form.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<Value>,

@@ -15,7 +15,7 @@ mod reference_checks;
 
 pub use control::{ConfiguredSocket, ControlConfig, LONGEST_SOCKET, RoleSocket, default_directory, derived};
 pub use keys::reference;
-pub use latency::{LatencyProvenance, floors_ns};
+pub use latency::{LatencyTestConditions, floors_ns};
 
 use card::Kind;
 use rtec_driver::card::MachineLines;
@@ -196,7 +196,7 @@ pub struct RtConfig {
     /// The file gives measured latencies of the machine (`detect_ns` and `write_ns`).
     pub latency_measured: bool,
     /// Where and when they were measured; none if the file does not say.
-    pub measured: Option<LatencyProvenance>,
+    pub measured: Option<LatencyTestConditions>,
 }
 
 /// The machine model that runs in the daemon: the keys of `[model]`.

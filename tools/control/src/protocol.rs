@@ -258,7 +258,7 @@ pub enum Response {
     /// Everything that can be seen.
     Observed(Box<DaemonSnapshot>),
     /// The caller, as the daemon knows it.
-    Whoami(Box<Caller>),
+    Whoami(Box<ClientProcess>),
 }
 
 impl Response {
@@ -361,7 +361,7 @@ pub struct ConnectedClients {
 
 /// The other end of a connection, as the kernel identifies it (`SO_PEERCRED`).
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Caller {
+pub struct ClientProcess {
     /// User number.
     pub uid: u32,
     /// User name, if the number has one.

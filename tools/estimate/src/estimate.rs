@@ -3,12 +3,12 @@
 mod candidates;
 mod final_fit;
 
-use crate::cause::Shape;
+use crate::contribution::Shape;
 use crate::hypothesis_family::HypothesisFamilies;
 use crate::priors::MOST_PHI;
 use crate::problem::{EstimationProblem, Units, in_step};
 use crate::rows::{Noise, Rows};
-use crate::search::{HypothesisSet, Member, Search, fit, known_again};
+use crate::search::{HypothesisSearch, HypothesisSet, Member, fit, known_again};
 use crate::search_limits::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
 use crate::setup;
 use crate::wander::{self, Wander, wanders};
@@ -195,7 +195,7 @@ pub fn score(
     let start = known_again(&families, start);
     let noise = under(&problem, &start, problem.first_noise()).1;
     let mut best = f64::NEG_INFINITY;
-    let goes_on = |search: &Search<'_>, set: &HypothesisSet| {
+    let goes_on = |search: &HypothesisSearch<'_>, set: &HypothesisSet| {
         best = best.max(with_own_noise(search, set).0);
         best > enough - 2.0 * STRONG
     };
@@ -229,8 +229,8 @@ fn settled<T>(
     families: &mut HypothesisFamilies,
     first: Noise,
     start: Option<Vec<Member>>,
-    mut goes_on: impl FnMut(&Search<'_>, &HypothesisSet) -> bool,
-    then: impl Fn(&Search<'_>, &HypothesisSet) -> T,
+    mut goes_on: impl FnMut(&HypothesisSearch<'_>, &HypothesisSet) -> bool,
+    then: impl Fn(&HypothesisSearch<'_>, &HypothesisSet) -> T,
 ) -> T {
     let rows = problem.rows;
     let mut noise = first;
@@ -239,7 +239,7 @@ fn settled<T>(
     let mut exchanged = false;
     for round in 0..ROUNDS {
         families.bank.whiten(rows, &noise);
-        let search = Search::new(problem, families, problem.base(noise.clone()));
+        let search = HypothesisSearch::new(problem, families, problem.base(noise.clone()));
         // Under another noise a value may be impossible.
         let start = search.possible_part(search.of(members.take().unwrap_or_default()));
         let set = search.best(&start, regrow && round == 0);
@@ -278,7 +278,7 @@ fn settled<T>(
 }
 
 /// Log evidence of a set under the noise that it leaves, with that noise.
-fn with_own_noise(search: &Search<'_>, set: &HypothesisSet) -> (f64, Noise) {
+fn with_own_noise(search: &HypothesisSearch<'_>, set: &HypothesisSet) -> (f64, Noise) {
     under(search.problem, &set.members, search.problem.renewed(&search.base.noise, &set.factor))
 }
 
@@ -312,7 +312,7 @@ fn under(problem: &EstimationProblem<'_>, members: &[Member], mut noise: Noise) 
 /// A likelier set with one member more or less.
 /// Each set is compared under the noise that it leaves, and returned with that noise. Noise may have absorbed
 /// a member, and a member may have absorbed noise.
-fn under_own_noise(search: &Search<'_>, set: &HypothesisSet) -> Option<(HypothesisSet, Noise)> {
+fn under_own_noise(search: &HypothesisSearch<'_>, set: &HypothesisSet) -> Option<(HypothesisSet, Noise)> {
     let seeds = search.screened(set, false);
     let (now, _) = with_own_noise(search, set);
     let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
@@ -335,7 +335,7 @@ fn label(effect: &Effect) -> String {
     }
 }
 
-fn answer(search: &Search<'_>, set: &HypothesisSet, model: &[Effect]) -> Estimate {
+fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) -> Estimate {
     let mut set = set.clone();
     let (mut found, mut tried) = (Vec::new(), Vec::new());
     let mut i = 0;

@@ -2,7 +2,7 @@
 //! Each is a family of hypotheses over its non-linear parameters. Effects that the rows cannot show are left
 //! out.
 
-use crate::cause::{Cause, Shape, sizes};
+use crate::contribution::{Contribution, Shape, sizes};
 use crate::hypothesis_columns::HypothesisColumns;
 use crate::priors::{IMPLAUSIBLE, JUMP_UM_PROBABILITY, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, Segment, is_placed};
@@ -38,7 +38,7 @@ pub struct HypothesisFamily {
 #[derive(Debug)]
 pub enum Scan {
     /// A group of columns for each point of a grid, with its log weight.
-    Grid(Vec<(usize, f64, Cause)>),
+    Grid(Vec<(usize, f64, Contribution)>),
     /// Temperature differences.
     /// For each time constant it has a group with a column for each sensor, alone or against another.
     Sensors {
@@ -129,7 +129,7 @@ impl HypothesisFamilies {
         }
         let named = all.list.len();
         for (shape, columns) in shapes(rows) {
-            let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
+            let cause = Contribution::Shape(Arc::new((shape.clone(), columns.clone())));
             let group = all.bank.push(columns);
             let scan = Scan::Grid(vec![(group, 0.0, cause)]);
             all.list.push(HypothesisFamily::unnamed(shape, scan));
@@ -146,7 +146,7 @@ impl HypothesisFamilies {
             let shape =
                 Shape { response, against: vec!["time".to_owned()], manner: "a jump at a pause".to_owned() };
             let columns = vec![t.column.iter().map(|x| x * JUMP_UM_PROBABILITY.0).collect::<Vec<f64>>()];
-            let cause = Cause::Shape(Arc::new((shape.clone(), columns.clone())));
+            let cause = Contribution::Shape(Arc::new((shape.clone(), columns.clone())));
             let scan = Scan::Grid(vec![(all.bank.push(columns), 0.0, cause)]);
             let prior = JUMP_UM_PROBABILITY.1.ln();
             all.list.push(HypothesisFamily { set_up: true, prior, ..HypothesisFamily::unnamed(shape, scan) });
@@ -174,7 +174,7 @@ impl HypothesisFamilies {
         if free > 4 {
             return;
         }
-        let cause = Cause::Effect { effect: effect.clone(), free, reference: false };
+        let cause = Contribution::Effect { effect: effect.clone(), free, reference: false };
         let columns = cause.columns(rows);
         if columns.iter().all(|c| c.iter().all(|x| *x == 0.0)) {
             return;
@@ -296,7 +296,7 @@ impl HypothesisFamilies {
             for GridHypothesis { effect, price } in points {
                 let free = effect.coefficient_count();
                 let weight = weight + implausible(&effect);
-                grid.push((weight - price, Cause::Effect { effect, free, reference: false }));
+                grid.push((weight - price, Contribution::Effect { effect, free, reference: false }));
             }
         }
         let mut points = Vec::new();
@@ -419,7 +419,7 @@ const fn gcd(a: i64, b: i64) -> i64 {
 }
 
 /// A map on the measured positions, as long and as short waves.
-fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
+fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Contribution)> {
     use rtec_model::effect::Extent as _;
     // Its knots are on the last axis of its name.
     let Some(axis) = effect.axes().last() else { return Vec::new() };
@@ -461,7 +461,10 @@ fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Cause)> {
         .iter()
         .map(|kernel| {
             let found = directions(&knots, *kernel, &without, KNOTS);
-            (-(kernels.len() as f64).ln(), Cause::Map { effect: effect.clone(), directions: Arc::new(found) })
+            (
+                -(kernels.len() as f64).ln(),
+                Contribution::Map { effect: effect.clone(), directions: Arc::new(found) },
+            )
         })
         .collect()
 }

@@ -10,7 +10,7 @@
 //! | [`rows`] | records as rows under one noise |
 //! | [`setup`] | set-up terms, in one list |
 //! | [`shapes`] | shapes without a name, in one list |
-//! | `cause`, `hypothesis_family` | contribution of a hypothesis to the rows; all hypotheses |
+//! | `contribution`, `hypothesis_family` | contribution of a hypothesis to the rows; all hypotheses |
 //! | `smooth`, `wave` | smooth functions as columns; frequencies that rows show |
 //! | `wander` | walks that last longer than the noise's correlation |
 //! | `hypothesis_columns` | a quick look at many columns |
@@ -19,7 +19,7 @@
 //! | `estimate` | noise and search in turn; names, values, intervals |
 //! | `refit` | sizes fitted again, with rows left out or a curve added |
 
-pub mod cause;
+pub mod contribution;
 pub mod estimate;
 pub mod hypothesis_columns;
 pub mod hypothesis_family;
@@ -35,7 +35,7 @@ pub mod smooth;
 pub mod wander;
 pub mod wave;
 
-pub use cause::Shape;
+pub use contribution::Shape;
 pub use estimate::{
     Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, alone, estimate, score,
     unexplained,

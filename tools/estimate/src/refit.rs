@@ -1,7 +1,7 @@
 //! Fits the sizes of given effects again.
 //! It leaves rows out, or adds a curve for something without a name.
 
-use crate::cause::Cause;
+use crate::contribution::Contribution;
 use crate::priors::WIDE;
 use crate::problem::EstimationProblem;
 use crate::rows::{Noise, Rows};
@@ -18,8 +18,8 @@ pub struct Refit<'p, 'r> {
     effects: Vec<Effect>,
 }
 
-fn cause(effect: &Effect) -> Cause {
-    Cause::Effect { effect: effect.clone(), free: effect.coefficient_count(), reference: false }
+fn cause(effect: &Effect) -> Contribution {
+    Contribution::Effect { effect: effect.clone(), free: effect.coefficient_count(), reference: false }
 }
 
 impl<'p, 'r> Refit<'p, 'r> {

@@ -5,7 +5,7 @@
 mod grow;
 mod screening;
 
-use crate::cause::Cause;
+use crate::contribution::Contribution;
 use crate::hypothesis_columns::ScreeningProducts;
 use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
@@ -26,7 +26,7 @@ pub struct Member {
     /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
     /// Its contribution, with its non-linear parameters.
-    pub cause: Cause,
+    pub cause: Contribution,
     /// Size of its prior, in typical sizes.
     pub level: f64,
     /// Log prior: name, grid point, level.
@@ -84,7 +84,7 @@ pub struct ScreenedHypothesis {
     /// Its family.
     pub family: usize,
     /// Its contribution, with its non-linear parameters.
-    pub cause: Cause,
+    pub cause: Contribution,
     /// Log weight of its grid point.
     pub weight: f64,
     /// Log odds by the quick look, including the family's prior.
@@ -92,7 +92,7 @@ pub struct ScreenedHypothesis {
 }
 
 /// A search under one noise.
-pub struct Search<'p> {
+pub struct HypothesisSearch<'p> {
     /// The rows and the model, to be explained.
     pub problem: &'p EstimationProblem<'p>,
     /// The hypotheses that may explain them.
@@ -202,7 +202,7 @@ pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
     gain_of(of, left, freedom)
 }
 
-impl<'p> Search<'p> {
+impl<'p> HypothesisSearch<'p> {
     /// A search of a problem under a noise.
     /// The families' columns must be whitened already.
     #[must_use]
@@ -225,7 +225,7 @@ impl<'p> Search<'p> {
 
     /// Whitened columns of a cause.
     #[must_use]
-    pub fn columns(&self, cause: &Cause) -> Vec<Vec<f64>> {
+    pub fn columns(&self, cause: &Contribution) -> Vec<Vec<f64>> {
         self.whitened(cause.columns(self.problem.rows))
     }
 
@@ -362,7 +362,8 @@ impl<'p> Search<'p> {
         let mut sum = 0.0;
         for m in members {
             if of(m)
-                && let Some(size) = m.cause.effect().and_then(|e| crate::cause::sizes(e).first().copied())
+                && let Some(size) =
+                    m.cause.effect().and_then(|e| crate::contribution::sizes(e).first().copied())
             {
                 let unit = size * m.level;
                 let (um, sd) = (beta[at] * unit, dot(&inverse[at], &inverse[at]).sqrt() * unit);
@@ -467,7 +468,8 @@ impl<'p> Search<'p> {
     fn may_join(&self, set: &HypothesisSet, family: usize) -> bool {
         let f = self.family(family);
         if let Some(shape) = f.shape.as_ref().filter(|_| !f.set_up) {
-            let same = |m: &&Member| matches!(&m.cause, Cause::Shape(s) if s.0.response == shape.response);
+            let same =
+                |m: &&Member| matches!(&m.cause, Contribution::Shape(s) if s.0.response == shape.response);
             let already = set.members.iter().filter(same).count();
             if already >= MOST_SHAPES {
                 return false;

@@ -1,7 +1,7 @@
 //! Shapes without a name: errors that no effect of the dictionary describes.
 //! Each kind has one function; a new one needs its function and a line in [`SHAPES`].
 
-use crate::cause::Shape;
+use crate::contribution::Shape;
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::{Rows, Segment};
 use crate::search_limits::{

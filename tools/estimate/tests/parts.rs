@@ -5,7 +5,7 @@
 use rtec_estimate::hypothesis_family::HypothesisFamilies;
 use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Rows, needs_place};
-use rtec_estimate::search::{Member, Search};
+use rtec_estimate::search::{HypothesisSearch, Member};
 use rtec_estimate::setup::step_of;
 use rtec_estimate::smooth::{Kernel, directions, knots};
 use rtec_estimate::wave::WaveVariable;
@@ -55,7 +55,7 @@ fn the_look_beside_a_set_is_that_beside_its_factor() {
     let mut noise = problem.first_noise();
     (noise.sigma, noise.phi) = (vec![0.05], vec![0.0]);
     families.bank.whiten(&rows, &noise);
-    let search = Search::new(&problem, &families, problem.base(noise));
+    let search = HypothesisSearch::new(&problem, &families, problem.base(noise));
     let set = search.grown(&search.nothing(), 1, true).swap_remove(0);
     let set = search.grown(&set, 1, true).into_iter().next().unwrap_or(set);
     assert!(!set.members.is_empty());
@@ -88,14 +88,14 @@ fn only_what_is_impossible_leaves_a_set() {
         ];
         [Record::new(std::path::Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()]
     };
-    let searched = |records: &[Record], then: &dyn Fn(&Search<'_>) -> Vec<Member>| {
+    let searched = |records: &[Record], then: &dyn Fn(&HypothesisSearch<'_>) -> Vec<Member>| {
         let rows = Rows::new(records);
         let problem = EstimationProblem::new(&rows, &[], &[]);
         let mut families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
         let mut noise = problem.first_noise();
         (noise.sigma, noise.phi) = (vec![0.05; 2], vec![0.0; 2]);
         families.bank.whiten(&rows, &noise);
-        then(&Search::new(&problem, &families, problem.base(noise)))
+        then(&HypothesisSearch::new(&problem, &families, problem.base(noise)))
     };
     let axes = |members: &[Member]| -> Vec<String> {
         let mut axes: Vec<String> = members.iter().filter_map(|m| Some(m.cause.effect()?.name())).collect();

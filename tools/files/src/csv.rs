@@ -21,7 +21,7 @@ mod writing;
 
 pub use header::Header;
 pub use row::{Cell, Cells, Row};
-pub use writing::{Style, cell, header_line};
+pub use writing::{CsvStyle, cell, header_line};
 
 use crate::decimal::decimal;
 use crate::file_kind::FileKind;

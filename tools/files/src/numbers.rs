@@ -5,7 +5,7 @@
 //! (`1.000.000`), or one that cannot separate thousands (`38,1125`, `0,125`). One mark before three digits
 //! (`1.000`, `38,125`) does not show it; then the other cells of the column decide.
 
-use crate::csv::{Commented, Oddities, Reader, Style, TrailingSeparators};
+use crate::csv::{Commented, CsvStyle, Oddities, Reader, TrailingSeparators};
 use crate::decimal::{SIGNS, number};
 use crate::input_error::InputError;
 use crate::text::unreadable;
@@ -217,8 +217,8 @@ impl TableMarks {
     }
 
     /// The style for further columns of the same table.
-    pub fn style(&self) -> Style {
-        Style { by: self.by, decimal_comma: self.table == Some(',') }
+    pub fn style(&self) -> CsvStyle {
+        CsvStyle { by: self.by, decimal_comma: self.table == Some(',') }
     }
 
     /// How the file's format differs from the documented one.

@@ -67,25 +67,30 @@ pub(crate) struct Rules {
     /// The position at which the value must be zero, mm.
     pub zero_at_mm: Option<f64>,
     /// Where the controller looks a value up.
-    pub lookup: Lookup,
+    pub lookup: LookupPosition,
 }
 
 impl Rules {
     /// Rules for values in both directions, looked up at the commanded position.
     fn both_directions(most: usize, position_mm: f64, value_um: f64) -> Self {
-        Self { most, position_mm, value_um, both: true, zero_at_mm: None, lookup: Lookup::Commanded }
+        Self { most, position_mm, value_um, both: true, zero_at_mm: None, lookup: LookupPosition::Commanded }
     }
 
     /// Rules of SINUMERIK: one value for both directions, zero at a reference point.
     fn siemens(most: usize, reference_mm: f64) -> Self {
         let zero_at_mm = Some(reference_mm);
-        Self { both: false, zero_at_mm, lookup: Lookup::Encoder, ..Self::both_directions(most, 1e-4, 1e-3) }
+        Self {
+            both: false,
+            zero_at_mm,
+            lookup: LookupPosition::Encoder,
+            ..Self::both_directions(most, 1e-4, 1e-3)
+        }
     }
 }
 
 /// The position at which a controller looks up a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Lookup {
+pub(crate) enum LookupPosition {
     /// The commanded position.
     /// The value moves the drive to another position, where the error differs.
     Commanded,
@@ -107,9 +112,9 @@ pub(crate) trait Format {
 
 /// Plain columns: `position_mm,error_up_um,error_down_um`.
 #[derive(Debug)]
-pub(crate) struct Csv;
+pub(crate) struct CompensationTableCsv;
 
-impl Format for Csv {
+impl Format for CompensationTableCsv {
     fn rules(&self) -> Rules {
         Rules::both_directions(MANY, 1e-6, 1e-6)
     }
@@ -594,7 +599,7 @@ impl Table {
     /// A controller that looks up the commanded position moves the drive to a place with another error. Near
     /// a large reversal that is a good part of a screw's wave.
     fn applied(mut self, errors: &StaticErrors<'_>, dense: &Dense, rules: &Rules) -> Result<Self> {
-        if rules.lookup == Lookup::Encoder {
+        if rules.lookup == LookupPosition::Encoder {
             // `judge` already used value and error of one place.
             return Ok(self);
         }

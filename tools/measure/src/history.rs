@@ -28,9 +28,9 @@ const POSITIONING: [&str; 5] = ["A", "E", "M", "R", "B_mean"];
 /// Limits of figures, on both sides of zero.
 /// By whole name (`x.A`) or for every axis (`A`).
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Limits(BTreeMap<String, f64>);
+pub struct FigureTolerances(BTreeMap<String, f64>);
 
-impl Limits {
+impl FigureTolerances {
     /// Reads a file with a table `[limits]`: `"x.A" = 12.0`, `B_mean = 5.0`.
     ///
     /// # Errors
@@ -156,7 +156,7 @@ pub struct History {
 
 /// One machine's history from its records, each by its path.
 /// Records that cannot be read are listed in `left_out`.
-pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Limits) -> History {
+pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &FigureTolerances) -> History {
     let mut found: BTreeMap<String, Figure> = BTreeMap::new();
     let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
     let mut rows = |record: &Record| Rows::of(record, &mut suspicions);
@@ -400,11 +400,11 @@ mod tests {
             ("[limit]\nA = 1.0\n", 1, "limit"),
         ] {
             std::fs::write(&file, text).unwrap();
-            let e = Limits::read(&file).unwrap_err();
+            let e = FigureTolerances::read(&file).unwrap_err();
             assert!(e.line == line && e.found.contains(found), "{text}: {e}");
         }
         std::fs::write(&file, "[limits]\n\"x.A\" = 12.0\nA = 20\n").unwrap();
-        let limits = Limits::read(&file).unwrap();
+        let limits = FigureTolerances::read(&file).unwrap();
         assert_eq!((limits.for_figure("x.A"), limits.for_figure("y.A")), (Some(12.0), Some(20.0)));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::{derive, plausible, record};
 use rtec_files::{InputError, InputMessage, Result};
-use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, PiecewisePrediction, RecordRanges};
+use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, RecordPiecePredictor, RecordRanges};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -63,7 +63,7 @@ pub fn write(
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     }
     pieces.rewind()?;
-    let (mut running, mut asked) = (PiecewisePrediction::of(machine), FitRangeCheck::of(machine));
+    let (mut running, mut asked) = (RecordPiecePredictor::of(machine), FitRangeCheck::of(machine));
     let looked_over = if interval { Some(look_over(&mut pieces, &mut asked)?) } else { None };
     pieces.rewind()?;
     let mut widths: Vec<HalfWidths<'_>> = Vec::new();

@@ -3,7 +3,7 @@
 use crate::far_side::SelftestCounts;
 use crate::latency_test::{LatencyTestResult, MeasuredOn};
 use crate::measurement::{Latency, SelftestOptions};
-use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance, floors_ns};
+use rtec_control::config::{Config, ConfiguredAxis, LatencyTestConditions, floors_ns};
 use rtec_control::protocol::{SpeedLimits, explain_fault, word};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::HistogramSnapshot;
@@ -54,7 +54,7 @@ impl SelftestVerdict {
         &'a self,
         measured: &'a LatencyTestResult,
         options: &SelftestOptions,
-        provenance: &'a LatencyProvenance,
+        provenance: &'a LatencyTestConditions,
         backend: &'a str,
     ) -> SelftestDocument<'a> {
         let of_axes =
@@ -140,7 +140,7 @@ struct RtKeys<'a> {
     detect_ns: u64,
     /// `None` where no write was measured.
     write_ns: Option<u64>,
-    measured: &'a LatencyProvenance,
+    measured: &'a LatencyTestConditions,
 }
 
 /// The axis of a test without a configuration.

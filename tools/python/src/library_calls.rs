@@ -16,7 +16,7 @@ use rtec_fit::thermal::{self, prediction_chart, residual_chart};
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::history::Limits;
+use rtec_measure::history::FigureTolerances;
 use rtec_measure::iso230::Conditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
 use rtec_measure::plausible;
@@ -698,8 +698,8 @@ pub(crate) fn history(
 ) -> PyResult<(String, String, String, String)> {
     quietly(py, move || {
         let limits = match limits_file {
-            Some(file) => Limits::read(&file)?,
-            None => Limits::of(limits),
+            Some(file) => FigureTolerances::read(&file)?,
+            None => FigureTolerances::of(limits),
         };
         let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p)));
         let made = inners(made).into_iter().map(|r| (r.path.display().to_string(), Ok(r)));

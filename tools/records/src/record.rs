@@ -2,7 +2,7 @@
 //! They are read strictly and written whole (tools/guide/reference/records.md).
 
 use rtec_files::clock::{self, absolute_ns, of_day_ns};
-use rtec_files::csv::{self, Reader, Style};
+use rtec_files::csv::{self, CsvStyle, Reader};
 use rtec_files::date;
 use rtec_files::format_stamp;
 use rtec_files::text::{LONGEST, open_regular};
@@ -150,8 +150,8 @@ impl RecordPieceReader {
     }
 
     /// Style of further cells beside the CSV's own.
-    pub fn style(&self) -> Style {
-        self.rows.marks.as_ref().map_or_else(Style::default, TableMarks::style)
+    pub fn style(&self) -> CsvStyle {
+        self.rows.marks.as_ref().map_or_else(CsvStyle::default, TableMarks::style)
     }
 
     /// The next rows, at most `rows`; `None` at the end.
@@ -235,7 +235,7 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
     let mut file = open_regular(&path)?;
     let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
     let marks = TableMarks::find(&path, &mut file, &names)?;
-    let style = marks.as_ref().map_or_else(Style::default, TableMarks::style);
+    let style = marks.as_ref().map_or_else(CsvStyle::default, TableMarks::style);
     let mut reader = Reader::new(&path, file)?;
     let mut out = String::with_capacity(24 * (record.columns.len() + extra.len()) * record.rows());
     let header = reader.header_with("a header line", &names)?;

@@ -10,7 +10,7 @@
 
 use nix::unistd::Gid;
 use rtec_control::audit::{Anchor, Entry, FILES_REFUSED, Writer, refused_path};
-use rtec_control::protocol::{Caller, EventReport, LogState};
+use rtec_control::protocol::{ClientProcess, EventReport, LogState};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -46,7 +46,7 @@ pub(crate) type Totals = BTreeMap<String, [i64; 2]>;
 
 /// A command with its answer.
 pub(crate) struct Command {
-    pub by: Caller,
+    pub by: ClientProcess,
     pub request: Value,
     pub result: &'static str,
     pub text: String,
@@ -401,7 +401,7 @@ mod tests {
 
     fn command(pid: i32, result: &'static str) -> Command {
         Command {
-            by: Caller { uid: 7, pid, ..Caller::default() },
+            by: ClientProcess { uid: 7, pid, ..ClientProcess::default() },
             request: serde_json::json!({"do": "enable"}),
             result,
             text: String::new(),
@@ -502,7 +502,7 @@ mod tests {
             let request = serde_json::json!({"do": "correct", "total_counts": n});
             audit.command(Command { request, ..command(n, "refused") });
         }
-        let by = Caller { uid: 8, ..Caller::default() };
+        let by = ClientProcess { uid: 8, ..ClientProcess::default() };
         audit.command(Command { by, ..command(1, "refused") });
         let all = ended(audit, &path);
         let of =
@@ -571,7 +571,7 @@ mod tests {
     #[test]
     fn whoever_operates_does_not_write_the_record_full() {
         let (_directory, path, mut audit) = started();
-        let by = |role: &str| Caller { uid: 7, role: role.to_owned(), ..Caller::default() };
+        let by = |role: &str| ClientProcess { uid: 7, role: role.to_owned(), ..ClientProcess::default() };
         let happened =
             EventReport { t_ns: 0, axis: None, kind: "mode".to_owned(), text: "hold".to_owned(), trip: None };
         for n in 0..5000 {

@@ -4,7 +4,7 @@
 use nix::cmsg_space;
 use nix::errno::Errno;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, UnixAddr, getsockopt, recvmsg, sockopt};
-use rtec_control::protocol::{Caller, ClientRequest, MAX_LINE, Response};
+use rtec_control::protocol::{ClientProcess, ClientRequest, MAX_LINE, Response};
 use rtec_control::role::Role;
 use std::collections::VecDeque;
 use std::io::{ErrorKind, IoSliceMut, Write};
@@ -65,7 +65,7 @@ pub(crate) enum Stage {
 pub(crate) struct Client {
     pub id: u64,
     pub stream: UnixStream,
-    pub caller: Caller,
+    pub caller: ClientProcess,
     pub role: Role,
     /// It has a place that is reserved for urgent requests.
     pub reserved: bool,
@@ -87,7 +87,7 @@ impl Client {
     /// A connection on the socket of a role.
     pub(crate) fn new(id: u64, stream: UnixStream, role: Role, socket: &Path) -> nix::Result<Self> {
         let peer = getsockopt(&stream, sockopt::PeerCredentials)?;
-        let caller = Caller {
+        let caller = ClientProcess {
             uid: peer.uid(),
             user: user_name(peer.uid()),
             pid: peer.pid(),

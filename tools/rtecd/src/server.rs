@@ -22,7 +22,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::Signal;
 use nix::sys::signalfd::SignalFd;
 use nix::unistd::Uid;
-use rtec_control::protocol::{Caller, ClientRequest, ConnectedClients, Response};
+use rtec_control::protocol::{ClientProcess, ClientRequest, ConnectedClients, Response};
 use rtec_control::role::Role;
 use rtec_rt::link::ControlEnd;
 use rtec_rt::link_messages::Fault;
@@ -62,7 +62,7 @@ const BUSY_AGAIN: u8 = 2;
 /// A load whose caller waits for the answer.
 struct Waiting {
     client: u64,
-    caller: Caller,
+    caller: ClientProcess,
     request: Value,
     before: Totals,
 }
@@ -286,7 +286,7 @@ impl ServingContext<'_> {
         let mut response = match &request {
             ClientRequest::Whoami {} => {
                 let may = client.role.may().into_iter().map(str::to_owned).collect();
-                Response::Whoami(Box::new(Caller { may, ..client.caller.clone() }))
+                Response::Whoami(Box::new(ClientProcess { may, ..client.caller.clone() }))
             }
             ClientRequest::Observe { events_after } => {
                 let connected = connected(clients);
@@ -370,7 +370,7 @@ impl ServingContext<'_> {
     /// Records a command and its answer; `words` replaces the answer's text.
     fn record(
         &mut self,
-        by: &Caller,
+        by: &ClientProcess,
         request: Value,
         response: &Response,
         words: Option<&str>,

@@ -22,7 +22,7 @@ use crate::log::{self, Level};
 use crate::mock_cards::SimulatedOperator;
 use crate::record_spool::{RecordSpool, Spool, SpoolResult};
 use loads::LoadPurpose;
-use rtec_control::config::{Config, ConfiguredAxis, LatencyProvenance};
+use rtec_control::config::{Config, ConfiguredAxis, LatencyTestConditions};
 use rtec_control::protocol::{ClientRequest, EventReport, NumberedEvent, Response, word};
 use rtec_correct::Corrector;
 use rtec_files::date;
@@ -199,7 +199,7 @@ impl Session {
             .filter_map(|(axis, f)| Some(((axis, f as u8), set_up.before.times.latched_ns(axis, f)?)))
             .collect();
         let cpu = set_up.wanted.map_or(0, |w| w.cpu);
-        let here = || LatencyProvenance::here(&config.card, cpu, &SystemRoot::live());
+        let here = || LatencyTestConditions::here(&config.card, cpu, &SystemRoot::live());
         let unfit = if set_up.real { config.unfit(&here()) } else { Vec::new() };
         Self {
             latched_ns,

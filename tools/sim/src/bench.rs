@@ -292,7 +292,7 @@ impl<G: Gates> Card for Rig<'_, G> {
 
 /// A run on the bench.
 #[derive(Debug, Clone)]
-pub struct BenchSetup<'a> {
+pub struct BenchRun<'a> {
     /// The insertion design.
     pub design: InsertionDesign,
     /// The computer. The ECC is a circuit and needs none.
@@ -358,10 +358,10 @@ impl BenchResult {
     }
 }
 
-impl BenchSetup<'_> {
+impl BenchRun<'_> {
     /// A run with the axis at rest at A = B = low, no requests, no stop, speed gate on.
-    pub fn new(design: InsertionDesign, computer: &ComputerTiming) -> BenchSetup<'_> {
-        BenchSetup {
+    pub fn new(design: InsertionDesign, computer: &ComputerTiming) -> BenchRun<'_> {
+        BenchRun {
             design,
             computer,
             config: AxisConfig::default(),

@@ -20,7 +20,7 @@ pub use insertion::{one_metre, over_a_part};
 use crate::described_machines::MachineDescriptions;
 use crate::sim::{MachineSpec, SimError};
 use crate::turning::TurningError;
-use heat::{Start, drift, drilling, production, tool_change, wet_runs};
+use heat::{StartConditions, drift, drilling, production, tool_change, wet_runs};
 use insertion::{linear_error, rapid_catch_up};
 use motion::{ballbar, dynamics, feed_sweep, linear_displacement, plate};
 use nose::hemisphere;
@@ -102,7 +102,7 @@ pub enum ExperimentError {
 enum Run {
     Own(fn(&ExperimentInputs<'_>, &mut ExperimentResults) -> Result<(), ExperimentError>),
     /// The drilling test of WO 97/43703 from this thermal state.
-    Drilling(Start),
+    Drilling(StartConditions),
 }
 
 /// An experiment that characterises a machine.
@@ -158,7 +158,7 @@ impl Experiment {
 
     /// A drilling test after a spindle cycle (rpm and minutes), wet.
     const fn drilling(name: &'static str, what: &'static str, before: &'static [(f64, f64)]) -> Self {
-        Self { name, what, own: WO_97, run: Run::Drilling(Start { before, stood_degc: None }) }
+        Self { name, what, own: WO_97, run: Run::Drilling(StartConditions { before, stood_degc: None }) }
     }
 
     /// Its own machine; none if the user's is to be used.
@@ -238,7 +238,7 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         name: "drilling-weekend",
         what: "the same after a weekend: all at 16 °C, the hall heated to 20 °C for an hour",
         own: WO_97,
-        run: Run::Drilling(Start { before: &[], stood_degc: Some(16.0) }),
+        run: Run::Drilling(StartConditions { before: &[], stood_degc: Some(16.0) }),
     },
     Experiment {
         name: "hemisphere",

@@ -10,7 +10,7 @@ use crate::noise::NoiseGenerator;
 /// A thermal mass of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
-pub enum Node {
+pub enum ThermalNode {
     FrontBearing,
     RearBearing,
     Motor,
@@ -27,86 +27,89 @@ pub enum Node {
 
 const NODES: usize = 12;
 
-/// Heat capacities, J/K, in the order of [`Node`]; the ambient is a boundary.
+/// Heat capacities, J/K, in the order of [`ThermalNode`]; the ambient is a boundary.
 const CAPACITY: [f64; NODES] =
     [2.5e3, 2.5e3, 9.0e3, 1.4e4, 1.6e4, 1.4e4, 6.0e4, 3.0e5, 5.0e5, 1.5e5, 2.5e5, f64::INFINITY];
 
 /// Thermal conductances between two masses, W/K.
-const CONDUCTANCE: [(Node, Node, f64); 21] = [
-    (Node::FrontBearing, Node::HousingFront, 45.0),
-    (Node::RearBearing, Node::HousingRear, 40.0),
-    (Node::Motor, Node::RearBearing, 6.0),
-    (Node::Motor, Node::HousingRear, 4.0),
-    (Node::HousingFront, Node::HousingMiddle, 60.0),
-    (Node::HousingMiddle, Node::HousingRear, 40.0),
-    (Node::HousingMiddle, Node::Headstock, 12.0),
-    (Node::HousingRear, Node::Headstock, 6.0),
-    (Node::Headstock, Node::Column, 10.0),
-    (Node::Column, Node::Bed, 15.0),
-    (Node::Bed, Node::Table, 10.0),
-    (Node::FrontBearing, Node::Ambient, 1.5),
-    (Node::Motor, Node::Ambient, 9.0),
-    (Node::HousingFront, Node::Ambient, 6.0),
-    (Node::HousingMiddle, Node::Ambient, 3.0),
-    (Node::HousingRear, Node::Ambient, 5.0),
-    (Node::Headstock, Node::Ambient, 12.0),
-    (Node::Column, Node::Ambient, 30.0),
-    (Node::Bed, Node::Ambient, 30.0),
-    (Node::Table, Node::Ambient, 15.0),
-    (Node::Coolant, Node::Ambient, 25.0),
+const CONDUCTANCE: [(ThermalNode, ThermalNode, f64); 21] = [
+    (ThermalNode::FrontBearing, ThermalNode::HousingFront, 45.0),
+    (ThermalNode::RearBearing, ThermalNode::HousingRear, 40.0),
+    (ThermalNode::Motor, ThermalNode::RearBearing, 6.0),
+    (ThermalNode::Motor, ThermalNode::HousingRear, 4.0),
+    (ThermalNode::HousingFront, ThermalNode::HousingMiddle, 60.0),
+    (ThermalNode::HousingMiddle, ThermalNode::HousingRear, 40.0),
+    (ThermalNode::HousingMiddle, ThermalNode::Headstock, 12.0),
+    (ThermalNode::HousingRear, ThermalNode::Headstock, 6.0),
+    (ThermalNode::Headstock, ThermalNode::Column, 10.0),
+    (ThermalNode::Column, ThermalNode::Bed, 15.0),
+    (ThermalNode::Bed, ThermalNode::Table, 10.0),
+    (ThermalNode::FrontBearing, ThermalNode::Ambient, 1.5),
+    (ThermalNode::Motor, ThermalNode::Ambient, 9.0),
+    (ThermalNode::HousingFront, ThermalNode::Ambient, 6.0),
+    (ThermalNode::HousingMiddle, ThermalNode::Ambient, 3.0),
+    (ThermalNode::HousingRear, ThermalNode::Ambient, 5.0),
+    (ThermalNode::Headstock, ThermalNode::Ambient, 12.0),
+    (ThermalNode::Column, ThermalNode::Ambient, 30.0),
+    (ThermalNode::Bed, ThermalNode::Ambient, 30.0),
+    (ThermalNode::Table, ThermalNode::Ambient, 15.0),
+    (ThermalNode::Coolant, ThermalNode::Ambient, 25.0),
 ];
 
 /// Additional conductances while coolant flows, W/K.
-const WET: [(Node, Node, f64); 4] = [
-    (Node::HousingFront, Node::Coolant, 30.0),
-    (Node::FrontBearing, Node::Coolant, 8.0),
-    (Node::Table, Node::Coolant, 60.0),
-    (Node::Bed, Node::Coolant, 20.0),
+const WET: [(ThermalNode, ThermalNode, f64); 4] = [
+    (ThermalNode::HousingFront, ThermalNode::Coolant, 30.0),
+    (ThermalNode::FrontBearing, ThermalNode::Coolant, 8.0),
+    (ThermalNode::Table, ThermalNode::Coolant, 60.0),
+    (ThermalNode::Bed, ThermalNode::Coolant, 20.0),
 ];
 
 /// Heat at 5500 rpm, W, and its share that grows with the square of the speed.
 /// The rest grows with the speed.
-const SOURCES: [(Node, f64, f64); 3] =
-    [(Node::FrontBearing, 170.0, 0.6), (Node::RearBearing, 135.0, 0.6), (Node::Motor, 185.0, 0.3)];
+const SOURCES: [(ThermalNode, f64, f64); 3] = [
+    (ThermalNode::FrontBearing, 170.0, 0.6),
+    (ThermalNode::RearBearing, 135.0, 0.6),
+    (ThermalNode::Motor, 185.0, 0.3),
+];
 
 /// Heat that the coolant's pump puts into it, W.
 const PUMP_W: f64 = 300.0;
 
 /// The sensors: name, mass at which it sits, neighbour, and the neighbour's share.
-pub const SENSORS: [(&str, Node, Node, f64); 20] = [
-    ("T1", Node::Bed, Node::Ambient, 0.1),
-    ("T2", Node::Bed, Node::Table, 0.4),
-    ("T3", Node::Column, Node::Bed, 0.3),
-    ("T4", Node::Column, Node::Ambient, 0.1),
-    ("T5", Node::Column, Node::Headstock, 0.3),
-    ("T6", Node::Headstock, Node::HousingMiddle, 0.3),
-    ("T7", Node::HousingMiddle, Node::HousingFront, 0.2),
-    ("T8", Node::HousingFront, Node::HousingMiddle, 0.2),
-    ("T9", Node::HousingRear, Node::HousingMiddle, 0.2),
-    ("T10", Node::FrontBearing, Node::HousingFront, 0.5),
-    ("T11", Node::Headstock, Node::Column, 0.3),
-    ("T12", Node::RearBearing, Node::HousingRear, 0.4),
-    ("T13", Node::FrontBearing, Node::HousingFront, 0.2),
-    ("T14", Node::Motor, Node::HousingRear, 0.1),
-    ("T15", Node::Motor, Node::Ambient, 0.4),
-    ("T16", Node::Headstock, Node::Ambient, 0.2),
-    ("T17", Node::Table, Node::Bed, 0.3),
-    ("T18", Node::Table, Node::Ambient, 0.05),
-    ("T19", Node::Coolant, Node::Table, 0.0),
-    ("T20", Node::Ambient, Node::Column, 0.05),
+pub const SENSORS: [(&str, ThermalNode, ThermalNode, f64); 20] = [
+    ("T1", ThermalNode::Bed, ThermalNode::Ambient, 0.1),
+    ("T2", ThermalNode::Bed, ThermalNode::Table, 0.4),
+    ("T3", ThermalNode::Column, ThermalNode::Bed, 0.3),
+    ("T4", ThermalNode::Column, ThermalNode::Ambient, 0.1),
+    ("T5", ThermalNode::Column, ThermalNode::Headstock, 0.3),
+    ("T6", ThermalNode::Headstock, ThermalNode::HousingMiddle, 0.3),
+    ("T7", ThermalNode::HousingMiddle, ThermalNode::HousingFront, 0.2),
+    ("T8", ThermalNode::HousingFront, ThermalNode::HousingMiddle, 0.2),
+    ("T9", ThermalNode::HousingRear, ThermalNode::HousingMiddle, 0.2),
+    ("T10", ThermalNode::FrontBearing, ThermalNode::HousingFront, 0.5),
+    ("T11", ThermalNode::Headstock, ThermalNode::Column, 0.3),
+    ("T12", ThermalNode::RearBearing, ThermalNode::HousingRear, 0.4),
+    ("T13", ThermalNode::FrontBearing, ThermalNode::HousingFront, 0.2),
+    ("T14", ThermalNode::Motor, ThermalNode::HousingRear, 0.1),
+    ("T15", ThermalNode::Motor, ThermalNode::Ambient, 0.4),
+    ("T16", ThermalNode::Headstock, ThermalNode::Ambient, 0.2),
+    ("T17", ThermalNode::Table, ThermalNode::Bed, 0.3),
+    ("T18", ThermalNode::Table, ThermalNode::Ambient, 0.05),
+    ("T19", ThermalNode::Coolant, ThermalNode::Table, 0.0),
+    ("T20", ThermalNode::Ambient, ThermalNode::Column, 0.05),
 ];
 
 /// A machine's thermal properties.
 /// Capacities (J/K), conductances dry and wet (W/K), sources at 5500 rpm (W).
 #[derive(Debug, Clone)]
-pub struct Network {
+pub struct ThermalNetwork {
     capacity: [f64; NODES],
     conductance: [f64; CONDUCTANCE.len()],
     wet: [f64; WET.len()],
     watt: [f64; SOURCES.len()],
 }
 
-impl Default for Network {
+impl Default for ThermalNetwork {
     fn default() -> Self {
         Self {
             capacity: CAPACITY,
@@ -117,7 +120,7 @@ impl Default for Network {
     }
 }
 
-impl Network {
+impl ThermalNetwork {
     /// Another machine of the same build; `factor` scales each property.
     pub fn drawn(factor: &mut impl FnMut() -> f64) -> Self {
         let mut drawn = Self::default();
@@ -132,8 +135,8 @@ impl Network {
 /// The thermal network of the machine and the sensors in it.
 #[derive(Debug, Clone)]
 pub struct Heat {
-    network: Network,
-    /// °C, in the order of [`Node`].
+    network: ThermalNetwork,
+    /// °C, in the order of [`ThermalNode`].
     temperature: [f64; NODES],
     /// Temperature of the hall without its drift, °C.
     pub(crate) ambient_degc: f64,
@@ -154,7 +157,7 @@ impl Heat {
     /// Its sensors have noise of `noise_k`, K.
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
         let mut heat = Self {
-            network: Network::default(),
+            network: ThermalNetwork::default(),
             temperature: [ambient_degc; NODES],
             ambient_degc,
             drift: 0.0,
@@ -170,7 +173,7 @@ impl Heat {
 
     /// The same with other thermal properties.
     #[must_use]
-    pub fn of(self, network: Network) -> Self {
+    pub fn of(self, network: ThermalNetwork) -> Self {
         Self { network, ..self }
     }
 
@@ -188,12 +191,12 @@ impl Heat {
     fn step(&mut self, rpm: f64, coolant: bool) {
         let mut watt = [0.0; NODES];
         let share = rpm / 5500.0;
-        let Network { capacity, conductance, wet, watt: sources } = &self.network;
+        let ThermalNetwork { capacity, conductance, wet, watt: sources } = &self.network;
         for ((node, _, square), w) in SOURCES.iter().zip(sources) {
             watt[*node as usize] += w * (square * share * share + (1.0 - square) * share);
         }
         if coolant {
-            watt[Node::Coolant as usize] += PUMP_W;
+            watt[ThermalNode::Coolant as usize] += PUMP_W;
         }
         let flooded = WET.iter().zip(wet).filter(|_| coolant);
         for (&(a, b, _), g) in CONDUCTANCE.iter().zip(conductance).chain(flooded) {
@@ -206,7 +209,7 @@ impl Heat {
         }
         // The hall's temperature wanders by some tenths of a kelvin over hours.
         self.drift += 0.002 * self.noise.normal() - self.drift * STEP_S / 7200.0;
-        self.temperature[Node::Ambient as usize] = self.ambient_degc + self.drift;
+        self.temperature[ThermalNode::Ambient as usize] = self.ambient_degc + self.drift;
         self.read();
     }
 
@@ -224,7 +227,7 @@ impl Heat {
     }
 
     /// Temperature of a mass, °C.
-    pub fn degc(&self, node: Node) -> f64 {
+    pub fn degc(&self, node: ThermalNode) -> f64 {
         self.temperature[node as usize]
     }
 }
@@ -274,7 +277,7 @@ mod tests {
     fn the_housing_gradient_is_larger_wet_than_dry() {
         let gradient = |coolant| {
             let heat = after(3.0, 5500.0, coolant);
-            (heat.degc(Node::HousingRear) - heat.degc(Node::HousingFront)).abs()
+            (heat.degc(ThermalNode::HousingRear) - heat.degc(ThermalNode::HousingFront)).abs()
         };
         let (dry, wet) = (gradient(false), gradient(true));
         assert!(wet > 1.5 * dry && wet > 1.0, "dry {dry} K, wet {wet} K");
@@ -286,7 +289,7 @@ mod tests {
     fn the_housing_stays_below_forty_degrees() {
         for coolant in [false, true] {
             let heat = after(3.0, 5500.0, coolant);
-            for node in [Node::HousingFront, Node::HousingMiddle, Node::HousingRear] {
+            for node in [ThermalNode::HousingFront, ThermalNode::HousingMiddle, ThermalNode::HousingRear] {
                 let t = heat.degc(node);
                 assert!((20.5..40.0).contains(&t), "{node:?} {t} °C");
             }
@@ -300,9 +303,9 @@ mod tests {
         let mut rises: Vec<f64> = (0..20)
             .map(|_| {
                 let mut heat =
-                    Heat::cold(20.0, 0.0, 1).of(Network::drawn(&mut || (0.3 * noise.normal()).exp()));
+                    Heat::cold(20.0, 0.0, 1).of(ThermalNetwork::drawn(&mut || (0.3 * noise.normal()).exp()));
                 heat.advance(3.0 * 3600.0, 5500.0, true);
-                heat.degc(Node::FrontBearing) - 20.0
+                heat.degc(ThermalNode::FrontBearing) - 20.0
             })
             .collect();
         rises.sort_by(f64::total_cmp);
@@ -314,8 +317,8 @@ mod tests {
         let heat = after(2.0, 0.0, false);
         assert!(heat.readings_degc().iter().all(|t| (t - 20.0).abs() < 0.6));
         let mut heat = after(3.0, 5500.0, false);
-        let hot = heat.degc(Node::FrontBearing);
+        let hot = heat.degc(ThermalNode::FrontBearing);
         heat.advance(4.0 * 3600.0, 0.0, false);
-        assert!(heat.degc(Node::FrontBearing) < hot && heat.degc(Node::FrontBearing) > 20.0);
+        assert!(heat.degc(ThermalNode::FrontBearing) < hot && heat.degc(ThermalNode::FrontBearing) > 20.0);
     }
 }

@@ -1,8 +1,6 @@
 //! The designs compared on the same motion, and their waveforms.
 
-use crate::bench::{
-    BenchResult, BenchSetup, Edge, InsertionDesign, constant, insert_at_rest, there_and_back,
-};
+use crate::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant, insert_at_rest, there_and_back};
 use crate::computer_timing::ComputerTiming;
 use crate::ecc::Pll;
 use rtec_driver::quadrature::State;
@@ -131,12 +129,11 @@ fn row(design: InsertionDesign, computer: &ComputerTiming, motion: &TestMotion, 
     let edges = motion.edges();
     let totals = motion.totals(&edges);
     let config = AxisConfig { max_accel_counts_s2: motion.accel_counts_s2, ..AxisConfig::default() };
-    let run =
-        BenchSetup { config, edges: &edges, totals: &totals, seed, ..BenchSetup::new(design, computer) };
+    let run = BenchRun { config, edges: &edges, totals: &totals, seed, ..BenchRun::new(design, computer) };
     let (mut illegal, mut worst, mut served) = (0, 0_i64, true);
     let mut insertion_ns: Option<u64> = None;
     for start in 0..4 {
-        let run = BenchSetup { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
+        let run = BenchRun { start: State::from_bits(start), seed: seed + u64::from(start), ..run.clone() };
         let Some(seen) = run.run() else {
             served = false;
             continue;
@@ -187,14 +184,14 @@ pub fn safe_at(
             let edges = constant(1_000_000 + 137 * u64::from(phase), encoder_hz, counts, direction);
             let at = |share: u64| edges[(counts * share / 100) as usize].0;
             let totals = [(at(20), 12), (at(60), -12)];
-            let run = BenchSetup {
+            let run = BenchRun {
                 config,
                 start: State::from_bits(phase),
                 edges: &edges,
                 totals: &totals,
                 seed: seed + u64::from(phase),
                 pll,
-                ..BenchSetup::new(design, computer)
+                ..BenchRun::new(design, computer)
             };
             run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
         })
@@ -245,19 +242,19 @@ pub fn served_at_rest(
 ) -> bool {
     let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
     let config = insert_at_rest(config);
-    let run = BenchSetup { config, start: state, totals: &totals, ..BenchSetup::new(design, computer) };
+    let run = BenchRun { config, start: state, totals: &totals, ..BenchRun::new(design, computer) };
     run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
 }
 
 /// Stops the computer at many moments, including every stage of the insertions.
-fn death(run: &BenchSetup<'_>) -> ComputerStopEffects {
+fn death(run: &BenchRun<'_>) -> ComputerStopEffects {
     let mut death = ComputerStopEffects {
         best_follows: 0.0,
         worst_follows: 0.0,
         worst_count_error: 0,
         share_harmless: 0.0,
     };
-    let Some(whole) = (BenchSetup { keep_log: true, ..run.clone() }).run() else { return death };
+    let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else { return death };
     death.worst_follows = 1.0;
     // Just after changes of A' and B', and moments spread over the motion.
     let changes: Vec<u64> = whole.log.windows(2).filter(|w| w[0].1 == w[1].1).map(|w| w[1].0).collect();
@@ -275,7 +272,7 @@ fn death(run: &BenchSetup<'_>) -> ComputerStopEffects {
                 (longest, upto) = (travel.abs(), n + 1);
             }
         }
-        let seen = BenchSetup { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
+        let seen = BenchRun { die_ns, edges: &run.edges[..upto], ..run.clone() }.run()?;
         let (scale, mtc) = seen.at_death?;
         let (moved, counted) = (seen.scale - scale, seen.mtc - mtc);
         (moved != 0).then(|| (counted as f64 / moved as f64, counted - moved))
@@ -369,8 +366,7 @@ pub fn waveforms(design: InsertionDesign, computer: &ComputerTiming, pulses: i64
     let edges = constant(100_000, 5000.0, counts, 1);
     let at = |share: u64| edges[(counts * share / 100) as usize].0 - 1;
     let totals = [(at(12), increments), (at(55), 0)];
-    let run =
-        BenchSetup { edges: &edges, totals: &totals, keep_log: true, ..BenchSetup::new(design, computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) };
     let Some(seen) = run.run() else { return String::new() };
     draw(design, &seen.log, &totals)
 }

@@ -3,7 +3,7 @@
 use crate::axis::AxisSpec;
 use crate::control::{Control, REST_NS, WINDOW_COUNTS};
 use crate::corrected::CorrectedMachine;
-use crate::heat::{Heat, Network};
+use crate::heat::{Heat, ThermalNetwork};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, ServoFault, SimMachine};
 use crate::nc_block::Block;
@@ -45,7 +45,7 @@ pub struct MachineSpec {
     /// Temperature of the hall, °C.
     pub ambient_degc: f64,
     /// Its thermal properties.
-    pub network: Network,
+    pub network: ThermalNetwork,
 }
 
 impl MachineSpec {
@@ -69,7 +69,7 @@ impl MachineSpec {
             detect_ns: 500,
             write_ns: 200,
             ambient_degc: 20.0,
-            network: Network::default(),
+            network: ThermalNetwork::default(),
         }
     }
 

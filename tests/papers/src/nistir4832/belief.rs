@@ -10,7 +10,7 @@ use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
 use rtec_files::InputError;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::link_messages::{EventKind, Request};
-use rtec_sim::bench::{BenchSetup, InsertionDesign, constant};
+use rtec_sim::bench::{BenchRun, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::insertion::{CorrectedAxis as _, homed_engine};
 use rtec_sim::replay::{ReplayOutcome, replay};
@@ -27,11 +27,11 @@ pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &ComputerTiming) -
         // One correction more each time, far beyond the byte.
         let totals: Vec<(u64, i64)> =
             (1..=most + 40).map(|n| (edges[(100 + 200 * n) as usize].0, sign * n * step)).collect();
-        let run = BenchSetup {
+        let run = BenchRun {
             config,
             edges: &edges,
             totals: &totals,
-            ..BenchSetup::new(InsertionDesign::Original, computer)
+            ..BenchRun::new(InsertionDesign::Original, computer)
         };
         let seen = run.run().ok_or_else(|| cannot("the Original's insertions"))?;
         *taken = seen.requested;

@@ -7,7 +7,7 @@ use crate::rows::Rows;
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchSetup, Edge, InsertionDesign, constant, insert_at_rest};
+use rtec_sim::bench::{BenchRun, Edge, InsertionDesign, constant, insert_at_rest};
 use rtec_sim::compensation_experiments::one_metre;
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::ecc::Pll;
@@ -103,7 +103,7 @@ pub(super) fn design_b(rows: &mut Rows, computer: &ComputerTiming, faster: &Comp
     };
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
     let passes = |c: &ComputerTiming| {
-        let seen = BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, c) }.run();
+        let seen = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, c) }.run();
         seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0)
     };
     let passed = slowest(&passes);
@@ -125,18 +125,18 @@ pub(super) fn design_b(rows: &mut Rows, computer: &ComputerTiming, faster: &Comp
     let what = "the 8051 is not fast enough";
     let gets = if serves(computer, 100_000.0) { "serves 100 kHz" } else { "not at 100 kHz" };
     rows.holds((place, what), "not at 100 kHz", gets, !serves(computer, 100_000.0), "");
-    let seen = BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, faster) }.run();
+    let seen = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, faster) }.run();
     let passed = seen.is_some_and(|s| s.mtc == s.scale && s.illegal == 0);
     let gets = if passed { "yes" } else { "no" };
     rows.holds((place, "signal processors have the speed for 100 kHz"), "yes", gets, passed, "");
     let totals = [(edges[500].0, 300), (edges[2500].0, 0)];
     let slow = constant(1_000_000, 5000.0, 8000, 1);
     let late = [(slow[100].0, 300)];
-    let run = BenchSetup { edges: &slow, totals: &late, ..BenchSetup::new(InsertionDesign::B, faster) };
+    let run = BenchRun { edges: &slow, totals: &late, ..BenchRun::new(InsertionDesign::B, faster) };
     let many = run.run().map_or(0, |s| s.completed);
     let what = "counts added or subtracted can be in the hundreds";
     rows.number((place, what, "counts"), 100.0, many as f64, AtLeast, "300 were asked for");
-    let dead = BenchSetup { die_ns: edges[1000].0, totals: &totals, edges: &edges, ..run }.run();
+    let dead = BenchRun { die_ns: edges[1000].0, totals: &totals, edges: &edges, ..run }.run();
     let moved = dead.and_then(|d| d.at_death.map(|(_, mtc)| d.mtc - mtc)).unwrap_or(0);
     let what = "the computer stops: counts that reach the MTC from then on";
     rows.number(("General Considerations", what, "counts"), 0.0, moved as f64, Within(0.0), "");
@@ -146,8 +146,8 @@ pub(super) fn design_b(rows: &mut Rows, computer: &ComputerTiming, faster: &Comp
 pub(super) fn design_c(rows: &mut Rows, computer: &ComputerTiming) -> Result<(), PaperError> {
     let states = |start: u8, totals: &[(u64, i64)], edges: &[Edge], config: AxisConfig| {
         let start = State::from_bits(start);
-        let new = BenchSetup::new(InsertionDesign::C, computer);
-        BenchSetup { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
+        let new = BenchRun::new(InsertionDesign::C, computer);
+        BenchRun { config, start, edges, totals, keep_log: true, ..new }.run().map(|seen| {
             let mut table: Vec<String> = Vec::new();
             for (_, _, out, count) in &seen.log {
                 let line = format!("{}{}:{count}", u8::from(out.a()), u8::from(out.b()));

@@ -7,7 +7,7 @@ use crate::rows::{Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::bench::{BenchResult, BenchSetup, Edge, InsertionDesign, constant};
+use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::compensation_experiments::one_metre;
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::nc_block::Block;
@@ -20,7 +20,7 @@ pub(super) fn signals(rows: &mut Rows, bench: &Bench, seed: u64) -> Result<(), P
     let slow = constant(1_000_000, 1000.0, 4000, 1);
     let computer = ComputerTiming::dsp();
     let plain = |edges: &[Edge]| {
-        let run = BenchSetup { edges, keep_log: true, ..BenchSetup::new(InsertionDesign::C, &computer) };
+        let run = BenchRun { edges, keep_log: true, ..BenchRun::new(InsertionDesign::C, &computer) };
         run.run().ok_or_else(|| cannot("a plain motion"))
     };
     let seen = plain(&slow)?;
@@ -151,7 +151,7 @@ fn insert(
 ) -> Result<BenchResult, PaperError> {
     let edges = constant(1_000_000, hz, 4000, 1);
     let totals = [(edges[500].0, total)];
-    BenchSetup { edges: &edges, totals: &totals, keep_log: true, ..BenchSetup::new(design, computer) }
+    BenchRun { edges: &edges, totals: &totals, keep_log: true, ..BenchRun::new(design, computer) }
         .run()
         .ok_or_else(|| cannot("an insertion"))
 }

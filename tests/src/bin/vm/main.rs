@@ -19,7 +19,7 @@ use gpio::gpio;
 use mapped::{far_side, mapped};
 use port::{port, port_seen};
 use real_time::real_time;
-use rtec_control::config::{Config, LatencyProvenance};
+use rtec_control::config::{Config, LatencyTestConditions};
 use rtec_rt::setup;
 use rtec_tests::daemon::{Daemon, Machine, program, until};
 use rtec_tests::gpio_sim::{self};
@@ -103,7 +103,9 @@ fn configured(card: &str, axis: &str) -> anyhow::Result<(tempfile::TempDir, Path
     let text = format!("[machine]\nname = 'vm'\n[card]\n{card}{axis}{RT}");
     // The self-test would have measured the latencies here with this card. A card that is refused has no such file.
     let measured = match Config::parse(&file, &text) {
-        Ok(config) => format!("{}\n", LatencyProvenance::here(&config.card, 1, &setup::SystemRoot::live())),
+        Ok(config) => {
+            format!("{}\n", LatencyTestConditions::here(&config.card, 1, &setup::SystemRoot::live()))
+        }
         Err(_) => String::new(),
     };
     fs::write(&file, text + &measured)?;

@@ -16,7 +16,7 @@ const OLDEST_DAYS: i64 = 366;
 
 /// Where and when latencies were measured: `measured` in `[rt]`.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
-pub struct LatencyProvenance {
+pub struct LatencyTestConditions {
     /// The card, as [`CardConfig::named`] names it.
     pub card: String,
     /// The kernel's release, as `uname -r` prints it.
@@ -27,7 +27,7 @@ pub struct LatencyProvenance {
     pub date: String,
 }
 
-impl LatencyProvenance {
+impl LatencyTestConditions {
     /// A measurement today on this computer with this card and CPU.
     pub fn here(card: &CardConfig, cpu: usize, system: &SystemRoot) -> Self {
         let read = |file: &str| system.read(file).unwrap_or_default();
@@ -66,7 +66,7 @@ impl LatencyProvenance {
 }
 
 /// The form in which it is written below `[rt]`.
-impl fmt::Display for LatencyProvenance {
+impl fmt::Display for LatencyTestConditions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let quoted = |text: &str| text.replace(['\\', '\u{22}'], "'");
         write!(
@@ -81,7 +81,10 @@ impl fmt::Display for LatencyProvenance {
 }
 
 /// Reads `measured`.
-pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -> Option<LatencyProvenance> {
+pub(super) fn read_measured(
+    source: &mut SourceFile<'_>,
+    rt: &mut Section<'_>,
+) -> Option<LatencyTestConditions> {
     if !rt.has("measured") {
         return None;
     }
@@ -92,7 +95,12 @@ pub(super) fn read_measured(source: &mut SourceFile<'_>, rt: &mut Section<'_>) -
         source.finding(at.offset, format!("date = \"{}\"", at.value), "a day, as \"2026-11-26\"");
     }
     let text = |at: Option<LocatedValue<&str>>| Some(at?.value.to_owned());
-    Some(LatencyProvenance { card: text(card)?, kernel: text(kernel)?, cpu: text(cpu)?, date: text(day)? })
+    Some(LatencyTestConditions {
+        card: text(card)?,
+        kernel: text(kernel)?,
+        cpu: text(cpu)?,
+        date: text(day)?,
+    })
 }
 
 /// Lowest possible `detect_ns` and `write_ns` on such a card, ns, with the reason.
@@ -202,11 +210,11 @@ impl Config {
     /// Reasons why corrections may not be enabled here, each with its remedy.
     /// Reasons are latencies not measured here, or an axis too fast for the card. A card that drives no machine needs
     /// neither.
-    pub fn unfit(&self, here: &LatencyProvenance) -> Vec<String> {
+    pub fn unfit(&self, here: &LatencyTestConditions) -> Vec<String> {
         self.unfit_on(here, date::today())
     }
 
-    fn unfit_on(&self, here: &LatencyProvenance, today: i64) -> Vec<String> {
+    fn unfit_on(&self, here: &LatencyTestConditions, today: i64) -> Vec<String> {
         if !self.card.is_real() {
             return Vec::new();
         }
@@ -261,15 +269,15 @@ mod tests {
         Config::parse(Path::new("rtec.toml"), &text).unwrap()
     }
 
-    fn here() -> LatencyProvenance {
+    fn here() -> LatencyTestConditions {
         let [card, kernel, cpu, date] =
             ["mapped /dev/uio0 map 0, shared-memory test card", "6.12.9-rt", "EPYC, CPU 3", "2026-11-26"]
                 .map(str::to_owned);
-        LatencyProvenance { card, kernel, cpu, date }
+        LatencyTestConditions { card, kernel, cpu, date }
     }
 
     /// Reasons against enabling corrections, with figures measured here.
-    fn unfit(rapid: &str, measured: &LatencyProvenance) -> Vec<String> {
+    fn unfit(rapid: &str, measured: &LatencyTestConditions) -> Vec<String> {
         let rt = format!("detect_ns = 1000\nwrite_ns = 300\n{measured}\n");
         config(rapid, &rt).unfit_on(&here(), date::parse("2026-11-26").unwrap())
     }
@@ -279,7 +287,7 @@ mod tests {
     #[test]
     fn figures_of_this_card_and_computer_may_arm() {
         assert_eq!(unfit(SLOW, &here()), Vec::<String>::new());
-        let year_old = LatencyProvenance { date: "2025-11-25".to_owned(), ..here() };
+        let year_old = LatencyTestConditions { date: "2025-11-25".to_owned(), ..here() };
         assert_eq!(unfit(SLOW, &year_old), Vec::<String>::new());
     }
 
@@ -287,14 +295,14 @@ mod tests {
     fn refuses_figures_from_elsewhere_and_from_long_ago() {
         let other = "other".to_owned();
         for (measured, says) in [
-            (LatencyProvenance { card: other.clone(), ..here() }, "card \"other\""),
+            (LatencyTestConditions { card: other.clone(), ..here() }, "card \"other\""),
             (
-                LatencyProvenance { kernel: other.clone(), ..here() },
+                LatencyTestConditions { kernel: other.clone(), ..here() },
                 "kernel \"other\", and this is \"6.12.9-rt\"",
             ),
-            (LatencyProvenance { cpu: other, ..here() }, "CPU \"other\""),
-            (LatencyProvenance { date: "2026-11-27".to_owned(), ..here() }, "still to come"),
-            (LatencyProvenance { date: "2025-11-24".to_owned(), ..here() }, "more than a year ago"),
+            (LatencyTestConditions { cpu: other, ..here() }, "CPU \"other\""),
+            (LatencyTestConditions { date: "2026-11-27".to_owned(), ..here() }, "still to come"),
+            (LatencyTestConditions { date: "2025-11-24".to_owned(), ..here() }, "more than a year ago"),
         ] {
             let unfit = unfit(SLOW, &measured);
             assert!(
@@ -325,7 +333,7 @@ mod tests {
 
     #[test]
     fn what_a_self_test_prints_reads_back() {
-        let measured = LatencyProvenance { card: "a \"b\" \\c".to_owned(), ..here() };
+        let measured = LatencyTestConditions { card: "a \"b\" \\c".to_owned(), ..here() };
         let rt = format!("detect_ns = 1000\nwrite_ns = 300\n{measured}\n");
         assert_eq!(config("", &rt).rt.measured.unwrap().card, "a 'b' 'c");
     }

@@ -1,9 +1,9 @@
 //! The candidates for one member: its names, its modes, its rivals.
 
 use super::{EstimatedMember, Rival, TriedExplanation, label};
-use crate::cause::Cause;
+use crate::contribution::Contribution;
 use crate::priors::{HELD, LISTED, SAME_PERIOD};
-use crate::search::{HypothesisSet, Member, ScreenedHypothesis, Search, log_sum, same_period};
+use crate::search::{HypothesisSearch, HypothesisSet, Member, ScreenedHypothesis, log_sum, same_period};
 use crate::search_limits::{HOPELESS, MOMENT_ROWS};
 use rtec_model::effect::{Effect, Refine};
 
@@ -22,7 +22,7 @@ pub(super) type WeightedCandidate = (usize, String, Option<Effect>, f64);
 /// Adds the maps that are equivalent at these rows.
 /// Each gets the mass of its prior relative to the member's.
 pub(super) fn add_alike_maps(
-    search: &Search<'_>,
+    search: &HypothesisSearch<'_>,
     set: &HypothesisSet,
     member: usize,
     all: &mut Vec<WeightedCandidate>,
@@ -41,7 +41,7 @@ pub(super) fn add_alike_maps(
 /// Adds the refined alternatives to a member.
 /// Returns the likeliest set with one of them that is likelier than the given set.
 fn add_refined(
-    search: &Search<'_>,
+    search: &HypothesisSearch<'_>,
     set: &HypothesisSet,
     without: &HypothesisSet,
     own: &Member,
@@ -70,7 +70,7 @@ fn add_refined(
     // A wave's rival is the same wave, whose size changes along its travel.
     let changing = own.cause.effect().and_then(|_| search.changing(&without.factor, &own.seed()));
     if let Some(seed) = changing
-        && let Cause::Shape(shape) = &seed.cause
+        && let Contribution::Shape(shape) = &seed.cause
         && let Some(other) = search.with(without, &seed)
     {
         all.push((seed.family, shape.0.label(), None, other.score));
@@ -93,7 +93,7 @@ fn add_refined(
 }
 
 /// The posterior of one member: all candidates, given the other members.
-pub(super) fn place(search: &Search<'_>, set: &HypothesisSet, member: usize) -> CandidatePosterior {
+pub(super) fn place(search: &HypothesisSearch<'_>, set: &HypothesisSet, member: usize) -> CandidatePosterior {
     let own = &set.members[member];
     let without = search.without(set, member);
     let seeds = search.screened(&without, true);
@@ -160,7 +160,7 @@ pub(super) fn place(search: &Search<'_>, set: &HypothesisSet, member: usize) -> 
         moments,
         effect: own.cause.effect().filter(|_| families[own.family].replaces.is_none()).cloned(),
         shape: match &own.cause {
-            Cause::Shape(both) => Some(both.0.clone()),
+            Contribution::Shape(both) => Some(both.0.clone()),
             _ => None,
         },
         replaces: families[own.family].replaces,
@@ -177,7 +177,11 @@ pub(super) fn place(search: &Search<'_>, set: &HypothesisSet, member: usize) -> 
 }
 
 /// The 95 % interval of a step's moment, over the moments of the rows.
-pub(super) fn moments(search: &Search<'_>, without: &HypothesisSet, own: &Member) -> Option<[f64; 2]> {
+pub(super) fn moments(
+    search: &HypothesisSearch<'_>,
+    without: &HypothesisSet,
+    own: &Member,
+) -> Option<[f64; 2]> {
     use rtec_model::effect::Extent as _;
     let effect = own.cause.effect()?;
     let p = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment)?;
@@ -208,7 +212,7 @@ pub(super) fn moments(search: &Search<'_>, without: &HypothesisSet, own: &Member
 }
 
 /// Whether two causes of one family are one mode.
-pub(super) fn same_place(a: &Cause, b: &Cause) -> bool {
+pub(super) fn same_place(a: &Contribution, b: &Contribution) -> bool {
     let (Some(a), Some(b)) = (a.effect(), b.effect()) else { return true };
     if a.delta != b.delta {
         return false;

@@ -1,11 +1,11 @@
 //! The last fit: values and intervals of the set that was found.
 
 use super::{EstimatedMember, RefinedEffect, SetUpEstimate};
-use crate::cause::Cause;
+use crate::contribution::Contribution;
 use crate::hypothesis_family::Scan;
 use crate::priors::HELD;
 use crate::problem::{chance_of, is_beyond_chance};
-use crate::search::{HypothesisSet, Search, same_period};
+use crate::search::{HypothesisSearch, HypothesisSet, same_period};
 use crate::search_limits::LAST_STEPS;
 use crate::setup;
 use rtec_least_squares::dot;
@@ -14,7 +14,7 @@ use rtec_model::machine::NORMAL_95;
 
 /// The last fit: all linear and non-linear parameters together.
 pub(super) struct FinalFit<'s, 'p> {
-    pub(super) search: &'s Search<'p>,
+    pub(super) search: &'s HypothesisSearch<'p>,
     pub(super) model: &'s [Effect],
     pub(super) members: Vec<FinalFitMember>,
     pub(super) left: f64,
@@ -24,7 +24,7 @@ pub(super) struct FinalFit<'s, 'p> {
 
 /// A member of the last fit.
 pub(super) struct FinalFitMember {
-    pub(super) cause: Cause,
+    pub(super) cause: Contribution,
     /// Size of its prior, in typical sizes.
     pub(super) level: f64,
     /// Index of its first column; the linear ones come first, then the non-linear ones.
@@ -55,7 +55,12 @@ pub(super) struct Bent {
 }
 
 /// Non-linear values that the last fit moves, with their standard deviations.
-pub(super) fn bent(search: &Search<'_>, set: &HypothesisSet, family: usize, effect: &Effect) -> Vec<Bent> {
+pub(super) fn bent(
+    search: &HypothesisSearch<'_>,
+    set: &HypothesisSet,
+    family: usize,
+    effect: &Effect,
+) -> Vec<Bent> {
     let families = &search.families.list;
     let family = &families[family];
     if family.replaces.is_some() || effect.width() > 1 {
@@ -92,8 +97,8 @@ pub(super) fn bent(search: &Search<'_>, set: &HypothesisSet, family: usize, effe
 }
 
 impl<'s, 'p> FinalFit<'s, 'p> {
-    pub(super) fn new(search: &'s Search<'p>, set: &HypothesisSet, model: &'s [Effect]) -> Self {
-        let mut causes: Vec<Cause> = set.members.iter().map(|m| m.cause.clone()).collect();
+    pub(super) fn new(search: &'s HypothesisSearch<'p>, set: &HypothesisSet, model: &'s [Effect]) -> Self {
+        let mut causes: Vec<Contribution> = set.members.iter().map(|m| m.cause.clone()).collect();
         let mut best: Option<Self> = None;
         let beta = search.coefficients(set);
         let mut solved: Vec<Option<Effect>> =
@@ -137,10 +142,10 @@ impl<'s, 'p> FinalFit<'s, 'p> {
     }
 
     pub(super) fn fit(
-        search: &'s Search<'p>,
+        search: &'s HypothesisSearch<'p>,
         set: &HypothesisSet,
         model: &'s [Effect],
-        causes: &[Cause],
+        causes: &[Contribution],
         solved: &[Option<Effect>],
     ) -> Self {
         let rows = search.problem.rows;
@@ -365,11 +370,15 @@ impl<'s, 'p> FinalFit<'s, 'p> {
     }
 
     /// Jumps at pauses, which are searched like hypotheses.
-    pub(super) fn jumps(&self, search: &Search<'_>, found: &[EstimatedMember]) -> Vec<SetUpEstimate> {
+    pub(super) fn jumps(
+        &self,
+        search: &HypothesisSearch<'_>,
+        found: &[EstimatedMember],
+    ) -> Vec<SetUpEstimate> {
         let terms = setup::jumps(search.problem.rows);
         let of = |(m, f): (&FinalFitMember, &EstimatedMember)| {
             let shape = f.shape.as_ref()?;
-            let Cause::Shape(both) = &m.cause else { return None };
+            let Contribution::Shape(both) = &m.cause else { return None };
             let term = terms
                 .iter()
                 .find(|t| t.column.iter().zip(&both.1[0]).all(|(a, b)| (*a == 0.0) == (*b == 0.0)))?;

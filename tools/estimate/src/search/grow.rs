@@ -1,14 +1,14 @@
 //! Growth of sets, and exchange and removal of their members.
 
 use super::screening::parameter_steps;
-use super::{HypothesisSet, Member, ScreenedHypothesis, Search, same_period};
-use crate::cause::Cause;
+use super::{HypothesisSearch, HypothesisSet, Member, ScreenedHypothesis, same_period};
+use crate::contribution::Contribution;
 use crate::hypothesis_family::{HypothesisFamily, Scan};
 use crate::search_limits::{HOPELESS, KEPT, STRONG, TRIED, WORTHLESS};
 use rtec_model::effect::Effect;
 use rtec_model::record::Axis;
 
-impl Search<'_> {
+impl HypothesisSearch<'_> {
     /// Sets with one more member, best first.
     #[must_use]
     pub fn grown(&self, set: &HypothesisSet, most: usize, long: bool) -> Vec<HypothesisSet> {
@@ -82,7 +82,7 @@ impl Search<'_> {
             if set.members.iter().any(same) {
                 return None;
             }
-            let cause = Cause::Effect { effect, free: 2, reference: false };
+            let cause = Contribution::Effect { effect, free: 2, reference: false };
             self.with(set, &ScreenedHypothesis { family: number, cause, weight: 0.0, score: 0.0 })
         };
         let best = self
@@ -133,7 +133,8 @@ impl Search<'_> {
     /// Whether all members have names.
     pub(super) fn is_named(&self, set: &HypothesisSet) -> bool {
         set.members.iter().all(|m| {
-            self.family(m.family).is_named() && matches!(m.cause, Cause::Effect { .. } | Cause::Map { .. })
+            self.family(m.family).is_named()
+                && matches!(m.cause, Contribution::Effect { .. } | Contribution::Map { .. })
         })
     }
 
@@ -231,7 +232,7 @@ impl Search<'_> {
         let alone: Vec<f64> = (0..set.members.len()).map(|i| self.without(set, i).score).collect();
         let mut weak: Vec<usize> = (0..set.members.len()).collect();
         weak.sort_by(|a, b| alone[*b].total_cmp(&alone[*a]));
-        let is_shape = |i: &usize| matches!(set.members[*i].cause, Cause::Shape(_));
+        let is_shape = |i: &usize| matches!(set.members[*i].cause, Contribution::Shape(_));
         let mut gone: Vec<(HypothesisSet, bool)> =
             weak.iter().filter(|i| is_shape(i)).map(|i| (self.without(set, *i), true)).collect();
         weak.retain(|i| set.score - alone[*i] < STRONG);
@@ -272,8 +273,8 @@ impl Search<'_> {
     pub(super) fn chosen_again(&self, mut set: HypothesisSet, axis: &Axis, most: usize) -> HypothesisSet {
         for i in (0..most).rev() {
             let m = &set.members[i];
-            let grid =
-                matches!(self.family(m.family).scan, Scan::Grid(_)) && !matches!(m.cause, Cause::Map { .. });
+            let grid = matches!(self.family(m.family).scan, Scan::Grid(_))
+                && !matches!(m.cause, Contribution::Map { .. });
             if axis_of(m).as_ref() != Some(axis) || grid {
                 continue;
             }

@@ -1,9 +1,10 @@
 //! Candidates to join a set, and their non-linear parameters.
 
 use super::{
-    Columns, HypothesisSet, Member, ScreenedHypothesis, Search, difference, gain, gain_of_one, log_sum,
+    Columns, HypothesisSearch, HypothesisSet, Member, ScreenedHypothesis, difference, gain, gain_of_one,
+    log_sum,
 };
-use crate::cause::{Cause, Shape};
+use crate::contribution::{Contribution, Shape};
 use crate::hypothesis_columns::ScreeningProducts;
 use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
@@ -18,7 +19,7 @@ use rtec_model::effect::{Difference, Effect, ParameterSearch, Refine, ThermalDep
 use std::rc::Rc;
 use std::sync::Arc;
 
-impl Search<'_> {
+impl HypothesisSearch<'_> {
     /// Seeds worth computing exactly for a set, best first.
     /// `long`: also fine waves over long travel.
     #[must_use]
@@ -90,7 +91,7 @@ impl Search<'_> {
                     let own = own.filter(|e| e.description().name == *law && e.axes() == effect.axes());
                     for period in known.iter().copied().chain(own.map(|e| e.scalar(0))) {
                         let Some(effect) = effect.with(&[(0, period)]) else { continue };
-                        let cause = Cause::Effect { effect, free: 2, reference: false };
+                        let cause = Contribution::Effect { effect, free: 2, reference: false };
                         let score = prior + self.gain(&set.factor, &self.columns(&cause)).total;
                         seeds.push(ScreenedHypothesis { family: number, cause, weight: 0.0, score });
                     }
@@ -221,7 +222,7 @@ impl Search<'_> {
             .map(|(score, weight, k, i, j)| {
                 let mut effect = points[k].2.clone();
                 effect.delta = Some(difference(sensors, i, j));
-                let cause = Cause::Effect { effect, free: 1, reference: false };
+                let cause = Contribution::Effect { effect, free: 1, reference: false };
                 ScreenedHypothesis { family: number, cause, weight, score: prior + total + score - first }
             })
             .collect()
@@ -229,11 +230,16 @@ impl Search<'_> {
 
     /// A wave at a frequency.
     /// A wave without a name has harmonics, each of size one over its number.
-    pub(super) fn wave(&self, family: &HypothesisFamily, frequency: f64, harmonics: usize) -> Option<Cause> {
+    pub(super) fn wave(
+        &self,
+        family: &HypothesisFamily,
+        frequency: f64,
+        harmonics: usize,
+    ) -> Option<Contribution> {
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         if let Some(effect) = &family.effect {
             let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
-            return Some(Cause::Effect { effect, free: 2, reference: false });
+            return Some(Contribution::Effect { effect, free: 2, reference: false });
         }
         let of = |k: usize| {
             let k = k as f64;
@@ -241,7 +247,7 @@ impl Search<'_> {
         };
         let fine = |k: &usize| *k == 1 || *k as f64 * frequency <= along.range()[1];
         let columns = (1..=harmonics).filter(fine).flat_map(of).collect();
-        Some(Cause::Shape(Arc::new((family.shape.clone()?, columns))))
+        Some(Contribution::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
     /// The wave of another frequency that looks the same at these positions.
@@ -292,11 +298,11 @@ impl Search<'_> {
             }
             1.0 - dot(other.residual(), other.residual()) / power
         };
-        let is_map = matches!(own.cause, Cause::Map { .. });
+        let is_map = matches!(own.cause, Contribution::Map { .. });
         let of = |(family, f): (usize, &HypothesisFamily)| {
             let Scan::Grid(points) = &f.scan else { return None };
             let other = family != own.family && f.replaces.is_none();
-            let mut maps = points.iter().filter(|p| other && matches!(p.2, Cause::Map { .. }));
+            let mut maps = points.iter().filter(|p| other && matches!(p.2, Contribution::Map { .. }));
             let (_, weight, cause) =
                 maps.find(|p| shows(if is_map { self.columns(&p.2) } else { self.bow(&p.2) }) > ALIKE)?;
             Some(ScreenedHypothesis { family, cause: cause.clone(), weight: *weight, score: f.prior })
@@ -305,12 +311,13 @@ impl Search<'_> {
     }
 
     /// The bow of a map: a parabola over its knots, without constant and straight line.
-    fn bow(&self, map: &Cause) -> Columns {
-        let Cause::Map { effect, .. } = map else { return Columns::new() };
+    fn bow(&self, map: &Contribution) -> Columns {
+        let Contribution::Map { effect, .. } = map else { return Columns::new() };
         let knots = effect.get(0);
         let share = |k: &f64| (k - knots[0]) / (knots[knots.len() - 1] - knots[0]);
         let powers = (0..3).map(|p| knots.iter().map(|k| share(k).powi(p)).collect()).collect();
-        let mut columns = self.columns(&Cause::Map { effect: effect.clone(), directions: Arc::new(powers) });
+        let mut columns =
+            self.columns(&Contribution::Map { effect: effect.clone(), directions: Arc::new(powers) });
         let mut bow = Factor::new(&columns.pop().unwrap_or_default());
         for line in columns {
             bow.push_free(&line);
@@ -387,17 +394,17 @@ impl Search<'_> {
     /// They are growth with a square of ΔT, another reference temperature, and a wave that changes.
     pub(super) fn richer(seed: &ScreenedHypothesis) -> Vec<ScreenedHypothesis> {
         let mut out = Vec::new();
-        let Cause::Effect { effect, free, .. } = &seed.cause else { return out };
+        let Contribution::Effect { effect, free, .. } = &seed.cause else { return out };
         let law = effect.description();
         if law.companion.is_some() && effect.delta.is_some() {
             if effect.coefficient_count() > *free {
-                let cause = Cause::Effect { effect: effect.clone(), free: free + 1, reference: false };
+                let cause = Contribution::Effect { effect: effect.clone(), free: free + 1, reference: false };
                 out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
             let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
             let constant = effect.companion().is_some_and(|c| c.description().constant);
             if !pair && !constant {
-                let cause = Cause::Effect { effect: effect.clone(), free: *free, reference: true };
+                let cause = Contribution::Effect { effect: effect.clone(), free: *free, reference: true };
                 out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
         }
@@ -412,7 +419,7 @@ impl Search<'_> {
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         let rows = self.problem.rows;
         let shape = match &seed.cause {
-            Cause::Shape(both) if both.1.len() == 2 => both.0.clone(),
+            Contribution::Shape(both) if both.1.len() == 2 => both.0.clone(),
             cause => Shape::like(rows, cause.effect()?, "")?,
         };
         let of = |f: &HypothesisFamily| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
@@ -438,7 +445,7 @@ impl Search<'_> {
         let half = CHANGING as i32 / 2;
         let near = (-half..=half).filter(|k| *k != 0).filter_map(beside);
         let columns = near.chain([own(&seed.cause.columns(rows))]).max_by(|a, b| a.0.total_cmp(&b.0))?.1;
-        let cause = Cause::Shape(Arc::new((shape, columns)));
+        let cause = Contribution::Shape(Arc::new((shape, columns)));
         Some(ScreenedHypothesis { family: number, cause, weight: seed.weight, score: seed.score })
     }
 
@@ -459,7 +466,7 @@ impl Search<'_> {
             let Some(like) = wave.cause.effect().filter(|_| is_wave) else { continue };
             let Some(like) = Shape::like(self.problem.rows, like, "") else { continue };
             let same = |m: &Member| match &m.cause {
-                Cause::Shape(own) => own.0.response == like.response && own.0.against == like.against,
+                Contribution::Shape(own) => own.0.response == like.response && own.0.against == like.against,
                 _ => m.family == wave.family,
             };
             for i in (0..set.members.len()).filter(|i| *i != j && same(&set.members[*i])) {
@@ -495,11 +502,11 @@ fn saw_phase((along, among): (Vec<f64>, Vec<f64>), left: f64, freedom: f64) -> f
 
 /// A saw-tooth of this frequency that falls back at a phase, in turns.
 /// Chillers, pumps and thermostats that switch leave one over time.
-fn saw_tooth(family: &HypothesisFamily, frequency: f64, phase: f64, n: usize) -> Option<Cause> {
+fn saw_tooth(family: &HypothesisFamily, frequency: f64, phase: f64, n: usize) -> Option<Contribution> {
     let Scan::Wave { along, .. } = &family.scan else { return None };
     let shape = Shape { manner: "saw-tooth".to_owned(), ..family.shape.clone()? };
     let column = along.over(n, |at| 2.0 * CONTRIBUTION * ((frequency * at - phase).rem_euclid(1.0) - 0.5));
-    Some(Cause::Shape(Arc::new((shape, vec![column]))))
+    Some(Contribution::Shape(Arc::new((shape, vec![column]))))
 }
 
 /// Whether a growth changes sign within the measured temperatures.

@@ -16,20 +16,20 @@ pub fn cell(text: &str) -> Cow<'_, str> {
 
 /// The style for appending cells to a table's rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Style {
+pub struct CsvStyle {
     /// The separator.
     pub by: char,
     /// Whether numbers have a decimal comma.
     pub decimal_comma: bool,
 }
 
-impl Default for Style {
+impl Default for CsvStyle {
     fn default() -> Self {
         Self { by: ',', decimal_comma: false }
     }
 }
 
-impl Style {
+impl CsvStyle {
     /// Appends a text cell, after a separator.
     pub fn push_text(self, row: &mut String, text: &str) {
         row.push(self.by);

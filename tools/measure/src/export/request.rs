@@ -3,8 +3,8 @@
 use super::linuxcnc::{LinuxCnc, Unit};
 use super::user_format::UserFormat;
 use super::{
-    Csv, Format, Lookup, Rules, StaticErrors, Table, TableRange, TableResidual, beckhoff, siemens,
-    siemens_cec, usage,
+    CompensationTableCsv, Format, LookupPosition, Rules, StaticErrors, Table, TableRange, TableResidual,
+    beckhoff, siemens, siemens_cec, usage,
 };
 use rtec_files::Result;
 use rtec_files::date;
@@ -130,7 +130,7 @@ impl ExportRequest {
                 let (table, most) = (self.table, most.unwrap_or(siemens_cec::MOST));
                 Box::new(siemens_cec::Cec { axis, along, table, reference_mm, most, positive_moves_up })
             }
-            ExportFormat::Csv => Box::new(Csv),
+            ExportFormat::Csv => Box::new(CompensationTableCsv),
             ExportFormat::Own => {
                 let form = needed(self.form.as_deref(), "form")?;
                 Box::new(UserFormat::parse(form, &rtec_files::text::read(form)?, reference_mm)?)
@@ -148,7 +148,7 @@ impl ExportRequest {
         let mut rules = format.rules();
         if self.along.is_some() {
             // The table does not move the axis that it is looked up at.
-            rules = Rules { lookup: Lookup::Encoder, both: false, ..rules };
+            rules = Rules { lookup: LookupPosition::Encoder, both: false, ..rules };
         }
         let table = Table::of(&errors, &self.wanted, &rules)?;
         let text = format.text(&table)?;

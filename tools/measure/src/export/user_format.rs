@@ -18,7 +18,7 @@
 //!
 //! `{step}`, `{first}` and `{last}` are positions too; `{{` and `}}` stand for braces.
 
-use super::{CompensationPoint, Format, Lookup, Rules, Table, number, usage};
+use super::{CompensationPoint, Format, LookupPosition, Rules, Table, number, usage};
 use rtec_files::Result;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
@@ -211,7 +211,7 @@ impl Format for UserFormat {
             value_um: 1000.0 * resolution(self.values),
             both: self.both,
             zero_at_mm: self.zero_at_mm,
-            lookup: Lookup::Commanded,
+            lookup: LookupPosition::Commanded,
         }
     }
 

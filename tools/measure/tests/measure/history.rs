@@ -4,7 +4,7 @@
 
 use rtec_builders::{column, record};
 use rtec_files::{InputError, Result};
-use rtec_measure::history::{Limits, history};
+use rtec_measure::history::{FigureTolerances, history};
 use rtec_model::record::{Record, RunKind};
 use std::path::Path;
 
@@ -38,7 +38,8 @@ fn a_scale_that_grows_is_a_trend_with_a_day() {
     records.push(run("undated", None, 1.0));
     let gone = InputError::whole(Path::new("gone"), "nothing", "a record");
     records.push(("gone".to_owned(), Err(gone)));
-    let found = history("m", &records, &Limits::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
+    let found =
+        history("m", &records, &FigureTolerances::of([("M".to_owned(), 7.0), ("x.B_mean".to_owned(), 1.5)]));
     let of = |name: &str| found.figures.iter().find(|f| f.name == name).unwrap();
     let m = of("x.M");
     // 10 ppm over 300 mm are 3 µm; 9 ppm more after nine months.
@@ -67,7 +68,7 @@ fn power_on_readings_are_in_no_growth() {
             vec![column("t", "time", t), column("T1", "temperature", t1), column("e", "error.z", e)];
         let mut record = record("d.run.toml", RunKind::Drift, columns);
         record.date = Some("2026-01-02".to_owned());
-        let found = history("m", &[("d".to_owned(), Ok(record))], &Limits::default());
+        let found = history("m", &[("d".to_owned(), Ok(record))], &FigureTolerances::default());
         found.figures.iter().find(|f| f.name == "z.growth_um_per_K").unwrap().points[0].value
     };
     let [good, bad] = [run(false), run(true)];

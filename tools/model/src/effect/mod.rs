@@ -22,7 +22,7 @@
 //! | [`laws`] | the built-in effects |
 //! | `linear`, `wave`, `knots`, `lag` | parts that several laws share |
 //! | `grid` | the points at which a search begins |
-//! | `record_columns` | an effect over a record |
+//! | `record_evaluation` | an effect over a record |
 //! | `dictionary`, `own` | all laws by name; laws from a file |
 
 mod dictionary;
@@ -34,7 +34,7 @@ mod law_description;
 pub mod laws;
 mod linear;
 mod project_laws;
-mod record_columns;
+mod record_evaluation;
 mod wave;
 
 pub use crate::role::sign;
@@ -47,9 +47,9 @@ pub use law_description::{
     LawDescription, MechanicalParameter, Naming, Owner, Parameter, ParameterSearch, Probing, Quantity,
     Refine, RequiredInput, Searched, ThermalDependence, Wave,
 };
-use record_columns::RADIAL;
-pub(crate) use record_columns::States;
-pub use record_columns::{EffectColumns, MissingInput};
+use record_evaluation::RADIAL;
+pub(crate) use record_evaluation::States;
+pub use record_evaluation::{EffectColumns, MissingInput};
 
 use crate::record::{Axis, Record, Role, RunKind};
 use linear::Linear;

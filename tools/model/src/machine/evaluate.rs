@@ -15,7 +15,7 @@ impl Machine {
     /// # Errors
     /// An effect reads a sensor or channel that the record does not have.
     pub fn predict(&self, record: &Record) -> Result<Prediction, InputError> {
-        PiecewisePrediction::of(self).next(record)
+        RecordPiecePredictor::of(self).next(record)
     }
 
     /// Whether a listed effect acts in a run that goes so far.
@@ -139,13 +139,13 @@ impl<'m> HalfWidths<'m> {
 /// A machine that predicts a record piece by piece.
 /// At each row it predicts the same as [`Machine::predict`] for the whole.
 #[derive(Debug)]
-pub struct PiecewisePrediction<'m> {
+pub struct RecordPiecePredictor<'m> {
     machine: &'m Machine,
     /// The states of each effect, one for each response that it acts on.
     states: Vec<Vec<States>>,
 }
 
-impl<'m> PiecewisePrediction<'m> {
+impl<'m> RecordPiecePredictor<'m> {
     /// The state before the first piece.
     pub fn of(machine: &'m Machine) -> Self {
         Self { machine, states: vec![Vec::new(); machine.effects().count()] }

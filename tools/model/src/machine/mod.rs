@@ -21,7 +21,7 @@ mod test_machine;
 mod write;
 
 pub use check::FitRangeCheck;
-pub use evaluate::{HalfWidths, PiecewisePrediction, Prediction};
+pub use evaluate::{HalfWidths, Prediction, RecordPiecePredictor};
 pub use fit_note::{
     FitNote, ListedEffect, NORMAL_95, Provenance, RecordRanges, SourceRecord, Validity, unknown_um,
 };

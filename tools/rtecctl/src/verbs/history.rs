@@ -4,7 +4,7 @@ use crate::CommandFailure;
 use crate::document::pretty;
 use anyhow::Context;
 use rtec_files::InputError;
-use rtec_measure::history::{Limits, history};
+use rtec_measure::history::{FigureTolerances, history};
 use std::path::{Path, PathBuf};
 
 /// Show a machine's figures over time: A, E, M, R, B, squareness, growth per K, with limits and trend
@@ -30,7 +30,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let limits = args.limits.as_deref().map(Limits::read).transpose()?.unwrap_or_default();
+    let limits = args.limits.as_deref().map(FigureTolerances::read).transpose()?.unwrap_or_default();
     let mut paths = Vec::new();
     let missing = |path, found| InputError::whole(path, found, "NAME.run.toml, or a folder with one");
     for given in &args.records {

@@ -272,7 +272,7 @@ fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::Caller;
+    use rtec_control::protocol::ClientProcess;
     use std::collections::BTreeMap;
 
     /// A fixed zone with a change of clocks, whatever zone this computer has.
@@ -284,13 +284,13 @@ mod tests {
     fn a_line_says_who_what_and_what_it_did() {
         let mut entry = Entry::now("command");
         entry.t = "2026-11-22T13:00:00.123Z".into();
-        entry.by = Some(Caller {
+        entry.by = Some(ClientProcess {
             uid: 1000,
             user: "anna".into(),
             pid: 42,
             exe: "/usr/bin/rtec\u{1b}ctl".into(),
             role: "set_up".into(),
-            ..Caller::default()
+            ..ClientProcess::default()
         });
         entry.request = Some(json!({"do": "correct", "axis": "x", "total_counts": 14, "large": false}));
         entry.result = "done".into();

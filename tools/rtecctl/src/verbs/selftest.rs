@@ -6,7 +6,7 @@ use crate::document::say_line;
 use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
 use rtec_control::card::{self, CardAccess, CardOperation};
-use rtec_control::config::{CardConfig, Config, LatencyProvenance};
+use rtec_control::config::{CardConfig, Config, LatencyTestConditions};
 use rtec_files::InputError;
 use rtec_files::write::AtomicFile;
 use rtec_platform::latency_test::{
@@ -113,7 +113,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         AtomicFile::create(file).map_err(unwritable)
     };
     let histfile = args.histfile.as_ref().map(created).transpose()?;
-    let mut provenance = LatencyProvenance::here(&CardConfig::Mock, options.cpu, &SystemRoot::live());
+    let mut provenance = LatencyTestConditions::here(&CardConfig::Mock, options.cpu, &SystemRoot::live());
     let measured = match &target {
         Target::Simulated(backend) => {
             let card = if *backend == Backend::Mock {
@@ -212,7 +212,7 @@ fn text(
     measured: &LatencyTestResult,
     options: &SelftestOptions,
     verdict: &SelftestVerdict,
-    provenance: &LatencyProvenance,
+    provenance: &LatencyTestConditions,
     with_histogram: bool,
 ) -> String {
     let mut out = String::new();

@@ -1,7 +1,7 @@
 //! `rtecctl whoami`: as whom the daemon knows this user, and the requests allowed.
 
 use crate::daemon::DaemonArgs;
-use rtec_control::protocol::{Caller, ClientRequest, Response};
+use rtec_control::protocol::{ClientProcess, ClientRequest, Response};
 
 /// Show as whom the daemon knows you, and what you may ask for
 ///
@@ -21,8 +21,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn text(caller: &Caller) -> String {
-    let Caller { uid, user, pid, exe, role, may, socket } = caller;
+fn text(caller: &ClientProcess) -> String {
+    let ClientProcess { uid, user, pid, exe, role, may, socket } = caller;
     let role = role.replace('_', " ");
     format!("user {user} ({uid}), process {pid} {exe}\nrole {role}, by {socket}\nmay {}\n", may.join(", "))
 }
@@ -33,7 +33,7 @@ mod tests {
 
     #[test]
     fn who_by_what_and_what_for() {
-        let caller = Caller {
+        let caller = ClientProcess {
             uid: 1000,
             user: "anna".into(),
             pid: 42,

@@ -247,7 +247,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         [rt]\ndetect_ns = 1000\nwrite_ns = 300\n";
     let foreign = "measured = { card = 'another', kernel = '1.0', cpu = 'any', date = '2026-01-01' }\n";
     let figures = Config::parse(Path::new("rtec.toml"), text).unwrap();
-    let here = format!("{}\n", LatencyProvenance::here(&figures.card, 0, &SystemRoot::live()));
+    let here = format!("{}\n", LatencyTestConditions::here(&figures.card, 0, &SystemRoot::live()));
     for (measured, slower, says) in [
         ("", false, &["does not say where", "5000000 edges/s"][..]),
         (foreign, true, &["was measured with card \"another\""]),

@@ -202,7 +202,7 @@ pub(super) fn wet_runs(
 
 /// Initial thermal state of a drilling test.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Start {
+pub(super) struct StartConditions {
     /// The spindle's earlier cycle, wet: rpm and minutes.
     pub(super) before: &'static [(f64, f64)],
     /// Temperature at which hall and machine stood, °C.
@@ -240,7 +240,7 @@ fn warm(sim: &mut Sim, cycle: &[(f64, f64)]) -> Result<(), SimError> {
 pub(super) fn drilling(
     setting: &ExperimentInputs<'_>,
     name: &str,
-    start: &Start,
+    start: &StartConditions,
     findings: &mut ExperimentResults,
 ) -> Result<(), ExperimentError> {
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);

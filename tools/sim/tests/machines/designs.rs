@@ -4,7 +4,7 @@
 
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchResult, BenchSetup, InsertionDesign, constant, there_and_back};
+use rtec_sim::bench::{BenchResult, BenchRun, InsertionDesign, constant, there_and_back};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::ecc::Pll;
 use rtec_sim::insertion_designs::{
@@ -59,7 +59,7 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
     let run = |design, hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
-        BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(design, &computer) }.run().unwrap()
+        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) }.run().unwrap()
     };
     let slow = run(InsertionDesign::Original, 10_000.0);
     assert_eq!((slow.completed, slow.edge_to_done_ns), (-40, Some((9000, 9000))));
@@ -84,11 +84,11 @@ fn without_the_speed_gate_it_runs_into_the_next_transition() {
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
-        BenchSetup {
+        BenchRun {
             edges: &edges,
             totals: &totals,
             ungated: true,
-            ..BenchSetup::new(InsertionDesign::Original, &computer)
+            ..BenchRun::new(InsertionDesign::Original, &computer)
         }
         .run()
         .unwrap()
@@ -113,12 +113,12 @@ fn full_cycle_designs_keep_the_ledger() {
             let mut totals: Vec<(u64, i64)> =
                 (0..12).map(|k| (at(k), (k * 7 + n) as i64 % 41 - 20)).collect();
             totals.sort_unstable();
-            let run = BenchSetup {
+            let run = BenchRun {
                 config: AxisConfig { max_accel_counts_s2: accel, ..AxisConfig::default() },
                 start: State::from_bits(n as u8 % 4),
                 edges: &edges,
                 totals: &totals,
-                ..BenchSetup::new(design, &computer)
+                ..BenchRun::new(design, &computer)
             };
             let seen = run.run().unwrap();
             let wrong = (seen.error_counts(), seen.illegal, seen.faults, seen.overlaps, seen.completed % 4);
@@ -135,7 +135,7 @@ fn full_cycle_designs_leave_less_than_four_counts() {
     for design in [InsertionDesign::Original, InsertionDesign::A] {
         for (total, served) in [(7, 4), (3, 0), (-2, 0), (-3, 0), (-7, -4), (8, 8)] {
             let totals = [(edges[20].0, total)];
-            let run = BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(design, &computer) };
+            let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(design, &computer) };
             let seen = run.run().unwrap();
             assert_eq!((seen.completed, seen.mtc - seen.scale), (served, served), "{design:?} {total}");
         }
@@ -154,7 +154,7 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
             let config = rtec_sim::bench::insert_at_rest(AxisConfig::default());
             let totals = [(1_000_000, 8), (60_000_000, 8)];
             let start = State::from_bits(bits);
-            let seen = BenchSetup { config, start, totals: &totals, ..BenchSetup::new(design, &computer) }
+            let seen = BenchRun { config, start, totals: &totals, ..BenchRun::new(design, &computer) }
                 .run()
                 .unwrap();
             assert_eq!(seen.completed, if served { 8 } else { 0 }, "{design:?} in {start:?}");
@@ -175,21 +175,20 @@ fn design_b_needs_a_faster_computer_and_steps_by_one() {
     let computer = ComputerTiming::dsp();
     // "Current generation digital signal processors have the speed capability to handle these signals."
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let passed =
-        BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, &computer) }.run().unwrap();
+    let passed = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &computer) }.run().unwrap();
     assert_eq!((passed.mtc, passed.illegal), (4000, 0));
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 7), (edges[2000].0, -3)];
-    let run = BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::B, &computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::B, &computer) };
     let seen = run.run().unwrap();
     assert_eq!((seen.completed, seen.error_counts(), seen.insertions, seen.illegal), (-3, 0, 17, 0));
-    let dead = BenchSetup { die_ns: edges[1000].0, ..run }.run().unwrap();
+    let dead = BenchRun { die_ns: edges[1000].0, ..run }.run().unwrap();
     let (scale, mtc) = dead.at_death.unwrap();
     assert_eq!((dead.mtc - mtc, dead.illegal), (0, 0));
     assert!(dead.scale - scale > 2900);
     // An 8051 that has to pass 100 kHz loses counts; the MTC may see an illegal state or none.
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
-    let lost = BenchSetup { edges: &edges, ..BenchSetup::new(InsertionDesign::B, &ComputerTiming::i8051()) }
+    let lost = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &ComputerTiming::i8051()) }
         .run()
         .unwrap();
     assert!(lost.mtc < lost.scale / 2, "{lost:?}");
@@ -204,11 +203,11 @@ fn three_pulses_added_and_three_subtracted() {
         let edges = constant(1_000_000, 10_000.0, 4000, direction);
         for total in [12, -12] {
             let totals = [(edges[500].0, total)];
-            let run = BenchSetup {
+            let run = BenchRun {
                 edges: &edges,
                 totals: &totals,
                 keep_log: true,
-                ..BenchSetup::new(InsertionDesign::Ecc, &computer)
+                ..BenchRun::new(InsertionDesign::Ecc, &computer)
             };
             let seen = run.run().unwrap();
             assert_eq!((seen.mtc - seen.scale, seen.completed, seen.illegal), (total, total, 0));
@@ -230,7 +229,7 @@ fn more_than_fifteen_pulses_take_two_compensations() {
     for (pulses, compensations) in [(15, 1), (16, 2), (45, 3)] {
         let totals = [(edges[500].0, 4 * pulses)];
         let seen =
-            BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) }
+            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
                 .run()
                 .unwrap();
         assert_eq!((seen.insertions, seen.completed, seen.error_counts()), (compensations, 4 * pulses, 0));
@@ -250,7 +249,7 @@ fn the_ecc_works_in_its_lock_range_only() {
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 8000, 1);
         let totals = [(edges[2000].0, 12)];
-        BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) }
+        BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
             .run()
             .unwrap()
     };
@@ -276,7 +275,7 @@ fn the_ecc_sends_one_edge_at_a_time_from_the_first_cycle_on() {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(0, 60)];
         let run =
-            BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) };
+            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) };
         let seen = run.run().unwrap();
         assert_eq!((seen.completed, seen.error_counts(), seen.illegal), (60, 0, 0), "{hz} Hz");
         assert!(seen.min_separation_ns > 1000, "{hz} Hz: {seen:?}");
@@ -293,7 +292,7 @@ fn the_ecc_goes_wrong_at_reversal() {
     let wrong = (0..40).filter(|n| {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let seen =
-            BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::Ecc, &computer) }
+            BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::Ecc, &computer) }
                 .run()
                 .unwrap();
         seen.error_counts() != 0 || seen.illegal > 0
@@ -303,11 +302,11 @@ fn the_ecc_goes_wrong_at_reversal() {
     for n in 0..40 {
         let totals = [(turn - 4_000_000 + n * 100_000, if n % 2 == 0 { 60 } else { -60 })];
         let config = AxisConfig { max_accel_counts_s2: 2e6, ..AxisConfig::default() };
-        let seen = BenchSetup {
+        let seen = BenchRun {
             config,
             edges: &edges,
             totals: &totals,
-            ..BenchSetup::new(InsertionDesign::C, &computer)
+            ..BenchRun::new(InsertionDesign::C, &computer)
         }
         .run()
         .unwrap();
@@ -324,9 +323,9 @@ fn when_the_computer_stops() {
     let computer = ComputerTiming::i8051();
     let edges = constant(1_000_000, 10_000.0, 4000, 1);
     let totals = [(edges[500].0, 2)];
-    let run = BenchSetup { edges: &edges, totals: &totals, ..BenchSetup::new(InsertionDesign::C, &computer) };
+    let run = BenchRun { edges: &edges, totals: &totals, ..BenchRun::new(InsertionDesign::C, &computer) };
     let after = |die_ns| {
-        let seen = BenchSetup { die_ns, ..run.clone() }.run().unwrap();
+        let seen = BenchRun { die_ns, ..run.clone() }.run().unwrap();
         let (scale, mtc) = seen.at_death.unwrap();
         (seen.mtc - mtc) as f64 / (seen.scale - scale) as f64
     };

@@ -47,7 +47,7 @@ impl Shape {
 
 /// The contribution of a hypothesis to the rows.
 #[derive(Debug, Clone)]
-pub enum Cause {
+pub enum Contribution {
     /// An effect.
     /// Its first `free` coefficients, and whether its reference temperature is free too.
     Effect {
@@ -69,7 +69,7 @@ pub enum Cause {
     Shape(Arc<(Shape, Vec<Vec<f64>>)>),
 }
 
-impl Cause {
+impl Contribution {
     /// The effect, if it is one.
     #[must_use]
     pub fn effect(&self) -> Option<&Effect> {
