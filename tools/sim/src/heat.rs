@@ -27,7 +27,8 @@ pub enum ThermalNode {
 
 const NODES: usize = 12;
 
-/// Heat capacities, J/K, in the order of [`ThermalNode`]; the ambient is a boundary.
+/// Heat capacities, J/K, in the order of [`ThermalNode`].
+/// The ambient is a boundary.
 const CAPACITY: [f64; NODES] =
     [2.5e3, 2.5e3, 9.0e3, 1.4e4, 1.6e4, 1.4e4, 6.0e4, 3.0e5, 5.0e5, 1.5e5, 2.5e5, f64::INFINITY];
 
