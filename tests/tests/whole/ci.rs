@@ -237,7 +237,7 @@ fn every_crate_has_its_reason_and_they_are_few() {
     let page = read("tools/guide/contributor/dependencies.md");
     let (shared, alone) = page.split_once("## In `rtecctl` alone").unwrap();
     let (rtecctl, rtecd) = (linked("rtecctl"), linked("rtecd"));
-    assert!(rtecctl.len() <= 101, "{}: {rtecctl:?}", rtecctl.len());
+    assert!(rtecctl.len() <= 102, "{}: {rtecctl:?}", rtecctl.len());
     assert!(rtecd.len() <= 59, "{}: {rtecd:?}", rtecd.len());
     let unnamed = |crates: &BTreeSet<String>, text: &str| -> Vec<String> {
         crates.iter().filter(|c| !text.contains(&format!("`{c}`"))).cloned().collect()

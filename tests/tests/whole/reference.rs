@@ -94,7 +94,7 @@ fn keys_of_the_files_stand_on_their_pages() {
         13,
     );
     all_stand("part-files.md", &fields(&source("tools/part/src/program.rs"), "Dialect"), 13);
-    all_stand("part-files.md", &fields(&source("tools/sim/src/lathe.rs"), "Bench"), 13);
+    all_stand("part-files.md", &fields(&source("tools/sim/src/lathe.rs"), "LatheSpec"), 13);
     all_stand("part-files.md", &rtec_part::program::PARAMETERS.map(|p| p.name), 22);
 }
 
@@ -232,7 +232,7 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
     let words = source("tools/control/src/protocol/explanations.rs");
     let refusals =
         words.split("fn explain_refusal").nth(1).unwrap().split("fn explain_fault").next().unwrap();
-    let session = ["orders", "loads", "report"].map(|f| format!("tools/rtecd/src/session/{f}.rs"));
+    let session = ["rt_requests", "loads", "report"].map(|f| format!("tools/rtecd/src/session/{f}.rs"));
     let mut said = all(&session.each_ref().map(String::as_str));
     said.extend(literals(refusals));
     // Texts that are no refusal and no alarm: parts of others, logs, and malformed requests.
