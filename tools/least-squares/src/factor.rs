@@ -286,21 +286,7 @@ impl Factor {
     /// Factors of the first `k` columns only.
     #[must_use]
     pub fn first(&self, k: usize) -> Self {
-        let mut out = self.clone();
-        for i in (k..self.len()).rev() {
-            let along = out.along[i];
-            add(&mut out.residual, along, &out.upper[i]);
-            add(&mut out.pulled, along, &out.lower[i]);
-            out.left += along * along;
-            out.half_log_det -= out.triangle[i][i].ln();
-        }
-        out.upper.truncate(k);
-        out.within.truncate(k);
-        out.lower.truncate(k);
-        out.triangle.truncate(k);
-        out.along.truncate(k);
-        out.pulled.truncate(k);
-        out
+        self.without(k..self.len())
     }
 
     /// Factors without these columns.
