@@ -35,7 +35,7 @@ pub struct Member {
     weight: f64,
     /// Its columns, whitened by the noise of its search.
     columns: Rc<Columns>,
-    /// A number that stands for its columns and its level.
+    /// A number that stands for its family, its columns and its level.
     mark: u64,
     /// The bank's products with its columns after the base; computed on first use.
     shares: Rc<OnceCell<Columns>>,
@@ -54,17 +54,20 @@ impl Member {
     }
 
     fn set_columns(&mut self, columns: Columns) {
-        self.mark = mark(&columns, self.level);
+        self.mark = mark(self.family, &columns, self.level);
         self.columns = Rc::new(columns);
         self.shares = Rc::default();
     }
 }
 
-/// A number that stands for columns and a level.
+/// A number that stands for a member.
+/// Two families may have the same columns, and only one of them may join again.
 /// Others have the same one by a chance of one in 2⁶⁴.
-fn mark(columns: &Columns, level: f64) -> u64 {
+fn mark(family: usize, columns: &Columns, level: f64) -> u64 {
     let numbers = columns.iter().flatten().chain([&level]);
-    numbers.fold(0, |mark, x| (mark.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95))
+    numbers.fold(family as u64 + 1, |mark, x| {
+        (mark.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95)
+    })
 }
 
 /// A set with its fit.
@@ -324,7 +327,7 @@ impl<'p> HypothesisSearch<'p> {
             level: gain.level,
             prior: prior + level_weight,
             weight: seed.weight,
-            mark: mark(&columns, gain.level),
+            mark: mark(seed.family, &columns, gain.level),
             columns: Rc::new(columns),
             shares: Rc::default(),
         };
