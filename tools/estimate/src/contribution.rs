@@ -99,12 +99,7 @@ impl Contribution {
             Self::Shape(both) => both.1.clone(),
             Self::Map { effect, directions } => {
                 let raw = rows.basis(effect);
-                let size = effect
-                    .description()
-                    .parameters
-                    .iter()
-                    .find(|p| p.array && p.search == ParameterSearch::Linear);
-                let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
+                let size = height_size(effect);
                 let of = |d: &Vec<f64>| {
                     let mut out = vec![0.0; rows.n];
                     for (height, column) in d.iter().zip(&raw) {
@@ -124,14 +119,7 @@ impl Contribution {
                     without_untold_turns(rows, effect, &mut columns);
                 }
                 for (column, size) in columns.iter_mut().zip(sizes(effect)) {
-                    let size = if size > 0.0 {
-                        size
-                    } else {
-                        let mean = column.iter().sum::<f64>() / column.len().max(1) as f64;
-                        let rms =
-                            (dot(column, column) / column.len().max(1) as f64 - mean * mean).max(0.0).sqrt();
-                        CONTRIBUTION / rms.max(1e-300)
-                    };
+                    let size = size_by_column(size, column);
                     for x in column.iter_mut() {
                         *x *= size;
                     }
@@ -169,12 +157,7 @@ impl Contribution {
         match self {
             Self::Shape(_) => None,
             Self::Map { effect, directions } => {
-                let size = effect
-                    .description()
-                    .parameters
-                    .iter()
-                    .find(|p| p.array && p.search == ParameterSearch::Linear);
-                let size = size.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size);
+                let size = height_size(effect);
                 let mut heights = vec![0.0; effect.coefficient_count()];
                 for (b, d) in beta.iter().zip(directions.iter()) {
                     rtec_least_squares::add(&mut heights, b * size, d);
@@ -208,16 +191,27 @@ impl Contribution {
             return sizes;
         }
         let raw = rows.basis(effect);
-        let of = |(size, column): (f64, &Vec<f64>)| {
-            if size > 0.0 {
-                return size;
-            }
-            let mean = column.iter().sum::<f64>() / column.len().max(1) as f64;
-            let rms = (dot(column, column) / column.len().max(1) as f64 - mean * mean).max(0.0).sqrt();
-            CONTRIBUTION / rms.max(1e-300)
-        };
-        sizes.into_iter().zip(&raw).map(of).collect()
+        sizes.into_iter().zip(&raw).map(|(size, column)| size_by_column(size, column)).collect()
     }
+}
+
+/// Prior size of a map's heights.
+fn height_size(effect: &Effect) -> f64 {
+    let parameters = &effect.description().parameters;
+    let heights = parameters.iter().find(|p| p.array && p.search == ParameterSearch::Linear);
+    heights.map_or(CONTRIBUTION, rtec_model::effect::Parameter::prior_size)
+}
+
+/// Prior size of a coefficient.
+/// Where the dictionary has none, its column contributes as much as is usual.
+fn size_by_column(size: f64, column: &[f64]) -> f64 {
+    if size > 0.0 {
+        return size;
+    }
+    let n = column.len().max(1) as f64;
+    let mean = column.iter().sum::<f64>() / n;
+    let rms = (dot(column, column) / n - mean * mean).max(0.0).sqrt();
+    CONTRIBUTION / rms.max(1e-300)
 }
 
 /// Prior sizes of an effect's coefficients, in their own units.
