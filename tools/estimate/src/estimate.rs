@@ -5,7 +5,7 @@ mod final_fit;
 
 use crate::contribution::Shape;
 use crate::hypothesis_family::HypothesisFamilies;
-use crate::priors::MOST_PHI;
+use crate::priors::{KNOWN_SHARE, MOST_PHI};
 use crate::problem::{EstimationProblem, Units, in_step};
 use crate::rows::{Noise, Rows};
 use crate::search::{HypothesisSearch, HypothesisSet, Member, fit, known_again};
@@ -254,10 +254,9 @@ fn settled<T>(
             continue;
         }
         let renewed = problem.renewed(&noise, &set.factor);
-        let settled = (0..noise.sigma.len()).all(|j| {
-            (renewed.sigma[j] / noise.sigma[j] - 1.0).abs() < SETTLED.0
-                && (renewed.phi[j] - noise.phi[j]).abs() < SETTLED.1
-        });
+        let settled = (0..noise.sigma.len())
+            .all(|j| (renewed.sigma[j] / noise.sigma[j] - 1.0).abs() < SETTLED.0)
+            && renewed.phi.iter().zip(&noise.phi).all(|(a, b)| (a - b).abs() < SETTLED.1);
         if settled && round + 1 < ROUNDS && !exchanged {
             // Only once, when the noise is known, because exchanges take most time.
             exchanged = true;
@@ -303,7 +302,7 @@ fn under(problem: &EstimationProblem<'_>, members: &[Member], mut noise: Noise) 
         total = fit(factor.left(), freedom) - factor.half_log_det()
             + prior
             + problem.log_scale(&noise)
-            + noise.log_prior();
+            + noise.log_prior(problem.rows);
         noise = problem.renewed(&noise, &factor);
     }
     (total, noise)
@@ -430,6 +429,32 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     left
 }
 
+/// Log evidence of one record if it is of another machine, which has the model's effects in any sizes.
+#[must_use]
+pub fn of_other_machine(record: &Record, model: &[Effect]) -> f64 {
+    let rows = Rows::new(std::slice::from_ref(record));
+    let mut problem = EstimationProblem::new(&rows, model, &[]);
+    // Instead of a share of each size, all of it.
+    problem.known.iter_mut().flat_map(|k| &mut k.column).for_each(|x| *x /= KNOWN_SHARE);
+    without_hypotheses(problem).0
+}
+
+/// Log evidence of a problem of one record without hypotheses, with the noise that is left.
+fn without_hypotheses(mut problem: EstimationProblem<'_>) -> (f64, Noise) {
+    // Relative to other records the plate may be rotated.
+    problem.terms.extend(setup::turns(problem.rows));
+    let mut noise = problem.first_noise();
+    let mut total = f64::NEG_INFINITY;
+    for _ in 0..NOISE_STEPS {
+        let base = problem.base(noise.clone());
+        total = fit(base.factor.left(), base.freedom) - base.factor.half_log_det()
+            + problem.log_scale(&noise)
+            + noise.log_prior(problem.rows);
+        noise = problem.renewed(&noise, &base.factor);
+    }
+    (total, noise)
+}
+
 /// Log evidence of one record if the model lacks nothing.
 /// Also returns the size of the residual noise per response.
 #[must_use]
@@ -439,20 +464,8 @@ pub fn alone(
     intervals: &[Vec<Option<f64>>],
     units: Units,
 ) -> (f64, Vec<(Role, f64)>) {
-    let records = std::slice::from_ref(record);
-    let rows = Rows::new(records);
-    let mut problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
-    // Relative to other records the plate may be rotated.
-    problem.terms.extend(setup::turns(&rows));
-    let mut noise = problem.first_noise();
-    let mut total = f64::NEG_INFINITY;
-    for _ in 0..NOISE_STEPS {
-        let base = problem.base(noise.clone());
-        total = fit(base.factor.left(), base.freedom) - base.factor.half_log_det()
-            + problem.log_scale(&noise)
-            + noise.log_prior();
-        noise = problem.renewed(&noise, &base.factor);
-    }
-    let size = |j: usize| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt();
-    (total, rows.responses.iter().cloned().enumerate().map(|(j, r)| (r, size(j))).collect())
+    let rows = Rows::new(std::slice::from_ref(record));
+    let problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
+    let (total, noise) = without_hypotheses(problem);
+    (total, rows.responses.iter().cloned().enumerate().map(|(j, r)| (r, noise.scatter(&rows, j))).collect())
 }

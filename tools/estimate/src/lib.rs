@@ -37,6 +37,6 @@ pub mod wave;
 
 pub use contribution::Shape;
 pub use estimate::{
-    Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, alone, estimate, score,
-    unexplained,
+    Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, alone, estimate,
+    of_other_machine, score, unexplained,
 };

@@ -199,7 +199,7 @@ pub struct EstimationProblem<'r> {
     pub terms: Vec<SetUpTerm>,
     /// The known effects.
     pub known: Vec<Known>,
-    /// Smallest size of the noise, per response.
+    /// Smallest size of the noise, per segment.
     pub floors: Vec<f64>,
     /// Root of each row's weight, before outliers are weighted down.
     pub weights: Vec<f64>,
@@ -245,7 +245,7 @@ impl<'r> EstimationProblem<'r> {
             missing,
             terms,
             known: known(rows, model, intervals),
-            floors: vec![0.0; rows.responses.len()],
+            floors: vec![0.0; rows.segments.len()],
             weights: vec![1.0; rows.n],
             rounding_um: vec![0.0; rows.segments.len()],
         }
@@ -344,12 +344,23 @@ impl<'r> EstimationProblem<'r> {
             *x *= 1e-3;
         }
         let mut noise = Noise::guess(self.rows, &left);
+        let segments = &self.rows.segments;
         let steps = |s: &Segment| left[s.rows.clone()].windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
-        let steps: Vec<f64> = self.rows.segments.iter().map(steps).collect();
-        noise.shared_out(self.rows, &steps, &self.floors);
+        let steps: Vec<f64> = segments.iter().map(steps).collect();
+        // The steps divide the response's squares among its segments.
+        let squares = |(s, own): (&Segment, &f64)| {
+            let all: f64 =
+                segments.iter().zip(&steps).filter(|o| o.0.response == s.response).map(|o| o.1).sum();
+            let share =
+                if all > 0.0 { own / all } else { s.rows.len() as f64 / self.rows.count(s.response) as f64 };
+            noise.sigma[s.response].powi(2) * self.rows.count(s.response) as f64 * share
+        };
+        let squares: Vec<f64> = segments.iter().zip(&steps).map(squares).collect();
+        noise.resize(self.rows, &squares);
+        noise.phi.iter_mut().zip(&self.floors).filter(|(_, f)| **f > 0.0).for_each(|(p, _)| *p = 0.0);
+        noise.at_least(self.rows, &self.floors);
         noise.at_least(self.rows, &self.rounding_um);
         noise.weight.clone_from(&self.weights);
-        noise.phi.iter_mut().zip(&self.floors).filter(|(_, f)| **f > 0.0).for_each(|(p, _)| *p = 0.0);
         noise
     }
 
@@ -377,6 +388,7 @@ impl<'r> EstimationProblem<'r> {
         let e = factor.residual();
         let mut new = noise.clone();
         let mut of_segments = vec![0.0; rows.segments.len()];
+        let mut of_leverage = vec![0.0; rows.segments.len()];
         for j in 0..rows.responses.len() {
             let segments: Vec<_> =
                 rows.segments.iter().enumerate().filter(|(_, s)| s.response == j).collect();
@@ -392,8 +404,9 @@ impl<'r> EstimationProblem<'r> {
                 sizes.extend(part.iter().zip(&noise.weight[s.rows.clone()]).map(|(x, w)| (x / w).abs()));
                 let taken = factor.columns().iter().map(|q| dot(&q[s.rows.clone()], &q[s.rows.clone()]));
                 let (own, taken) = (dot(part, part), taken.sum::<f64>());
+                of_leverage[*number] = taken;
                 of_segments[*number] =
-                    (own + taken.min(0.9 * s.rows.len() as f64)) * noise.share[*number].powi(2);
+                    (own + taken.min(0.9 * s.rows.len() as f64)) * noise.size(rows, *number).powi(2);
                 squares += own;
                 leverage += taken;
             }
@@ -402,36 +415,41 @@ impl<'r> EstimationProblem<'r> {
             // Robust size of the middle of the rows, for their weights.
             sizes.sort_by(f64::total_cmp);
             let middle = (1.4826 * sizes[sizes.len() / 2]).max(0.3 * scale).max(1e-9);
-            let (mut all, mut with, mut count) = (0.0, 0.0, 0.0);
+            let mut phis = Vec::new();
             for (number, s) in &segments {
-                let (sigma, phi) = (noise.size(rows, *number), noise.phi[j]);
+                let (sigma, phi) = (noise.size(rows, *number), noise.phi[*number]);
                 let mut raw = Vec::with_capacity(s.rows.len());
                 let mut before = 0.0;
                 for (i, row) in s.rows.clone().enumerate() {
                     let step = e[row] / noise.weight[row] * sigma;
                     let now = if i == 0 { step / (1.0 - phi * phi).sqrt() } else { step + phi * before };
                     let limit = 4.0 * middle * sigma / (1.0 - phi * phi).sqrt();
-                    // Scaled to one size, so that each segment counts by its number of rows.
-                    raw.push(now.clamp(-limit, limit) / sigma);
+                    raw.push(now.clamp(-limit, limit));
                     before = now;
                 }
-                all += dot(&raw, &raw);
-                with += raw.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
-                count += raw.len() as f64;
+                let with: f64 = raw.windows(2).map(|w| w[0] * w[1]).sum();
+                let own = s.rows.len() as f64;
+                let taken = of_leverage[*number].min(0.9 * own);
+                phis.push((own, with / dot(&raw, &raw).max(1e-300) + (taken + 1.0) / own));
                 // A reading within its rounding error is not an outlier.
-                let middle = middle.max(self.rounding_um[*number].max(self.floors[j]) / sigma);
+                let middle = middle.max(self.rounding_um[*number].max(self.floors[*number]) / sigma);
                 for row in s.rows.clone() {
                     let off = (e[row] / noise.weight[row] / middle).powi(2);
                     let less = (TAILS.0 + TAILS.1 * TAILS.1) / (TAILS.0 + off);
                     new.weight[row] = self.weights[row] * less.min(1.0).sqrt();
                 }
             }
-            new.sigma[j] = (noise.sigma[j] * scale).max(1e-9);
-            // The weights account for the steps of a coarse gauge; an autocorrelation would count them twice.
-            let most = if self.floors[j] > 0.0 { 0.0 } else { MOST_PHI };
-            new.phi[j] = (with / all.max(1e-300) + (leverage + 1.0) / count).clamp(0.0, most);
+            let mean = phis.iter().map(|(n, phi)| n * phi).sum::<f64>() / n;
+            // A segment's autocorrelation differs from the response's as much as that differs from none.
+            let prior_rows = (2.0 / MOST_PHI).powi(2);
+            for ((number, _), (own, phi)) in segments.iter().zip(phis) {
+                // The weights account for the steps of a coarse gauge; an autocorrelation would count them twice.
+                let most = if self.floors[*number] > 0.0 { 0.0 } else { MOST_PHI };
+                new.phi[*number] = ((own * phi + prior_rows * mean) / (own + prior_rows)).clamp(0.0, most);
+            }
         }
-        new.shared_out(rows, &of_segments, &self.floors);
+        new.resize(rows, &of_segments);
+        new.at_least(rows, &self.floors);
         new.at_least(rows, &self.rounding_um);
         new
     }

@@ -1,7 +1,7 @@
 //! All rows of all responses of all records, one under the other, and their noise.
 
 use crate::priors::{ALIKE_ROWS, MOST_PHI, NOISE};
-use crate::search_limits::{MUCH_MEMORY, ONE_PLACE, TIME_CONSTANTS};
+use crate::search_limits::{MUCH_MEMORY, ONE_PLACE, SIZE_STEPS, TIME_CONSTANTS};
 use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
 use rtec_model::record::{Axis, Record, Role, span};
 use std::ops::Range;
@@ -239,7 +239,7 @@ impl Extent for Rows<'_> {
 pub struct Noise {
     /// Size of the new noise at each row, per response, in its unit.
     pub sigma: Vec<f64>,
-    /// Autocorrelation from row to row, per response.
+    /// Autocorrelation from row to row, per segment.
     pub phi: Vec<f64>,
     /// Size of each segment's noise relative to its response's (another day or gauge).
     pub share: Vec<f64>,
@@ -254,7 +254,7 @@ impl Noise {
         let count = rows.responses.len();
         Self {
             sigma: vec![sigma; count],
-            phi: vec![0.0; count],
+            phi: vec![0.0; rows.segments.len()],
             share: vec![1.0; rows.segments.len()],
             weight: vec![1.0; rows.n],
         }
@@ -264,7 +264,7 @@ impl Noise {
     /// It uses the steps from row to row and the largest autocorrelation of noise.
     #[must_use]
     pub fn guess(rows: &Rows<'_>, left: &[f64]) -> Self {
-        let (mut sigma, mut phi) = (Vec::new(), Vec::new());
+        let (mut sigma, mut phi) = (Vec::new(), vec![0.0; rows.segments.len()]);
         for j in 0..rows.responses.len() {
             let (mut all, mut with, mut steps, mut n) = (0.0, 0.0, 0.0, 0.0);
             for s in rows.segments.iter().filter(|s| s.response == j) {
@@ -279,39 +279,42 @@ impl Noise {
             let size = (all / n.max(1.0)).sqrt();
             let own = (steps / n.max(1.0) / (2.0 * (1.0 - memory).max(0.1))).sqrt()
                 * (1.0 - memory * memory).sqrt();
-            phi.push(memory);
+            rows.segments
+                .iter()
+                .zip(&mut phi)
+                .filter(|(s, _)| s.response == j)
+                .for_each(|(_, p)| *p = memory);
             sigma.push(own.min(size).max(1e-3 * size).max(1e-9));
         }
         Self { sigma, phi, share: vec![1.0; rows.segments.len()], weight: vec![1.0; rows.n] }
     }
 
-    /// Updates the size of each segment's noise from its squares.
-    /// The squares give the ratios between segments. The response's size is their middle, but not below its
-    /// floor. The noise of a coarse gauge is its step, and equal in all segments.
-    pub fn shared_out(&mut self, rows: &Rows<'_>, squares: &[f64], floors: &[f64]) {
-        for (j, floor) in floors.iter().enumerate() {
-            self.sigma[j] = self.sigma[j].max(*floor);
+    /// Updates the sizes of the noise from the squares of each segment's new noise, in the response's unit.
+    /// A segment's size has an inverse gamma prior about its response's size, so that size is the harmonic
+    /// mean of its segments.
+    pub fn resize(&mut self, rows: &Rows<'_>, squares: &[f64]) {
+        for (j, sigma) in self.sigma.iter_mut().enumerate() {
             let own: Vec<usize> =
                 (0..rows.segments.len()).filter(|s| rows.segments[*s].response == j).collect();
             let n = |s: usize| rows.segments[s].rows.len() as f64;
-            let count: f64 = own.iter().map(|s| n(*s)).sum();
-            let mean = own.iter().map(|s| squares[*s]).sum::<f64>() / count;
-            if mean <= 0.0 || *floor > 0.0 {
-                continue;
+            let mean = own.iter().map(|s| squares[*s]).sum::<f64>() / rows.count(j).max(1) as f64;
+            let mut variance = mean.max(1e-18);
+            let size = |s: usize, all: f64| (squares[s] + ALIKE_ROWS * all) / (n(s) + ALIKE_ROWS);
+            for _ in 0..SIZE_STEPS {
+                let inverse: f64 = own.iter().map(|s| size(*s, variance).recip()).sum();
+                variance = own.len() as f64 / inverse;
             }
-            let variance = |s: usize| (squares[s] / mean + ALIKE_ROWS) / (n(s) + ALIKE_ROWS);
-            let middle = (own.iter().map(|s| n(*s) * variance(*s).ln()).sum::<f64>() / count).exp();
+            *sigma = variance.sqrt();
             for s in own {
-                self.share[s] = (variance(s) / middle).sqrt();
+                self.share[s] = (size(s, variance) / variance).sqrt();
             }
-            self.sigma[j] *= middle.sqrt();
         }
     }
 
-    /// Raises each segment's noise to at least this, µm.
+    /// Raises each segment's noise, with its autocorrelation, to at least this, µm.
     pub fn at_least(&mut self, rows: &Rows<'_>, um: &[f64]) {
         for (number, least) in um.iter().enumerate() {
-            let size = self.size(rows, number);
+            let size = self.size(rows, number) / (1.0 - self.phi[number].powi(2)).sqrt();
             if size < *least {
                 self.share[number] *= least / size;
             }
@@ -332,8 +335,8 @@ impl Noise {
             return None;
         }
         let mut other = self.clone();
-        for (sigma, phi) in other.sigma.iter_mut().zip(&mut other.phi) {
-            *sigma *= ((1.0 - *phi) / (1.0 - *phi * *phi)).sqrt();
+        for (share, phi) in other.share.iter_mut().zip(&mut other.phi) {
+            *share *= ((1.0 - *phi) / (1.0 - *phi * *phi)).sqrt();
             *phi = 0.0;
         }
         Some(other)
@@ -342,7 +345,7 @@ impl Noise {
     /// Divides a column by the noise, which then has unit size and no correlation.
     pub fn whiten(&self, rows: &Rows<'_>, column: &mut [f64]) {
         for (number, s) in rows.segments.iter().enumerate() {
-            let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);
+            let (by, phi) = (1.0 / self.size(rows, number), self.phi[number]);
             let part = &mut column[s.rows.clone()];
             let weight = &self.weight[s.rows.clone()];
             let mut before = 0.0;
@@ -360,7 +363,7 @@ impl Noise {
     /// The product of a whitened column with `column` is that of the column with the result.
     pub fn transpose(&self, rows: &Rows<'_>, column: &mut [f64]) {
         for (number, s) in rows.segments.iter().enumerate() {
-            let (by, phi) = (1.0 / self.size(rows, number), self.phi[s.response]);
+            let (by, phi) = (1.0 / self.size(rows, number), self.phi[number]);
             let part = &mut column[s.rows.clone()];
             let weight = &self.weight[s.rows.clone()];
             let first = (1.0 - phi * phi).sqrt();
@@ -374,14 +377,37 @@ impl Noise {
 
     /// Log prior of the noise's sizes, up to a constant.
     #[must_use]
-    pub fn log_prior(&self) -> f64 {
+    pub fn log_prior(&self, rows: &Rows<'_>) -> f64 {
         let [middle, factor] = NOISE;
-        let of = |(sigma, phi): (&f64, &f64)| {
+        let of = |(j, sigma): (usize, &f64)| {
+            let phi = self.mean_phi(rows, j);
             let size = sigma / (1.0 - phi * phi).sqrt();
             -0.5 * ((size / middle).ln() / factor.ln()).powi(2) - 0.5 * (2.0 * phi / MOST_PHI).powi(2)
         };
         let apart = |share: &f64| -0.5 * ALIKE_ROWS * (2.0 * share.ln() + share.powi(-2) - 1.0);
-        self.sigma.iter().zip(&self.phi).map(of).sum::<f64>() + self.share.iter().map(apart).sum::<f64>()
+        let differs = |(s, phi): (&Segment, &f64)| {
+            -0.5 * (2.0 * (phi - self.mean_phi(rows, s.response)) / MOST_PHI).powi(2)
+        };
+        self.sigma.iter().enumerate().map(of).sum::<f64>()
+            + self.share.iter().map(apart).sum::<f64>()
+            + rows.segments.iter().zip(&self.phi).map(differs).sum::<f64>()
+    }
+
+    /// Autocorrelation of a response: the mean of its segments, by their rows.
+    fn mean_phi(&self, rows: &Rows<'_>, response: usize) -> f64 {
+        let own = || rows.segments.iter().zip(&self.phi).filter(|(s, _)| s.response == response);
+        own().map(|(s, phi)| s.rows.len() as f64 * phi).sum::<f64>() / rows.count(response).max(1) as f64
+    }
+
+    /// Standard deviation of a response's noise over all its rows, with its autocorrelation.
+    #[must_use]
+    pub fn scatter(&self, rows: &Rows<'_>, response: usize) -> f64 {
+        let own = rows.segments.iter().enumerate().filter(|(_, s)| s.response == response);
+        let squares = own.map(|(number, s)| {
+            let (size, phi) = (self.size(rows, number), self.phi[number]);
+            s.rows.len() as f64 * size * size / (1.0 - phi * phi)
+        });
+        (squares.sum::<f64>() / rows.count(response).max(1) as f64).sqrt()
     }
 
     /// log of the density's Jacobian: Σ log(w/σ) + ½ Σ log(1 − φ²).
@@ -391,7 +417,7 @@ impl Noise {
             .iter()
             .enumerate()
             .map(|(number, s)| {
-                let (sigma, phi) = (self.size(rows, number), self.phi[s.response]);
+                let (sigma, phi) = (self.size(rows, number), self.phi[number]);
                 let weights: f64 = self.weight[s.rows.clone()].iter().map(|w| w.ln()).sum();
                 weights - (s.rows.len() as f64) * sigma.ln() + 0.5 * (1.0 - phi * phi).ln()
             })

@@ -49,6 +49,10 @@ pub const REMEMBERS: f64 = 0.15;
 pub const OUT_OF_STEP: f64 = 0.01;
 /// Rows that differ by less are at one position, as a share of the range.
 pub const ONE_PLACE: f64 = 1.0 / 300.0;
+/// Number of places at which a circle of unknown centre may lie on a map.
+pub const CIRCLE_PLACES: usize = 32;
+/// Steps in which a response's noise and that of its segments agree.
+pub const SIZE_STEPS: usize = 8;
 /// Number of time constants tried.
 pub const TIME_CONSTANTS: usize = 14;
 /// Autocorrelation from which a slow signal may be an effect, not noise.

@@ -4,11 +4,12 @@
 
 use crate::priors::{
     AIR_UM_S, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
-    TURN_URAD, ZERO_UM,
+    SMOOTH_RANK, TURN_URAD, ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
-use crate::search_limits::{AIR_DIRECTIONS, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
+use crate::search_limits::{AIR_DIRECTIONS, CIRCLE_PLACES, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
 use crate::smooth::{Kernel, directions, knots, shares};
+use rtec_least_squares::projected_eigen;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Effect, ParameterSearch};
 use rtec_model::record::{Column, Record, Role, RunKind};
@@ -362,21 +363,15 @@ const fn is_repeated(y: &[f64], count: usize) -> bool {
     y.len() >= 8 && 3 * count <= y.len()
 }
 
-/// Smallest size of the noise, per response: undithered rounding.
+/// Smallest size of the noise, per segment: undithered rounding.
 #[must_use]
 pub fn floors(rows: &Rows<'_>) -> Vec<f64> {
-    let mut out = vec![0.0_f64; rows.responses.len()];
-    for s in &rows.segments {
-        if let Some((q, _)) = coarse(rows, s) {
-            out[s.response] = out[s.response].max(q / 12f64.sqrt());
-        }
-    }
     // If no reading ever changes, the size of the noise is unknown.
     let changes = |j: usize| rows.segments.iter().any(|s| s.response == j && !stands_still(rows, s));
-    for (_, floor) in out.iter_mut().enumerate().filter(|(j, _)| !changes(*j)) {
-        *floor = NOISE[0];
-    }
-    out
+    let floor = |s: &Segment| {
+        if changes(s.response) { coarse(rows, s).map_or(0.0, |c| c.0 / 12f64.sqrt()) } else { NOISE[0] }
+    };
+    rows.segments.iter().map(floor).collect()
 }
 
 /// Whether all readings of a segment are equal.
@@ -472,9 +467,69 @@ fn elsewhere(record: &Record) -> Vec<Record> {
     [[PLACE_MM, 0.0], [0.0, PLACE_MM]].into_iter().filter_map(at).collect()
 }
 
+/// A map of the model in circles of unknown centre, at one standard deviation.
+/// Each circle lies anywhere within the map's range, or anywhere on the axis if it does not fit in there. The
+/// columns have the mean square of what the map shows at those places. Returns record and column.
+fn somewhere_within(
+    rows: &Rows<'_>,
+    map: &Effect,
+    along: usize,
+    [from, to]: [f64; 2],
+) -> Vec<(usize, Vec<f64>)> {
+    let mut out = Vec::new();
+    for s in errors(rows) {
+        let record = rows.record(s);
+        let (Some(circle), Some(axis)) = (record.circle(), map.axes().get(along)) else { continue };
+        let role = &rows.responses[s.response];
+        let acts = map.acts_on(record);
+        let (Some(side), Some((_, component)), false) = (
+            circle.plane.iter().position(|a| a == axis),
+            acts.iter().find(|(r, _)| r == role),
+            is_placed(record, map),
+        ) else {
+            continue;
+        };
+        let middle = 0.5 * (from + to);
+        let reach = 0.5 * (to - from) - circle.radius_mm;
+        let reach = if reach > 0.0 { reach } else { PLACE_MM };
+        let mut shown: Vec<Vec<f64>> = Vec::new();
+        for i in 0..CIRCLE_PLACES {
+            let mut centre = [0.0; 2];
+            centre[side] = middle + reach * ((2 * i + 1) as f64 / CIRCLE_PLACES as f64 - 1.0);
+            let there = record.clone().with_circle(Circle { centre_mm: Some(centre), ..circle.clone() });
+            let Ok(there) = there else { continue };
+            let Ok(bound) = map.bind(&there) else { continue };
+            let mut basis = vec![0.0; record.rows() * map.coefficient_count()];
+            bound.basis(map, *component, &mut basis);
+            let mut column = vec![0.0; record.rows()];
+            for (height, c) in map.coefficients().iter().zip(basis.chunks(record.rows())) {
+                rtec_least_squares::add(&mut column, height / (CIRCLE_PLACES as f64).sqrt(), c);
+            }
+            shown.push(column);
+        }
+        if shown.is_empty() {
+            continue;
+        }
+        let product = |i: usize, j: usize| rtec_least_squares::dot(&shown[i], &shown[j]);
+        let found = projected_eigen(shown.len(), product, &[]);
+        let largest = found.first().map_or(0.0, |d| d.0);
+        for (_, direction) in found.iter().take_while(|d| d.0 > SMOOTH_RANK * largest) {
+            let sum = |i: usize| direction.iter().zip(&shown).map(|(d, c)| d * c[i]).sum();
+            out.push((s.record, column(rows, s, sum)));
+        }
+    }
+    out
+}
+
 /// Effects of the model in circles of unknown centre.
 fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
     for effect in model {
+        if let Some((along, range_mm)) = effect.stretch_mm() {
+            for (record, column) in somewhere_within(rows, effect, along, range_mm) {
+                out.push(SetUpTerm { what: SetUpKind::Unplaced, record, column, sd: 1.0 });
+            }
+            continue;
+        }
         let sizes: Vec<f64> = match effect.description().place(ParameterSearch::Amplitude) {
             Some(i) => vec![effect.scalar(i).abs(); effect.coefficient_count()],
             None => effect.coefficients().iter().map(|c| c.abs()).collect(),

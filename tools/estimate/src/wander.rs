@@ -4,7 +4,7 @@
 
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
 use crate::problem::EstimationProblem;
-use crate::rows::{Noise, Rows};
+use crate::rows::{Noise, Rows, Segment};
 use crate::search_limits::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
 use crate::setup::{SetUpKind, SetUpTerm};
 use crate::smooth::{Kernel, directions, knots, shares};
@@ -32,22 +32,25 @@ pub fn wanders(problem: &EstimationProblem<'_>, noise: &Noise, residual: &[f64])
     let mut planner = RealFftPlanner::new();
     let mut out = Vec::new();
     // If the noise is rounding, its steps look like a walk.
-    for response in (0..rows.responses.len()).filter(|j| problem.floors[*j] <= 0.0) {
-        let mut spectra: Vec<Vec<f64>> = Vec::new();
-        for s in rows.segments.iter().filter(|s| s.response == response && s.rows.len() >= WALK_FEWEST_ROWS) {
+    for response in 0..rows.responses.len() {
+        // Each with its noise's autocorrelation.
+        let mut spectra: Vec<(f64, Vec<f64>)> = Vec::new();
+        let own = |((s, floor), _): &((&Segment, &f64), &f64)| {
+            s.response == response && **floor <= 0.0 && s.rows.len() >= WALK_FEWEST_ROWS
+        };
+        for ((s, _), phi) in rows.segments.iter().zip(&problem.floors).zip(&noise.phi).filter(own) {
             let part = &residual[s.rows.clone()];
             let mean = part.iter().sum::<f64>() / part.len() as f64;
             let mut x: Vec<f64> = part.iter().map(|v| (v - mean).clamp(-5.0, 5.0)).collect();
             let n = x.len() as f64;
             let sums = transformed(&*planner.plan_fft_forward(x.len()), &mut x);
             // Begins at the second frequency, because the set-up terms absorb the first.
-            spectra.push(sums[2..part.len() / 2].iter().map(|c| c.norm_sqr() / n).collect());
+            spectra.push((*phi, sums[2..part.len() / 2].iter().map(|c| c.norm_sqr() / n).collect()));
         }
         if spectra.is_empty() {
             continue;
         }
-        let phi = noise.phi[response];
-        let (all, count) = spectra.iter().flatten().fold((0.0, 0.0), |(s, n), p| (s + p, n + 1.0));
+        let (all, count) = spectra.iter().flat_map(|(_, p)| p).fold((0.0, 0.0), |(s, n), p| (s + p, n + 1.0));
         let level = all / f64::max(count, 1.0);
         let (mut mass, mut best) = (Vec::new(), (f64::NEG_INFINITY, 0.0, 0.0));
         for variance in WALK_SIZES {
@@ -55,19 +58,19 @@ pub fn wanders(problem: &EstimationProblem<'_>, noise: &Noise, residual: &[f64])
                 // Spectrum of the walk after whitening.
                 let rho = (-1.0_f64 / memory).exp();
                 let mut gain = 0.0;
-                let shape = |w: f64| {
+                let shape = |phi: f64, w: f64| {
                     let walk = variance * (1.0 - rho * rho) / (1.0 - 2.0 * rho * w.cos() + rho * rho);
                     walk * (1.0 - 2.0 * phi * w.cos() + phi * phi)
                 };
                 // The flat part is the remaining level of the noise.
                 let mean = spectra
                     .iter()
-                    .flat_map(|p| (0..p.len()).map(move |k| shape(frequency(k, p.len()))))
+                    .flat_map(|(phi, p)| (0..p.len()).map(move |k| shape(*phi, frequency(k, p.len()))))
                     .sum::<f64>()
                     / count;
-                for p in &spectra {
+                for (phi, p) in &spectra {
                     for (k, power) in p.iter().enumerate() {
-                        let s = level * (1.0 + shape(frequency(k, p.len()))) / (1.0 + mean);
+                        let s = level * (1.0 + shape(*phi, frequency(k, p.len()))) / (1.0 + mean);
                         gain += (level / s).ln() + power / level - power / s;
                     }
                 }

@@ -251,7 +251,9 @@ impl Record {
         let shares = [f64::cos as fn(f64) -> f64, f64::sin];
         for ((axis, share), stated) in circle.plane.iter().zip(shares).zip(circle.centre_mm.iter().flatten())
         {
-            let Some(p) = self.data(&Role::Position(axis.clone())) else { continue };
+            // Positions that follow from a circle stated before are not logged.
+            let logged = self.columns.iter().find(|c| c.role == Role::Position(axis.clone()));
+            let Some(p) = logged.map(|c| &c.data) else { continue };
             let [lo, hi] = span(p.iter().zip(angle).map(|(p, a)| p - circle.radius_mm * share(*a)));
             if (lo - stated).max(stated - hi) > SAME_PLACE * circle.radius_mm {
                 let found = format!(

@@ -347,3 +347,14 @@ fn a_centre_that_the_positions_contradict_is_refused() {
     assert!(found.contains("centre_mm with 25 mm on x") && found.contains("about 250.000 mm"), "{found}");
     assert!(expected.contains("no centre_mm"));
 }
+
+/// Positions that follow from a circle are no evidence against another centre of it.
+#[test]
+fn a_circle_without_a_centre_may_be_given_one() {
+    let nowhere = record(vec![]);
+    let placed = Circle { centre_mm: Some([80.0, -40.0]), ..circle(RADIUS_MM) };
+    let there = nowhere.clone().with_circle(placed).unwrap();
+    let x = Role::parse("position.x").unwrap();
+    let apart = there.data(&x).unwrap().iter().zip(nowhere.data(&x).unwrap()).map(|(a, b)| a - b);
+    assert!(apart.into_iter().all(|mm| (mm - 80.0).abs() < 1e-9));
+}

@@ -210,7 +210,7 @@ pub(crate) fn gaps(
         let pick = |all: &[f64]| rms(own().flat_map(|(_, s)| &all[s.rows.clone()]));
         let variance: f64 = own()
             .map(|(number, s)| {
-                let (sigma, phi) = (noise.size(&rows, number), noise.phi[s.response]);
+                let (sigma, phi) = (noise.size(&rows, number), noise.phi[number]);
                 s.rows.len() as f64 * sigma * sigma / (1.0 - phi * phi)
             })
             .sum();

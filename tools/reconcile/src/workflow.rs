@@ -101,7 +101,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     let rows_of = Rows::new(&used);
     let floor_um = |role: &Role| {
         let j = rows_of.responses.iter().position(|r| r == role);
-        j.map_or(f64::INFINITY, |j| noise.sigma[j] / (1.0 - noise.phi[j] * noise.phi[j]).sqrt())
+        j.map_or(f64::INFINITY, |j| noise.scatter(&rows_of, j))
     };
     // The model decides which sensor a law reads only if the training has one explanation.
     let one_way = answer.unexplained.is_empty() && better.is_one_way();

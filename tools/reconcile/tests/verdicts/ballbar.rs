@@ -239,3 +239,22 @@ fn a_circle_at_round_angles_is_fitted() {
         assert!(r.suspicions.is_empty() && r.gap.iter().all(|g| g.floor < 0.4), "{:?}", r.suspicions);
     }
 }
+
+/// A map of the model in circles whose centre is not stated.
+/// Sharp bends have many lobes, and the circle lies anywhere within the map.
+#[test]
+fn a_known_map_about_an_unknown_centre_is_nothing_missing() {
+    let knots: Vec<f64> = (0..7).map(|i| -230.0 + 76.0 * f64::from(i)).collect();
+    let um = [-9.0, 3.0, 2.0, -5.0, 10.0, -5.0, -2.0];
+    let model = format!("[[effect]]\nname = \"position_map.x\"\nknots_mm = {knots:?}\num = {um:?}\n");
+    let at = |mm: f64| {
+        let k = knots.partition_point(|k| *k <= mm).clamp(1, 6);
+        let share = (mm - knots[k - 1]) / (knots[k] - knots[k - 1]);
+        um[k - 1] + share * (um[k] - um[k - 1])
+    };
+    for (seed, centre) in [(1, 0.0), (2, -55.0), (3, 31.0), (4, 62.0)] {
+        let r = reconciled(circles(seed, |a, _| at(centre + R * a.cos()) * a.cos()), &model);
+        says(&r, &[]);
+        assert!(r.unexplained.is_empty(), "{centre}: {}", r.to_json());
+    }
+}

@@ -13,6 +13,7 @@ mod one_room;
 mod page;
 mod somewhere;
 mod stands;
+mod unlike_records;
 mod weighed;
 mod zeros;
 

@@ -1,0 +1,70 @@
+//! Records of one response with unlike noise: another gauge, another day, another machine.
+
+use super::noise::noise;
+use super::{answer, names, record};
+use rtec_model::record::{Record, RunKind};
+
+/// Strokes over 20 targets; an error of `um` by position and direction, noise of a size and a memory.
+fn strokes(name: &str, seed: u64, um: &dyn Fn(f64, f64) -> f64, sigma: f64, phi: f64) -> Record {
+    let (mut draw, mut last) = (noise(seed), 0.0);
+    let n = 160;
+    let place = |i: usize| if i / 20 % 2 == 0 { 7.3 * (i % 20) as f64 } else { 7.3 * (19 - i % 20) as f64 };
+    let way = |i: usize| if i / 20 % 2 == 0 { 1.0 } else { -1.0 };
+    let read = |i: usize| {
+        last = phi * last + sigma * (1.0_f64 - phi * phi).sqrt() * draw();
+        um(place(i), way(i)) + last
+    };
+    let error = (0..n).map(read).collect();
+    let columns = vec![
+        ("t", "time", (0..n).map(|i| 5.0 * i as f64).collect()),
+        ("x", "position.x", (0..n).map(place).collect()),
+        ("d", "direction.x", (0..n).map(way).collect()),
+        ("e", "error.x", error),
+    ];
+    record(name, RunKind::Positioning, columns)
+}
+
+const MODEL: &str = "[[effect]]\nname = \"scale.x\"\nppm = 20.0\n[[effect]]\nname = \"reversal.x\"\num = 4.0\n\
+                     [[effect]]\nname = \"screw_periodic.x\"\num = 3.0\nperiod_mm = 40.0\nphase_rad = 0.5\n";
+
+fn modelled(ppm: f64, reversal_um: f64, wave_um: f64) -> impl Fn(f64, f64) -> f64 {
+    move |mm, way| {
+        ppm * mm / 1000.0
+            + reversal_um / 2.0 * way
+            + wave_um * (std::f64::consts::TAU * mm / 40.0 + 0.5).sin()
+    }
+}
+
+#[test]
+fn unlike_noise_of_two_records_names_nothing() {
+    let um = modelled(20.0, 4.0, 3.0);
+    for (k, (quiet, loud, phi)) in
+        [(0.1, 3.0, 0.0), (0.5, 0.5, 0.6), (0.1, 1.0, 0.55)].into_iter().enumerate()
+    {
+        for seed in 0..6 {
+            let seed = 100 * k as u64 + 10 * seed + 1;
+            let runs = [strokes("quiet", seed, &um, quiet, 0.0), strokes("loud", seed + 1, &um, loud, phi)];
+            let r = answer(MODEL, &runs, &[]);
+            assert!(names(&r).is_empty() && r.unexplained.is_empty(), "{k} {seed}: {:?}", names(&r));
+        }
+    }
+}
+
+#[test]
+fn each_record_has_noise_of_its_own_size_and_memory() {
+    use rtec_estimate::problem::EstimationProblem;
+    use rtec_estimate::rows::Rows;
+    let none = |_: f64, _: f64| 0.0;
+    let runs = [strokes("quiet", 3, &none, 0.1, 0.0), strokes("loud", 5, &none, 2.0, 0.6)];
+    let rows = Rows::new(&runs);
+    let problem = EstimationProblem::new(&rows, &[], &[]);
+    let mut noise = problem.first_noise();
+    for _ in 0..20 {
+        noise = problem.renewed(&noise, &problem.base(noise.clone()).factor);
+    }
+    let scatter = |s: usize| noise.size(&rows, s) / (1.0 - noise.phi[s] * noise.phi[s]).sqrt();
+    for (s, sigma) in [(0, 0.1), (1, 2.0)] {
+        assert!((scatter(s) / sigma - 1.0).abs() < 0.25, "{s}: {}", scatter(s));
+    }
+    assert!(noise.phi[0] < 0.25 && noise.phi[1] > 0.4, "{:?}", noise.phi);
+}
