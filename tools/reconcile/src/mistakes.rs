@@ -5,7 +5,8 @@
 use crate::analysis::{Analysis, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
 use rtec_estimate::problem::Units;
-use rtec_estimate::{alone, unexplained};
+use rtec_estimate::{alone, of_other_machine, unexplained};
+use rtec_files::text::short;
 use rtec_measure::plausible::{MistakeKind, Suspicion};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Difference, Effect};
@@ -17,11 +18,11 @@ use std::f64::consts::PI;
 #[derive(Clone)]
 pub(crate) struct Mistake {
     said: Suspicion,
-    /// The record with the mistake corrected.
-    corrected: Record,
+    /// The record with the mistake corrected; `None` if it is of another machine.
+    corrected: Option<Record>,
     /// Log Jacobian of undoing the mistake, plus the evidence from directions.
     /// The Jacobian says how much closer the numbers lie in the file than after undoing. Directions must
-    /// agree with positions.
+    /// agree with positions. Of another machine's record, it is the log evidence of all its numbers.
     jacobian: f64,
 }
 
@@ -30,7 +31,9 @@ impl Mistake {
     /// Set-up terms have those of the responses and of time.
     fn units(&self) -> Units {
         let set_up = |c: &Column| c.role == Role::Time || c.role.is_response();
-        let asked = self.corrected.columns.iter().any(|c| c.name == self.said.column && set_up(c));
+        let columns = self.corrected.iter().flat_map(|r| &r.columns);
+        let all = self.said.column.is_empty();
+        let asked = columns.into_iter().any(|c| (all || c.name == self.said.column) && set_up(c));
         if self.said.what == MistakeKind::Unit && asked { Units::Any } else { Units::AsWritten }
     }
 }
@@ -55,14 +58,9 @@ impl SuspectedMistake {
         self.odds > CERTAIN.ln()
     }
 
-    /// Lowers a name's posterior share if the mistake explains it equally well.
-    /// Returns whether it does.
-    pub(crate) fn weaken(&self, finding: &mut Finding) -> bool {
-        let explains = !self.without.contains(&finding.effect.name());
-        if explains {
-            finding.name_mass /= 1.0 + self.odds.exp();
-        }
-        explains
+    /// Whether the mistake explains a finding, with even odds or better.
+    pub(crate) fn explains(&self, finding: &Finding) -> bool {
+        !self.without.contains(&finding.effect.name())
     }
 
     /// Whether the mistake explains what would else replace a known effect.
@@ -119,14 +117,17 @@ pub(crate) fn of_training(
             };
             let [written, any] = [Units::AsWritten, Units::Any].map(stands);
             let left: Vec<_> = models.iter().map(|m| unexplained(record, m)).collect();
-            for m in candidates(record, &now, models.last().unwrap_or(&model)) {
+            let mut all = candidates(record, &now, models.last().unwrap_or(&model));
+            all.extend((now.len() > 1).then(|| other_machine(record, &model)));
+            for m in all {
                 let gain = |(model, (stands, left)): (&Vec<Effect>, (&f64, &Vec<f64>))| {
+                    let Some(corrected) = &m.corrected else { return m.jacobian - stands };
                     // The model does not read the changed column here.
-                    let same = m.jacobian == 0.0 && unexplained(&m.corrected, model) == *left;
+                    let same = m.jacobian == 0.0 && unexplained(corrected, model) == *left;
                     if same {
                         0.0
                     } else {
-                        alone(&m.corrected, model, &intervals, m.units()).0 + m.jacobian - stands
+                        alone(corrected, model, &intervals, m.units()).0 + m.jacobian - stands
                     }
                 };
                 let stands = if m.units() == Units::Any { &any } else { &written };
@@ -158,13 +159,9 @@ pub(crate) fn of_training(
             if known.is_none() {
                 as_they_stand.push((units, before));
             }
-            let mut others = now.clone();
-            let mut gain = -before - ONE_IN.ln();
-            for (k, m) in &set {
-                others[*k] = m.corrected.clone();
-                gain += m.jacobian;
-            }
-            let undone = score(&others, machine, answer, units, -gain);
+            let gain_of_numbers: f64 = set.iter().map(|(_, m)| m.jacobian).sum();
+            let mut gain = gain_of_numbers - before - ONE_IN.ln();
+            let undone = score(&with_corrected(&now, &set), machine, answer, units, -gain);
             gain += undone;
             if gain > likeliest.as_ref().map_or(0.0, |b| b.0) {
                 likeliest = Some((gain, (units, undone), set));
@@ -172,9 +169,7 @@ pub(crate) fn of_training(
         }
         let Some((gain, undone, set)) = likeliest else { break };
         as_they_stand = vec![undone];
-        for (k, m) in &set {
-            now[*k] = m.corrected.clone();
-        }
+        now = with_corrected(&now, &set);
         let then = analyse(&now, machine, level);
         let without: Vec<String> = then.findings.iter().map(|(f, _)| f.effect.name()).collect();
         out.extend(set.into_iter().map(|(_, m)| SuspectedMistake {
@@ -196,10 +191,29 @@ fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<JointMistake
     };
     let everywhere = |(_, _, m): &&(f64, usize, Mistake)| {
         let own: Vec<f64> = tried.iter().filter(|t| same(&t.2, m)).map(|t| t.0).collect();
-        records > 1 && own.len() == records && own.iter().sum::<f64>() > ONE_IN.ln()
+        records > 1 && m.corrected.is_some() && own.len() == records && own.iter().sum::<f64>() > ONE_IN.ln()
     };
     let (_, _, first) = tried.iter().find(everywhere)?;
     Some(tried.iter().filter(|t| same(&t.2, first)).map(|t| (t.1, t.2.clone())).collect())
+}
+
+/// The records with mistakes corrected, without those of another machine.
+fn with_corrected(records: &[Record], mistakes: &JointMistakes) -> Vec<Record> {
+    let of = |(k, record): (usize, &Record)| match mistakes.iter().find(|(at, _)| *at == k) {
+        Some((_, mistake)) => mistake.corrected.clone(),
+        None => Some(record.clone()),
+    };
+    records.iter().enumerate().filter_map(of).collect()
+}
+
+/// A record of another machine, which has the model's effects in other sizes.
+fn other_machine(record: &Record, model: &[Effect]) -> Mistake {
+    let text = "the run agrees with the model only with other sizes of its effects: of another machine, or another state of it?";
+    Mistake {
+        said: Suspicion::new(record, "", MistakeKind::OtherMachine, &[], text.to_owned()),
+        corrected: None,
+        jacobian: of_other_machine(record, model),
+    }
 }
 
 /// Mistakes of a hold-out whose removal lets the better model explain it.
@@ -224,7 +238,7 @@ pub(crate) fn of_hold_out(
     let mut all = train.to_vec();
     all.push(record.clone());
     let weigh = |m: Mistake| {
-        let (then, noise) = alone(&m.corrected, &effects, &intervals, m.units());
+        let (then, noise) = alone(m.corrected.as_ref()?, &effects, &intervals, m.units());
         let stands = if m.units() == Units::Any { of_any_unit } else { as_it_stands };
         let gain = then + m.jacobian - stands - ONE_IN.ln() - CERTAIN.ln();
         (gain > 0.0 && explained(&noise)).then_some((gain, m.said))
@@ -287,22 +301,38 @@ fn with_axis(role: &Role, axis: Axis) -> Role {
     }
 }
 
-/// Units that a response may be given in instead of µm, and their factors.
-const RESPONSES: [(f64, &str); 6] = [
-    (1e3, "given in mm, called µm?"),
-    (25.4, "given in thousandths of an inch, called µm?"),
-    (25.4e3, "given in inches, called µm?"),
-    (1e-3, "given in nm?"),
-    (10.0, "a decimal point one place off?"),
-    (0.1, "a decimal point one place off?"),
+/// Factors of the units in which a column may be given, with the units' names.
+type UnitFactors = &'static [(f64, &'static str)];
+/// Those of an error instead of µm.
+const ERROR_UNITS: UnitFactors = &[
+    (1e3, "in mm"),
+    (25.4, "in thousandths of an inch"),
+    (25.4e3, "in inches"),
+    (1e-3, "in nm"),
+    (10.0, "with the decimal point one place off"),
 ];
-/// The same for forces.
-const FORCES: [(f64, &str); 4] = [
-    (1e3, "given in kN, called N?"),
-    (9.81, "given in kp, called N?"),
-    (10.0, "a decimal point one place off?"),
-    (0.1, "a decimal point one place off?"),
-];
+/// Those of a force instead of N.
+const FORCE_UNITS: UnitFactors =
+    &[(1e3, "in kN"), (9.81, "in kp"), (10.0, "with the decimal point one place off")];
+
+/// A factor in a form for people: 25.4 or 1/25.4.
+fn times(by: f64) -> String {
+    if by < 1.0 { format!("1/{}", short(1.0 / by)) } else { short(by) }
+}
+
+/// Factors that undo a mistaken unit, and what it looks like.
+/// A conversion was left out or made twice, so each factor occurs with its inverse.
+fn undone_units(units: UnitFactors, called: &str) -> Vec<(f64, String)> {
+    let mut out: Vec<(f64, String)> =
+        units.iter().map(|(by, unit)| (*by, format!("given {unit}, called {called}?"))).collect();
+    for (by, unit) in units {
+        let back = 1.0 / by;
+        if out.iter().all(|(other, _)| (other / back - 1.0).abs() > 1e-9) {
+            out.push((back, format!("given in {called}, converted as if {unit}?")));
+        }
+    }
+    out
+}
 /// The shortest and the longest travel of a machine's axis, mm.
 const TRAVELS_MM: [f64; 2] = [1e-1, 3e4];
 /// Log prior of a travel, without a constant: travels far from the usual are rare.
@@ -315,14 +345,14 @@ fn travel_prior(mm: f64) -> f64 {
     }
 }
 /// Units that other columns may be given in, and their factors.
-fn other_units(role: &Role) -> &'static [(f64, &'static str)] {
+const fn other_units(role: &Role) -> UnitFactors {
     match role {
-        Role::Position(_) => &[(1e3, "m"), (1e-3, "µm"), (25.4, "inch"), (10.0, "cm")],
-        Role::Velocity(_) => &[(1.0 / 60.0, "mm/min"), (1e3, "m/s"), (1e3 / 60.0, "m/min")],
-        Role::Acceleration(_) => &[(1e3, "m/s²"), (9806.65, "g")],
-        Role::Load(_) => &[(9.806_65, "kgf"), (4.448_22, "lbf"), (1e3, "kN")],
-        Role::SpindleSpeed => &[(60.0, "rev/s"), (1e3, "krpm")],
-        Role::Time => &[(60.0, "min"), (3600.0, "h"), (1e-3, "ms")],
+        Role::Position(_) => &[(1e3, "in m"), (1e-3, "in µm"), (25.4, "in inch"), (10.0, "in cm")],
+        Role::Velocity(_) => &[(1.0 / 60.0, "in mm/min"), (1e3, "in m/s"), (1e3 / 60.0, "in m/min")],
+        Role::Acceleration(_) => &[(1e3, "in m/s²"), (9806.65, "in g")],
+        Role::Load(_) => &[(9.806_65, "in kgf"), (4.448_22, "in lbf"), (1e3, "in kN")],
+        Role::SpindleSpeed => &[(60.0, "in rev/s"), (1e3, "in krpm")],
+        Role::Time => &[(60.0, "in min"), (3600.0, "in h"), (1e-3, "in ms")],
         _ => &[],
     }
 }
@@ -382,43 +412,37 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     let mut out = Vec::new();
     let rows = record.rows() as f64;
     let as_logged = agreement(record);
-    let mut add = |what: MistakeKind,
-                   column: &str,
-                   text: String,
-                   corrected: Option<Record>,
-                   jacobian: f64| {
-        if let Some(corrected) = corrected {
-            let jacobian = jacobian + agreement(&corrected) - as_logged;
-            out.push(Mistake { said: Suspicion::new(record, column, what, &[], text), corrected, jacobian });
-        }
-    };
+    let mut add =
+        |what: MistakeKind, column: &str, text: String, corrected: Option<Record>, jacobian: f64| {
+            if let Some(corrected) = corrected {
+                let jacobian = jacobian + agreement(&corrected) - as_logged;
+                let said = Suspicion::new(record, column, what, &[], text);
+                out.push(Mistake { said, corrected: Some(corrected), jacobian });
+            }
+        };
     let only = |text: &str| format!("the run agrees with the model only {text}");
-    for c in record.responses() {
-        let own = |o: &Column| o.name == c.name;
-        add(
-            Sign,
-            &c.name,
-            only("with the other sign: nominal minus measured?"),
-            changed(record, &own, &|x| -x),
-            0.0,
-        );
-        let units: &[(f64, &str)] = if matches!(c.role, Role::Force(_)) { &FORCES } else { &RESPONSES };
+    // Each response by itself, and all together.
+    let responses: Vec<&Column> = record.responses().collect();
+    let together = (responses.len() > 1).then_some(&responses[..]);
+    for group in responses.chunks(1).chain(together) {
+        let own = |o: &Column| group.iter().any(|c| c.name == o.name);
+        let (column, sign) = match group {
+            [one] => (one.name.as_str(), "with the other sign: nominal minus measured?"),
+            _ => ("", "with the other signs: nominal minus measured?"),
+        };
+        add(Sign, column, only(sign), changed(record, &own, &|x| -x), 0.0);
+        let forces = group.iter().filter(|c| matches!(c.role, Role::Force(_))).count();
         // If all readings are equal, every unit explains them equally well.
-        let changes = c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0);
-        for (by, text) in units.iter().filter(|_| changes) {
-            let text = only(&format!("{by} times as large: {text}"));
-            add(Unit, &c.name, text, changed(record, &own, &|x| by * x), rows * by.ln());
+        let changes = group.iter().any(|c| c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0));
+        if !changes || (forces > 0 && forces < group.len()) {
+            continue;
         }
-    }
-    if record.responses().count() > 1 {
-        let all = |o: &Column| o.role.is_response();
-        add(
-            Sign,
-            "",
-            only("with the other signs: nominal minus measured?"),
-            changed(record, &all, &|x| -x),
-            0.0,
-        );
+        let (units, called) = if forces > 0 { (FORCE_UNITS, "N") } else { (ERROR_UNITS, "µm") };
+        for (by, text) in undone_units(units, called) {
+            let text = only(&format!("{} times as large: {text}", times(by)));
+            let numbers = rows * group.len() as f64;
+            add(Unit, column, text, changed(record, &own, &|x| by * x), numbers * by.ln());
+        }
     }
     let motion = |c: &Column| matches!(c.role, Role::Direction(_) | Role::Velocity(_));
     if let Some(first) = record.columns.iter().find(|c| motion(c)) {
@@ -436,7 +460,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     for kind in kinds {
         let own: Vec<&Column> = record.columns.iter().filter(|c| kind(&c.role)).collect();
         let Some(first) = own.first() else { continue };
-        for (by, unit) in other_units(&first.role) {
+        for (by, text) in undone_units(other_units(&first.role), &first.unit) {
             // An axis at 50 mm can travel that far, although the run moves less than a micrometre.
             let travel = |c: &&Column| c.data.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
             let as_given = own.iter().map(travel).fold(0.0, f64::max);
@@ -450,10 +474,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             if likelier == f64::NEG_INFINITY {
                 continue;
             }
-            let text = only(&format!(
-                "with {} {by} times this: given in {unit}, called {}?",
-                first.name, first.unit
-            ));
+            let text = only(&format!("with {} {} times this: {text}", first.name, times(by)));
             add(Unit, &first.name, text, changed(record, &|c| kind(&c.role), &|x| by * x), likelier);
         }
     }

@@ -435,12 +435,21 @@ impl Analysed {
         let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
         let (certain, open): (Vec<_>, Vec<_>) =
             suspected.into_iter().partition(mistakes::SuspectedMistake::is_certain);
-        // An uncertain mistake is reported if it explains a named effect, or an effect of the model that is
-        // far off.
-        for s in open {
-            let spares = s.spares(&first.answer);
-            let weakened = first.answer.findings.iter_mut().map(|(f, _)| s.weaken(f)).filter(|w| *w).count();
-            doubts.said.extend((weakened > 0 || spares).then_some(s.said));
+        // An uncertain mistake is reported if it explains an effect that was found, which then holds less than
+        // half of the posterior, or an effect of the model that is far off.
+        let findings = &mut first.answer.findings;
+        let less_likely = |s: &mistakes::SuspectedMistake| -> Vec<String> {
+            findings.iter().filter(|(f, _)| s.explains(f)).map(|(f, _)| f.effect.name()).collect()
+        };
+        let names: Vec<Vec<String>> = open.iter().map(less_likely).collect();
+        findings.retain(|(f, _)| !open.iter().any(|s| s.explains(f)));
+        for (mut s, names) in open.into_iter().zip(names) {
+            if !names.is_empty() {
+                s.said.text = format!("{} Less likely: the machine has {}", s.said.text, names.join(", "));
+                doubts.said.push(s.said);
+            } else if s.spares(&first.answer) {
+                doubts.said.push(s.said);
+            }
         }
         if certain.is_empty() {
             return first;

@@ -2,6 +2,7 @@
 
 use super::noise::noise;
 use super::{answer, names, record};
+use rtec_measure::plausible::MistakeKind;
 use rtec_model::record::{Record, RunKind};
 
 /// Strokes over 20 targets; an error of `um` by position and direction, noise of a size and a memory.
@@ -67,4 +68,46 @@ fn each_record_has_noise_of_its_own_size_and_memory() {
         assert!((scatter(s) / sigma - 1.0).abs() < 0.25, "{s}: {}", scatter(s));
     }
     assert!(noise.phi[0] < 0.25 && noise.phi[1] > 0.4, "{:?}", noise.phi);
+}
+
+#[test]
+fn a_record_of_another_machine_is_said() {
+    let own = modelled(20.0, 4.0, 3.0);
+    let other = modelled(-12.0, 9.0, 1.0);
+    let runs = [
+        strokes("first", 1, &own, 0.3, 0.0),
+        strokes("second", 2, &other, 0.3, 0.0),
+        strokes("third", 3, &own, 0.3, 0.0),
+    ];
+    let r = answer(MODEL, &runs, &[]);
+    let said: Vec<_> = r.suspicions.iter().map(|s| (s.record.as_str(), s.what)).collect();
+    assert_eq!(said, [("second.run.toml", MistakeKind::OtherMachine)]);
+    assert!(names(&r).is_empty() && r.unexplained.is_empty(), "{:?}", names(&r));
+}
+
+/// A unit may be left out or converted twice, of one response or of all.
+#[test]
+fn a_unit_is_said_in_both_directions() {
+    let um = modelled(20.0, 4.0, 3.0);
+    let scaled = |by_error: f64, by_place: f64| {
+        let mut r = strokes("second", 2, &um, 0.3, 0.0);
+        for c in &mut r.columns {
+            let by = match c.name.as_str() {
+                "e" => by_error,
+                "x" => by_place,
+                _ => 1.0,
+            };
+            c.data.iter_mut().for_each(|v| *v *= by);
+        }
+        r
+    };
+    for (error, place) in
+        [(25.4, 1.0), (1.0 / 25.4, 1.0), (10.0, 1.0), (1e-3, 1.0), (1.0, 25.4), (1.0, 1.0 / 25.4), (1.0, 0.1)]
+    {
+        let runs = [strokes("first", 1, &um, 0.3, 0.0), scaled(error, place)];
+        let r = answer(MODEL, &runs, &[]);
+        let column = if error == 1.0 { "x" } else { "e" };
+        let said: Vec<_> = r.suspicions.iter().map(|s| (s.column.as_str(), s.what)).collect();
+        assert_eq!(said, [(column, MistakeKind::Unit)], "{error} {place}: {:?}", r.suspicions);
+    }
 }
