@@ -24,7 +24,6 @@ impl<'p> Archive<'p> {
         Ok(Self { path, tar: Some(tar::Builder::new(file)), now_s: now_s() })
     }
 
-    /// Adds a file.
     pub(crate) fn add(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
         let mut header = tar::Header::new_gnu();
         header.set_size(bytes.len() as u64);

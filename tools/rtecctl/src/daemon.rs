@@ -44,21 +44,20 @@ impl DaemonArgs {
         config.axes.into_iter().map(|axis| axis.name).collect()
     }
 
-    /// The configured control sockets and files.
     fn control(&self) -> anyhow::Result<ControlConfig> {
         Ok(ControlConfig::of(self.config.as_deref(), self.socket.as_deref())?)
     }
 
     /// Connects by the socket of the highest role that this user may use.
     pub(crate) fn connect(&self) -> anyhow::Result<Client> {
-        let sockets = self.control()?.sockets();
-        Client::connect_to(&[&sockets[0].path, &sockets[1].path, &sockets[2].path]).map_err(unreachable)
+        Client::connect_to(&self.control()?.sockets().each_ref().map(|s| &s.path)).map_err(unreachable)
     }
 
     /// Connects by the socket of the role `view`, else by one of the others.
     pub(crate) fn view(&self) -> anyhow::Result<Client> {
-        let sockets = self.control()?.sockets();
-        Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path]).map_err(unreachable)
+        let mut sockets = self.control()?.sockets();
+        sockets.reverse();
+        Client::connect_to(&sockets.each_ref().map(|s| &s.path)).map_err(unreachable)
     }
 
     /// Path of the record of commands: a running daemon's, else as configured.
@@ -119,28 +118,29 @@ pub(crate) fn unexpected(answer: &Response) -> anyhow::Error {
     CommandFailure::Unreachable(text).into()
 }
 
+/// The value of the expected answer; any other ends the verb.
+macro_rules! expected {
+    ($answer:expr, $expected:pat => $value:expr) => {
+        match $answer {
+            $expected => $value,
+            other => return Err($crate::daemon::unexpected(&other)),
+        }
+    };
+}
+pub(crate) use expected;
+
 /// Everything that the daemon shows, with the events after a known one.
 pub(crate) fn observe(client: &mut Client, events_after: Option<u64>) -> anyhow::Result<DaemonSnapshot> {
-    match ask(client, &ClientRequest::Observe { events_after })? {
-        Response::Observed(seen) => Ok(*seen),
-        other => Err(unexpected(&other)),
-    }
+    Ok(expected!(ask(client, &ClientRequest::Observe { events_after })?, Response::Observed(seen) => *seen))
 }
 
 /// The parts of every axis's total.
 pub(crate) fn explained(client: &mut Client) -> anyhow::Result<Vec<AxisExplanation>> {
-    match ask(client, &ClientRequest::Explain { axis: None })? {
-        Response::Explained { axes } => Ok(axes),
-        other => Err(unexpected(&other)),
-    }
+    Ok(expected!(ask(client, &ClientRequest::Explain { axis: None })?, Response::Explained { axes } => axes))
 }
 
-/// The daemon's status.
 pub(crate) fn status(client: &mut Client) -> anyhow::Result<DaemonStatus> {
-    match ask(client, &ClientRequest::Status {})? {
-        Response::Status(status) => Ok(*status),
-        other => Err(unexpected(&other)),
-    }
+    Ok(expected!(ask(client, &ClientRequest::Status {})?, Response::Status(status) => *status))
 }
 
 /// Blocks SIGINT, SIGTERM and SIGHUP in this thread and those it starts.
@@ -170,7 +170,6 @@ pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     Err(outcome.into())
 }
 
-/// Describes a jump in words.
 pub(crate) fn describe(jump: &Jump) -> String {
     let Jump { axis, counts, um, window_counts } = jump;
     format!("axis {axis}: {counts:+} counts ({um:+.3} µm), belief window {window_counts} counts")

@@ -16,16 +16,29 @@ pub(crate) fn line(document: &impl Serialize) -> anyhow::Result<String> {
     Ok(signed(serde_json::to_string(document)?) + "\n")
 }
 
-/// Prints the document over several lines.
 pub(crate) fn say_pretty(document: &impl Serialize) -> anyhow::Result<()> {
     crate::say(&pretty(document)?);
     Ok(())
 }
 
-/// Prints the document on one line.
 pub(crate) fn say_line(document: &impl Serialize) -> anyhow::Result<()> {
     crate::say(&line(document)?);
     Ok(())
+}
+
+/// Prints the document over several lines, or a text for people.
+pub(crate) fn answer(
+    json: bool,
+    document: &impl Serialize,
+    text: impl FnOnce() -> String,
+) -> anyhow::Result<()> {
+    crate::say(&if json { pretty(document)? } else { text() });
+    Ok(())
+}
+
+/// The items with commas between.
+pub(crate) fn list(items: impl IntoIterator<Item = impl ToString>) -> String {
+    items.into_iter().map(|item| item.to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// Writes a text as a file, whole or not at all.

@@ -21,7 +21,6 @@ use std::time::{Duration, Instant};
 /// Longest head and longest body, bytes.
 const LONGEST_HEAD: usize = 8192;
 const LONGEST_BODY: usize = 4096;
-/// Largest number of headers.
 const MOST_HEADERS: usize = 64;
 /// Longest time for a head, and for a body.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -32,7 +31,6 @@ const LOOK_MS: u8 = 50;
 /// Time of reading after the answer, which an earlier close could discard.
 const AFTER: Duration = Duration::from_millis(200);
 
-/// A request.
 #[derive(Debug, Default)]
 pub(crate) struct Request {
     pub method: String,
@@ -43,7 +41,6 @@ pub(crate) struct Request {
 }
 
 impl Request {
-    /// A header's value.
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(n, _)| n.eq_ignore_ascii_case(name)).map(|(_, v)| v.as_str())
     }
@@ -71,7 +68,6 @@ impl Request {
     }
 }
 
-/// An answer.
 #[derive(Debug)]
 pub(crate) struct Answer {
     pub status: u16,
@@ -86,7 +82,6 @@ impl Answer {
     }
 }
 
-/// Answers requests.
 pub(crate) trait Handler: Send + Sync {
     /// Whether the rest of a request with this head is read.
     ///
@@ -94,7 +89,6 @@ pub(crate) trait Handler: Send + Sync {
     /// The answer that is sent instead.
     fn may(&self, head: &Request) -> Result<(), Answer>;
 
-    /// The answer to a whole request.
     fn answer(&self, request: &Request) -> Answer;
 }
 
@@ -103,7 +97,6 @@ enum Listener {
     Unix(UnixListener),
 }
 
-/// A listening server.
 pub(crate) struct Server(Listener);
 
 impl Server {
@@ -114,7 +107,6 @@ impl Server {
         Ok(Self(Listener::Tcp(listener)))
     }
 
-    /// Listens at a path.
     pub(crate) fn unix(path: &Path) -> io::Result<Self> {
         let listener = UnixListener::bind(path)?;
         listener.set_nonblocking(true)?;
@@ -220,15 +212,6 @@ impl Drop for ConnectionSlot {
     }
 }
 
-/// Limits the next reads to a time, and the writes to [`PATIENCE`].
-fn limit(stream: &UnixStream, time: Duration) -> io::Result<()> {
-    // An accepted socket may block, whatever mode its listener has.
-    stream.set_nonblocking(false)?;
-    stream.set_read_timeout(Some(time.max(Duration::from_millis(1))))?;
-    stream.set_write_timeout(Some(PATIENCE))
-}
-
-/// Handles one request and its answer.
 fn converse(mut stream: UnixStream, handler: &dyn Handler, seat: &ConnectionSlot) -> io::Result<()> {
     let mut bytes = Vec::new();
     let answer =
@@ -281,7 +264,10 @@ fn more(stream: &mut UnixStream, bytes: &mut Vec<u8>, deadline: Instant) -> io::
     if left.is_zero() {
         return Err(ErrorKind::TimedOut.into());
     }
-    limit(stream, left)?;
+    // An accepted socket may block, whatever mode its listener has.
+    stream.set_nonblocking(false)?;
+    stream.set_read_timeout(Some(left.max(Duration::from_millis(1))))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
     let mut buffer = [0; 1024];
     match stream.read(&mut buffer)? {
         0 => Err(ErrorKind::UnexpectedEof.into()),

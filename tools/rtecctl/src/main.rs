@@ -28,6 +28,15 @@ macro_rules! eprint {
     ($($what:tt)*) => { $crate::tell(&format!($($what)*)) };
 }
 
+/// Ends a verb with a [`CommandFailure`] of this kind and text.
+macro_rules! fail {
+    ($kind:ident, $($what:tt)*) => { return Err($crate::CommandFailure::$kind(format!($($what)*)).into()) };
+}
+/// As `fail`, unless the condition holds.
+macro_rules! ensure {
+    ($holds:expr, $kind:ident, $($what:tt)*) => { if !$holds { fail!($kind, $($what)*) } };
+}
+
 mod archive;
 mod daemon;
 mod document;
@@ -84,16 +93,11 @@ macro_rules! verbs {
     };
 }
 
-impl Verb {
-    /// Whether the verb computes and so shows its progress.
-    /// Others wait for a daemon, a machine or a person, and print as they go on.
-    fn computes(&self) -> bool {
-        use Verb::{
-            Characterise, Designs, Example, History, Model, Part, Reconcile, Replay, Ship, Simulate, Trace,
-        };
-        let named = matches!(self, Designs(_) | Example(_) | History(_) | Part(_) | Replay(_) | Ship(_));
-        named || matches!(self, Characterise(_) | Model(_) | Reconcile(_) | Simulate(_) | Trace(_))
-    }
+/// Whether a verb computes and so shows its progress.
+/// Others wait for a daemon, a machine or a person, and print as they go on.
+fn computes(verb: &str) -> bool {
+    let of_models = matches!(verb, "characterise" | "history" | "model" | "part" | "reconcile" | "ship");
+    of_models || matches!(verb, "designs" | "example" | "replay" | "simulate" | "trace")
 }
 
 verbs! {
@@ -214,11 +218,8 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     };
     rtec_files::write::spare_inputs();
-    let done = if verb.computes() {
-        progress::shown(&words[1].to_string_lossy(), || verb.run())
-    } else {
-        verb.run()
-    };
+    let name = words[1].to_string_lossy();
+    let done = if computes(&name) { progress::shown(&name, || verb.run()) } else { verb.run() };
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
     let text = rtec_files::message_text::whole(error.as_ref());

@@ -32,7 +32,6 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Contents of an archive.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Manifest {
     /// Version of the archive's format.
@@ -53,7 +52,6 @@ pub(crate) struct Manifest {
     pub files: Vec<Packed>,
 }
 
-/// A file in an archive.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Packed {
     /// Its name in the archive.

@@ -52,9 +52,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if missing.is_empty() {
         return Ok(());
     }
-    let said = format!("{} is written without {}", out.display(), missing.join(", "));
-    Err(if missing.contains(&STATE) { CommandFailure::Unreachable(said) } else { CommandFailure::No(said) }
-        .into())
+    let kind = if missing.contains(&STATE) { CommandFailure::Unreachable } else { CommandFailure::No };
+    Err(kind(format!("{} is written without {}", out.display(), missing.join(", "))).into())
 }
 
 /// Contents of the archive in words, and the parts that are missing.

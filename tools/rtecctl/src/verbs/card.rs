@@ -3,7 +3,7 @@
 mod watch;
 
 use crate::CommandFailure;
-use crate::document::say_pretty;
+use crate::document::{self, say_pretty};
 use clap::Subcommand;
 use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
@@ -47,32 +47,35 @@ enum CardAction {
         json: bool,
     },
     /// Read the lines of the card that a configuration names; nothing is written unless --drive says so
-    Probe {
-        /// The configuration
-        #[arg(long, value_name = "FILE", default_value = "/etc/rtec/rtec.toml")]
-        config: PathBuf,
-        /// Switch each output on and off again. THE MTC MUST BE OFF: every inverter that is switched moves its axis
-        #[arg(long)]
-        drive: bool,
-        /// The MTC is off: do not ask
-        #[arg(long, requires = "drive")]
-        mtc_is_off: bool,
-        /// Show the inputs live: levels, edges, edges per second, and whether both edges of each line were seen
-        #[arg(long, conflicts_with = "drive")]
-        watch: bool,
-        /// With --watch: time between two pictures
-        #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
-        every: Duration,
-        /// With --watch: end after this time; without it: until Ctrl-C
-        #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
-        during: Option<Duration>,
-        /// Print one JSON document; with --watch at the end of --for
-        #[arg(long)]
-        json: bool,
-    },
+    Probe(ProbeArgs),
 }
 
-/// Parses the time between two refreshes.
+#[derive(Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools)] // One per option.
+struct ProbeArgs {
+    /// The configuration
+    #[arg(long, value_name = "FILE", default_value = "/etc/rtec/rtec.toml")]
+    config: PathBuf,
+    /// Switch each output on and off again. THE MTC MUST BE OFF: every inverter that is switched moves its axis
+    #[arg(long)]
+    drive: bool,
+    /// The MTC is off: do not ask
+    #[arg(long, requires = "drive")]
+    mtc_is_off: bool,
+    /// Show the inputs live: levels, edges, edges per second, and whether both edges of each line were seen
+    #[arg(long, conflicts_with = "drive")]
+    watch: bool,
+    /// With --watch: time between two pictures
+    #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
+    every: Duration,
+    /// With --watch: end after this time; without it: until Ctrl-C
+    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
+    during: Option<Duration>,
+    /// Print one JSON document; with --watch at the end of --for
+    #[arg(long)]
+    json: bool,
+}
+
 fn pause(text: &str) -> Result<Duration, String> {
     let time = crate::duration::duration(text)?;
     let range = Duration::from_millis(20)..=Duration::from_secs(3600);
@@ -83,27 +86,25 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.what {
         CardAction::List { json } => list(*json),
         CardAction::Show { profile, toml, json } => show(profile, *toml, *json),
-        CardAction::Probe { config, drive, mtc_is_off, watch: live, every, during, json } => {
-            let config = load(config)?;
-            if *live {
-                if *json && during.is_none() {
-                    let text = "--watch --json needs --for TIME: the document comes at its end";
-                    return Err(CommandFailure::Bad(text.to_owned()).into());
-                }
+        CardAction::Probe(args) => {
+            let config = load(&args.config)?;
+            if args.watch {
+                let ends = args.during.is_some() || !args.json;
+                ensure!(ends, Bad, "--watch --json needs --for TIME: the document comes at its end");
                 // A counter is latched to be read, and its flags are cleared, which the daemon would then
                 // miss.
                 let counts = matches!(&config.card, CardConfig::Registers { profile, .. } if !profile.counters.is_empty());
                 let _alone = counts.then(|| alone(&config)).transpose()?;
-                return watch::watch(&config, watch::Options { every: *every, during: *during, json: *json });
+                return watch::watch(&config, args);
             }
-            if !drive {
-                return probe(&config, *json);
+            if !args.drive {
+                return probe(&config, args.json);
             }
             let _alone = alone(&config)?;
-            if !mtc_is_off {
+            if !args.mtc_is_off {
                 confirm("every output of this card is switched on and off again, one after the other")?;
             }
-            drive_outputs(&config, *json)
+            drive_outputs(&config, args.json)
         }
     }
 }
@@ -251,9 +252,9 @@ fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
         println!("  pci      {}, BAR {bar}, {}", hex(id), space(of));
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
-        let at: Vec<_> =
-            registers.iter().map(|r| format!("{:#x} ({} bits)", r.offset, r.width.bits())).collect();
-        println!("  {what:<8} {}", at.join(", "));
+        let at =
+            document::list(registers.iter().map(|r| format!("{:#x} ({} bits)", r.offset, r.width.bits())));
+        println!("  {what:<8} {at}");
     }
     for s in &p.setup {
         let (offset, value, reset) = (s.order.register.offset, s.order.value, s.after_reset);
@@ -330,9 +331,7 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     std::io::stderr().flush()?;
     let mut answer = String::new();
     std::io::stdin().lock().read_line(&mut answer)?;
-    if answer.trim() != PHRASE {
-        return Err(CommandFailure::No("nothing was written".to_owned()).into());
-    }
+    ensure!(answer.trim() == PHRASE, No, "nothing was written");
     Ok(())
 }
 
@@ -380,8 +379,6 @@ fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
         say_pretty(&json!({ "outputs": outputs }))?;
     }
     let wrong = outputs.iter().filter(|o| !o.reads_back).count();
-    if wrong == 0 {
-        return Ok(());
-    }
-    Err(CommandFailure::No(format!("{wrong} outputs do not read back what was written to them")).into())
+    ensure!(wrong == 0, No, "{wrong} outputs do not read back what was written to them");
+    Ok(())
 }

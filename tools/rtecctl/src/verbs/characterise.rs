@@ -22,7 +22,6 @@ pub(crate) struct CircleOptions {
 }
 
 impl CircleOptions {
-    /// The circle, if one was given.
     pub(crate) fn circle(&self) -> Result<Option<Circle>, InputError> {
         let (Some(radius_mm), Some(plane)) = (self.radius_mm, &self.plane) else { return Ok(None) };
         let axes: Option<Vec<Axis>> = plane.split(',').map(|n| Axis::new(n.trim())).collect();

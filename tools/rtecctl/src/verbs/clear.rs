@@ -1,6 +1,7 @@
 //! `rtecctl clear`: release latched faults.
 
 use crate::daemon::{DaemonArgs, NO_EVENTS, ask, observe};
+use crate::document::list;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, word};
 use std::fmt::Write as _;
 
@@ -31,11 +32,9 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
         machine.chain(axes).collect::<Vec<_>>()
     };
     let (was, still) = (latched(before), latched(after));
-    let gone: Vec<_> = was.iter().filter(|f| !still.contains(f)).map(String::as_str).collect();
-    let mut text = if gone.is_empty() {
-        "nothing was latched\n".to_owned()
-    } else {
-        format!("released: {}\n", gone.join(", "))
+    let mut text = match list(was.iter().filter(|f| !still.contains(f))).as_str() {
+        "" => "nothing was latched\n".to_owned(),
+        gone => format!("released: {gone}\n"),
     };
     for fault in &still {
         let _ = writeln!(text, "latched again: {fault}");
@@ -43,10 +42,9 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
     for (known, how) in
         [(true, "`rtecctl home`"), (false, "the controller too, then `rtecctl home --controller-homed`")]
     {
-        let home = after.axes.iter().filter(|a| !a.homed && a.mtc_known == known);
-        let home: Vec<_> = home.map(|a| a.name.as_str()).collect();
+        let home = list(after.axes.iter().filter(|a| !a.homed && a.mtc_known == known).map(|a| &a.name));
         if !home.is_empty() {
-            let _ = writeln!(text, "to be homed again: {} ({how})", home.join(", "));
+            let _ = writeln!(text, "to be homed again: {home} ({how})");
         }
     }
     if let Some(hold) = after.hold.as_ref().filter(|_| after.mode == "hold") {

@@ -12,8 +12,8 @@
 //! waits for a motion of the axis is reported.
 
 use crate::CommandFailure;
-use crate::daemon::{self, DaemonArgs};
-use crate::document::say_line;
+use crate::daemon::{self, DaemonArgs, expected};
+use crate::document::{list, say_line};
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
@@ -89,8 +89,8 @@ impl<'a> Guide<'a> {
         let status = daemon::status(&mut self.client)?;
         let name = &self.args.axis;
         let axis = status.axes.iter().find(|a| a.name == *name).cloned().ok_or_else(|| {
-            let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
-            CommandFailure::Bad(format!("found axis {name:?}, expected one of {}", names.join(", ")))
+            let names = list(status.axes.iter().map(|a| &a.name));
+            CommandFailure::Bad(format!("found axis {name:?}, expected one of {names}"))
         })?;
         Ok((status, axis))
     }
@@ -101,9 +101,7 @@ impl<'a> Guide<'a> {
         let (mut last, mut since) = (None, Instant::now());
         loop {
             let (status, axis) = self.status()?;
-            if status.mode != "run" {
-                return Err(CommandFailure::No(format!("the mode is {} now", status.mode)).into());
-            }
+            ensure!(status.mode == "run", No, "the mode is {} now", status.mode);
             if last != Some(axis.position_counts) {
                 (last, since) = (Some(axis.position_counts), Instant::now());
             }
@@ -115,19 +113,16 @@ impl<'a> Guide<'a> {
                 let jogged = if simulated { "; without --by-hand it is jogged to each place" } else { "" };
                 eprintln!("{} moves: waiting {} s for it to stand{jogged}", axis.name, PATIENCE.as_secs());
             }
-            if begun.elapsed() > PATIENCE {
-                return Err(CommandFailure::No("the axis does not come to rest".to_owned()).into());
-            }
+            ensure!(begun.elapsed() <= PATIENCE, No, "the axis does not come to rest");
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
     fn stands(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
         let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm, go_on: false };
-        match self.ask(&request)? {
-            Response::Stands { display_mm, indicator_mm } => Ok((display_mm, indicator_mm)),
-            other => Err(daemon::unexpected(&other)),
-        }
+        Ok(
+            expected!(self.ask(&request)?, Response::Stands { display_mm, indicator_mm } => (display_mm, indicator_mm)),
+        )
     }
 
     /// Sends the axis to a displayed position, and reads all three there.
@@ -190,7 +185,6 @@ impl<'a> Guide<'a> {
         self.ask(&request).map(drop)
     }
 
-    /// Runs every check in order.
     fn prove(&mut self, figures: &mut Map<String, Value>) -> anyhow::Result<JogFinding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
         let mut note = |key: &str, value: Value| figures.insert(key.to_owned(), value);
@@ -260,7 +254,7 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
         let mut line = String::new();
         if from.read_line(&mut line)? == 0 {
             eprintln!();
-            return Err(CommandFailure::No("nobody answers; nothing is proved".to_owned()).into());
+            fail!(No, "nobody answers; nothing is proved");
         }
         let found: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
         if let Ok(found) = found
@@ -318,7 +312,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let counts = args.counts.map_or_else(String::new, |counts| format!(" --counts {counts}"));
         let found = format!("--jog-mm {} --far-mm {}{counts}", args.jog_mm, args.far_mm);
         let expected = "a jog beyond ten times the tolerance, and counts that are not 0";
-        return Err(CommandFailure::Bad(format!("found {found}, expected {expected}")).into());
+        fail!(Bad, "found {found}, expected {expected}");
     }
     let model = args.model.as_deref().map(Machine::read).transpose()?;
     let mut guide = Guide::connect(args)?;
@@ -326,11 +320,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let places_mm = [0.0, args.jog_mm, args.far_mm];
     guide.step_um = model.map(|m| largest_step_um(&m, &args.axis, places_mm)).transpose()?;
     guide.counts = args.counts.unwrap_or_else(|| USUAL_COUNTS.min(axis.window_counts));
-    if status.mode == "fault" {
-        return Err(CommandFailure::Fault(status.why_not.join("; ")).into());
-    }
+    ensure!(status.mode != "fault", Fault, "{}", status.why_not.join("; "));
     if let Some(why) = in_the_way(&status, &axis) {
-        return Err(CommandFailure::No(why).into());
+        fail!(No, "{why}");
     }
     guide.simulated = status.rt.card == "mock" && !args.by_hand;
     on_signal(args, guide.simulated)?;
@@ -350,10 +342,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         println!("axis {}: {}", args.axis, found.text);
     }
-    if found.verdict == "right" {
-        return Ok(());
-    }
-    Err(CommandFailure::No(format!("axis {}: {}", args.axis, found.verdict.replace('_', " "))).into())
+    ensure!(found.verdict == "right", No, "axis {}: {}", args.axis, found.verdict.replace('_', " "));
+    Ok(())
 }
 
 /// Why the axis cannot be commissioned now.

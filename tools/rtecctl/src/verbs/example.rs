@@ -1,6 +1,5 @@
 //! `rtecctl example`: a simulated machine to begin with.
 
-use crate::CommandFailure;
 use crate::document::say_line;
 use anyhow::Context;
 use rtec_sim::example::{EXAMPLES, Example};
@@ -83,13 +82,8 @@ fn empty(dir: &Path) -> anyhow::Result<()> {
         Ok(None) => return Ok(()),
         Ok(Some(entry)) => entry.with_context(|| format!("reading {folder}"))?.file_name(),
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
-        Err(e) => {
-            return Err(
-                CommandFailure::Bad(format!("{folder}: {e}; expected an empty folder, or none")).into()
-            );
-        }
+        Err(e) => fail!(Bad, "{folder}: {e}; expected an empty folder, or none"),
     };
     let found = found.to_string_lossy();
-    let text = format!("{folder}: found {found} in it, expected an empty folder, or none: name another");
-    Err(CommandFailure::Bad(text).into())
+    fail!(Bad, "{folder}: found {found} in it, expected an empty folder, or none: name another")
 }

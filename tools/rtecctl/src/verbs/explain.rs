@@ -1,6 +1,7 @@
 //! `rtecctl explain`: the components of each axis's correction.
 
 use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
+use crate::document::list;
 use rtec_control::protocol::{AxisExplanation, ClientRequest, Contribution, Response, SensorReading};
 use std::fmt::Write as _;
 
@@ -48,8 +49,7 @@ fn table(axes: &[AxisExplanation]) -> String {
     for AxisExplanation { axis, requested, total_um, parts, holds } in axes {
         let _ = writeln!(text, "axis {axis}: {} µm, {requested:+} counts", um_text(*total_um));
         for Contribution { name, um, sensors, outside_k, weight } in parts {
-            let sensors: Vec<String> = sensors.iter().map(shown).collect();
-            let mut note = sensors.join(", ");
+            let mut note = list(sensors.iter().map(shown));
             if let (Some(k), Some(w)) = (outside_k, weight) {
                 let _ = write!(note, "; {k:.1} K outside its range, {:.0} % left", 100.0 * w);
             }

@@ -1,6 +1,5 @@
 //! `rtecctl get`: one value of the status, for scripts.
 
-use crate::CommandFailure;
 use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
 use serde_json::{Map, Value};
 
@@ -50,12 +49,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         Err(text) => {
             let first = name.split('.').next().unwrap_or_default();
-            return Err(match SOMETIMES.iter().find(|(of, _)| *of == first) {
-                Some((_, none)) if status.get(first).is_none() => CommandFailure::No((*none).to_owned()),
-                Some(_) => CommandFailure::No(text),
-                None => CommandFailure::Bad(text),
+            match SOMETIMES.iter().find(|(of, _)| *of == first) {
+                Some((_, none)) if status.get(first).is_none() => fail!(No, "{none}"),
+                Some(_) => fail!(No, "{text}"),
+                None => fail!(Bad, "{text}"),
             }
-            .into());
         }
     }
     Ok(())
@@ -93,7 +91,7 @@ fn find<'a>(status: &'a Value, name: &str) -> Result<&'a Value, String> {
 /// The names of the values here.
 /// For the whole status they include those that it may lack.
 fn known(at: &Value, whole: bool) -> String {
-    let names: Vec<String> = match at {
+    let names = match at {
         Value::Object(fields) => {
             let mut names: Vec<String> = fields.keys().cloned().collect();
             if whole {

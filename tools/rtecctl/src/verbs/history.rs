@@ -1,7 +1,6 @@
 //! `rtecctl history`: one machine's figures of merit over time.
 
-use crate::CommandFailure;
-use crate::document::pretty;
+use crate::document::{answer, list};
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_measure::history::{FigureTolerances, history};
@@ -60,21 +59,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(path) = &args.html {
         crate::document::write(path, &report.html())?;
     }
-    crate::say(&if args.json { pretty(&found)? } else { report.text() });
+    answer(args.json, &found, || report.text())?;
     // A limit that was applied to nothing does not count as kept.
-    let unjudged = limits.without(&found);
+    let unjudged = limits.without(&found).join(", ");
     if !unjudged.is_empty() {
-        let text = format!(
-            "no record here has {}: nothing is within a limit that nothing was held against",
-            unjudged.join(", ")
-        );
-        return Err(CommandFailure::No(text).into());
+        fail!(No, "no record here has {unjudged}: nothing is within a limit that nothing was held against");
     }
-    let beyond: Vec<&str> = found.beyond().map(|f| f.name.as_str()).collect();
-    if beyond.is_empty() {
-        return Ok(());
-    }
-    Err(CommandFailure::No(format!("beyond its limit: {}", beyond.join(", "))).into())
+    let beyond = list(found.beyond().map(|f| &f.name));
+    ensure!(beyond.is_empty(), No, "beyond its limit: {beyond}");
+    Ok(())
 }
 
 /// The sidecars below a folder, in order.

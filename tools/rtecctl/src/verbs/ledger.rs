@@ -1,8 +1,7 @@
 //! `rtecctl ledger`: requests and insertions of each axis, as files for a replay.
 
-use crate::CommandFailure;
-use crate::daemon::{DaemonArgs, NO_EVENTS, ask, observe, unexpected};
-use crate::document::{pretty, say_line};
+use crate::daemon::{DaemonArgs, NO_EVENTS, ask, expected, observe};
+use crate::document::{list, pretty, say_line};
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_control::client::Client;
@@ -58,12 +57,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let status = observe(&mut client, NO_EVENTS)?.status;
     let wanted = |a: &&AxisReport| axis.as_ref().is_none_or(|name| *name == a.name);
     let axes: Vec<_> = status.axes.iter().filter(wanted).collect();
-    if axes.is_empty() {
-        let names: Vec<_> = status.axes.iter().map(|a| a.name.as_str()).collect();
-        let (found, names) = (axis.as_deref().unwrap_or(""), names.join(", "));
-        return Err(CommandFailure::Bad(format!("--axis: found {found:?}, expected one of {names}")).into());
-    }
-    let not_homed: Vec<_> = axes.iter().filter(|a| !a.homed).map(|a| a.name.clone()).collect();
+    let (found, names) = (axis.as_deref().unwrap_or(""), list(status.axes.iter().map(|a| &a.name)));
+    ensure!(!axes.is_empty(), Bad, "--axis: found {found:?}, expected one of {names}");
+    let not_homed = list(axes.iter().filter(|a| !a.homed).map(|a| &a.name));
     std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
     let (mut all, mut other) = (Vec::new(), Vec::new());
     for axis in axes {
@@ -73,22 +69,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         let files = |what| out.join(format!("{}_{what}.csv", axis.name));
         let told = LedgerExportSummary::of(&kept, axis.window_counts);
-        let LedgerExportSummary {
-            edges,
-            counts,
-            requested,
-            completed,
-            insertions,
-            whole_from_ns,
-            before,
-            ..
-        } = told;
-        let name = &axis.name;
+        let LedgerExportSummary { edges, counts, requested, completed, insertions, before, .. } = told;
+        let (name, whole_from_ns) = (&axis.name, told.whole_from_ns);
         if edges > MOST_EDGES {
-            let text = format!(
-                "axis {name}: {edges} edges since {whole_from_ns} ns, more than {MOST_EDGES}: --last TIME for fewer"
-            );
-            return Err(CommandFailure::No(text).into());
+            let much = format!("{edges} edges since {whole_from_ns} ns, more than {MOST_EDGES}");
+            fail!(No, "axis {name}: {much}: --last TIME for fewer");
         }
         let [trace, requests, table] = ["trace", "requests", "insertions"].map(files);
         told.write(&kept, [&trace, &requests, &table])?;
@@ -129,16 +114,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if daemon.json {
         say_line(&document)?;
     } else if !not_homed.is_empty() {
-        eprintln!(
-            "rtecctl: axis {} not homed: counted from the daemon's start; `rtecctl home` begins the ledger",
-            not_homed.join(", ")
-        );
+        let begins = "counted from the daemon's start; `rtecctl home` begins the ledger";
+        eprintln!("rtecctl: axis {not_homed} not homed: {begins}");
     }
-    if other.is_empty() {
-        return Ok(());
-    }
-    let text = format!("axis {}: replayed, the files do not give the totals of the daemon", other.join(", "));
-    Err(CommandFailure::No(text).into())
+    let other = other.join(", ");
+    ensure!(other.is_empty(), No, "axis {other}: replayed, the files do not give the totals of the daemon");
+    Ok(())
 }
 
 /// Fetches all kept changes of an axis's ledger.
@@ -147,10 +128,7 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
     loop {
         let from = whole.as_ref().map_or(0, |w| w.first + w.rows.len() as u64);
         let request = ClientRequest::Ledger { axis: axis.to_owned(), from };
-        let page = match ask(client, &request)? {
-            Response::Ledger(page) => page,
-            other => return Err(unexpected(&other)),
-        };
+        let page = expected!(ask(client, &request)?, Response::Ledger(page) => page);
         // If the axis was homed meanwhile, or rows were dropped, it begins again.
         if page.first != from && whole.is_some() {
             whole = None;

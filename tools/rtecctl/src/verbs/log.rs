@@ -1,8 +1,7 @@
 //! `rtecctl log`: the record of every command.
 
-use crate::CommandFailure;
 use crate::daemon::DaemonArgs;
-use crate::document::say_line;
+use crate::document::{list, say_line};
 use crate::terminal;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -109,10 +108,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             });
         }
     }
-    if broken > 0 {
-        let text = format!("{broken} lines are not as they were written: `rtecctl log --verify`");
-        return Err(CommandFailure::No(text).into());
-    }
+    ensure!(broken == 0, No, "{broken} lines are not as they were written: `rtecctl log --verify`");
     if shown == 0 && !args.follow && !document {
         eprintln!("rtecctl: {}", nothing(since_s, args.axis.as_deref(), last_t.as_deref(), &zone));
     }
@@ -124,11 +120,9 @@ fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
     let mut axes = BTreeSet::new();
     audit::read(file, &mut |line| axes.extend(line.entry.into_iter().flat_map(|e| e.after.into_keys())))
         .map_err(|e| unreadable(file, &e))?;
-    if axes.is_empty() || axes.contains(axis) {
-        return Ok(());
-    }
-    let known = axes.into_iter().collect::<Vec<_>>().join(", ");
-    Err(CommandFailure::Bad(format!("found --axis {axis}, expected one of the record's: {known}")).into())
+    let known = axes.is_empty() || axes.contains(axis);
+    ensure!(known, Bad, "found --axis {axis}, expected one of the record's: {}", list(axes));
+    Ok(())
 }
 
 /// Reason why no line is shown, and where lines are.
@@ -182,10 +176,9 @@ fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> 
             );
         }
     }
-    match found.broken.len() {
-        0 => Ok(()),
-        n => Err(CommandFailure::No(format!("{n} findings: the record is not as it was written")).into()),
-    }
+    let n = found.broken.len();
+    ensure!(n == 0, No, "{n} findings: the record is not as it was written");
+    Ok(())
 }
 
 fn unreadable(file: &Path, error: &io::Error) -> anyhow::Error {

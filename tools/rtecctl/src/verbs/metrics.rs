@@ -44,10 +44,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if args.daemon.json {
-        let text = "metrics are text: `rtecctl status --json` has the same as JSON";
-        return Err(CommandFailure::Bad(text.to_owned()).into());
-    }
+    ensure!(!args.daemon.json, Bad, "metrics are text: `rtecctl status --json` has the same as JSON");
     if let Some(address) = &args.listen {
         return serve(&args.daemon, address, args.beyond_loopback);
     }
@@ -93,13 +90,12 @@ fn serve(daemon: &DaemonArgs, address: &str, beyond_loopback: bool) -> anyhow::R
 fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
     let Ok(at) = address.parse::<SocketAddr>() else {
         let expected = "ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket";
-        return Err(CommandFailure::Bad(format!("--listen: found {address:?}, expected {expected}")).into());
+        fail!(Bad, "--listen: found {address:?}, expected {expected}");
     };
     if !at.ip().is_loopback() && !beyond_loopback {
-        let expected =
-            format!("a loopback address as 127.0.0.1:{}, or --beyond-loopback beside it", at.port());
-        let text = format!("--listen: found {at}, which others can reach; expected {expected}");
-        return Err(CommandFailure::Bad(text).into());
+        let expected = format!("a loopback address as 127.0.0.1:{}", at.port());
+        let found = format!("--listen: found {at}, which others can reach");
+        fail!(Bad, "{found}; expected {expected}, or --beyond-loopback beside it");
     }
     Server::tcp(at).map_err(|e| CommandFailure::No(format!("cannot listen at {at}: {e}")).into())
 }

@@ -1,7 +1,7 @@
 //! `rtecctl park`: ends corrections, with the counts kept or withdrawn.
 
-use crate::CommandFailure;
 use crate::daemon::{DaemonArgs, ask, explained, status};
+use crate::document::list;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisExplanation, AxisReport, ClientRequest, DaemonStatus};
 use std::time::{Duration, Instant};
@@ -34,19 +34,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.inverters_off {
         inverters_off(&mut client, args.patience)?;
         args.daemon.order(&ClientRequest::Park {}, "parked: all inverters off, corrections frozen")?;
-        let on: Vec<String> = inverted(&status(&mut client)?).map(|a| a.name.clone()).collect();
-        if on.is_empty() {
-            return Ok(());
-        }
+        let on = list(inverted(&status(&mut client)?).map(|a| &a.name));
         let why = "a model or part table has moved it on meanwhile; enable and park again";
-        return Err(CommandFailure::No(format!("axis {}: {why}", on.join(", "))).into());
+        ensure!(on.is_empty(), No, "axis {on}: {why}");
+        return Ok(());
     }
     // If the MTC's count is unknown, nothing can be withdrawn, but corrections are still disabled.
     let known = unknown(&status(&mut client)?).is_none();
     let unloaded = known && args.to_zero && to_zero(&mut client, args.patience)?;
     if let Some(why) = unknown(&status(&mut client)?) {
         ask(&mut client, &ClientRequest::Park {})?;
-        return Err(CommandFailure::No(why).into());
+        fail!(No, "{why}");
     }
     let done = match (args.to_zero, unloaded) {
         (false, _) => "parked: corrections frozen where they are",
@@ -60,12 +58,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Reason why the counts in effect are unknown, if so.
 fn unknown(now: &DaemonStatus) -> Option<String> {
-    let axes = now.axes.iter().filter(|a| !a.mtc_known);
-    let axes: Vec<&str> = axes.map(|a| a.name.as_str()).collect();
-    let names = axes.join(", ");
+    let names = list(now.axes.iter().filter(|a| !a.mtc_known).map(|a| &a.name));
     let first = if now.mode == "fault" { "`rtecctl clear`, then " } else { "" };
     let next = format!("{first}home both: `rtecctl home --controller-homed`");
-    (!axes.is_empty())
+    (!names.is_empty())
         .then(|| format!("parked, but what the controller counts is not known: {names}; {next}"))
 }
 
@@ -94,13 +90,11 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
             (least, since) = (left(&now), Instant::now());
         }
         let waiting: Vec<String> = now.axes.iter().filter(|a| a.in_effect != 0).map(why).collect();
-        if since.elapsed() >= patience {
-            let text = format!("not at zero, corrections are still on: {}", waiting.join("; "));
-            return Err(CommandFailure::No(text).into());
-        }
+        let waiting = waiting.join("; ");
+        ensure!(since.elapsed() < patience, No, "not at zero, corrections are still on: {waiting}");
         if shown_at.elapsed() >= PROGRESS_EVERY {
             shown_at = Instant::now();
-            eprintln!("{}", waiting.join("; "));
+            eprintln!("{waiting}");
         }
         std::thread::sleep(EVERY);
         now = status(client)?;
@@ -110,14 +104,11 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
 /// Checks that corrections run, since withdrawing needs insertions.
 fn corrects(now: &DaemonStatus) -> anyhow::Result<()> {
     if now.mode == "fault" {
-        let text = "a fault is latched: see `rtecctl status`; mend its cause, `rtecctl clear`, home and enable first";
-        return Err(CommandFailure::Fault(text.to_owned()).into());
+        let next = "mend its cause, `rtecctl clear`, home and enable first";
+        fail!(Fault, "a fault is latched: see `rtecctl status`; {next}");
     }
-    if now.mode != "run" {
-        let why = now.why_not.join("; ");
-        let text = format!("mode {}: nothing can be taken out before corrections are on: {why}", now.mode);
-        return Err(CommandFailure::No(text).into());
-    }
+    let (mode, why) = (&now.mode, now.why_not.join("; "));
+    ensure!(mode == "run", No, "mode {mode}: nothing can be taken out before corrections are on: {why}");
     Ok(())
 }
 
@@ -145,9 +136,8 @@ fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> 
             }
         }
         if begun.elapsed() >= patience {
-            let waiting: Vec<String> = inverted(&now).map(why).collect();
-            let text = format!("inverters still on, corrections are still on: {}", waiting.join("; "));
-            return Err(CommandFailure::No(text).into());
+            let waiting = inverted(&now).map(why).collect::<Vec<_>>().join("; ");
+            fail!(No, "inverters still on, corrections are still on: {waiting}");
         }
         std::thread::sleep(EVERY);
     }

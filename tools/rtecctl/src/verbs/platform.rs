@@ -2,7 +2,7 @@
 //! It says what to change.
 
 use crate::CommandFailure;
-use crate::document::say_pretty;
+use crate::document::{answer, list};
 use anyhow::Context;
 use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
@@ -65,17 +65,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .map_err(|_| anyhow::anyhow!("the thread that tried the settings panicked"))?
     };
     report.findings.extend(access::card(&system, &devices, events, cpu));
-    if args.json {
-        say_pretty(&Document { can_arm: report.can_arm(), report: &report })?;
-    } else {
-        print!("{}", text(&report));
-    }
-    if !report.can_arm() {
-        let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
-        return Err(
-            CommandFailure::No(format!("a real card would not be armed: {}", stops.join(", "))).into()
-        );
-    }
+    let document = Document { can_arm: report.can_arm(), report: &report };
+    answer(args.json, &document, || text(&report))?;
+    let stops = list(report.missing().map(|f| f.name));
+    ensure!(report.can_arm(), No, "a real card would not be armed: {stops}");
     Ok(())
 }
 
@@ -158,12 +151,11 @@ fn text(report: &SetupReport) -> String {
         let uses = &report.kernel_command_line;
         line(format_args!("\nkernel command line\n  to use  {uses}\n  to add  {lacks}"));
     }
-    let stops: Vec<&str> = report.missing().map(|f| f.name).collect();
-    if stops.is_empty() {
-        let next = "`rtecctl selftest latency` measures what the notes cost.";
-        line(format_args!("\nA real card can be armed. {next}"));
-    } else {
-        line(format_args!("\nA real card will not be armed: {}.", stops.join(", ")));
+    match list(report.missing().map(|f| f.name)).as_str() {
+        "" => line(format_args!(
+            "\nA real card can be armed. `rtecctl selftest latency` measures what the notes cost."
+        )),
+        stops => line(format_args!("\nA real card will not be armed: {stops}.")),
     }
     out
 }

@@ -1,6 +1,5 @@
 //! `rtecctl probe`: positions at the trips of the probe.
 
-use crate::CommandFailure;
 use crate::daemon::{DaemonArgs, NO_EVENTS, ask, check, observe, unreachable};
 use crate::document::say_line;
 use clap::ValueEnum;
@@ -34,10 +33,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.captures == Some(0) {
         return args.daemon.order(&ClientRequest::Probe { on: true }, "probing on");
     }
-    if args.daemon.json && args.captures.is_none() {
-        let text = "one JSON document needs an end: --captures N beside --json";
-        return Err(CommandFailure::Bad(text.to_owned()).into());
-    }
+    let ends = args.captures.is_some() || !args.daemon.json;
+    ensure!(ends, Bad, "one JSON document needs an end: --captures N beside --json");
     // The watch starts first, so that no trip can come in between.
     let mut watch = args.daemon.connect()?;
     ask(&mut watch, &ClientRequest::Watch {})?;
@@ -66,9 +63,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             } else if observe(&mut args.daemon.view()?, NO_EVENTS)?.status.mode != "probe" {
                 // Another user or a fault has switched probing off: no capture will come.
                 let text = format!("probing has ended ({}) after {number} captures", happened.text);
-                if args.captures.is_some() {
-                    return Err(CommandFailure::No(text).into());
-                }
+                ensure!(args.captures.is_none(), No, "{text}");
                 eprintln!("{text}");
                 return Ok(());
             }

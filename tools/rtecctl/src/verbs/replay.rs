@@ -1,7 +1,6 @@
 //! `rtecctl replay`: the real-time engine on a recorded trace, by a virtual clock.
 
-use crate::CommandFailure;
-use crate::document::say_line;
+use crate::document::{list, say_line};
 use anyhow::Context;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
@@ -157,22 +156,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some((t_ns, (_, said))) = dead {
         let axis = args.axis.as_ref().map_or_else(String::new, |axis| format!(" of axis {axis}"));
         let fault = word(Fault::ChannelDead);
-        let text = format!("{fault} latched at {t_ns} ns{axis}: {said}: a broken wire or receiver of it");
-        return Err(CommandFailure::Fault(text).into());
+        fail!(Fault, "{fault} latched at {t_ns} ns{axis}: {said}: a broken wire or receiver of it");
     }
     // The more informative answer first: a latched fault explains a ledger that does not balance.
     if let Some(latched) = outcome.faults.first() {
-        return Err(
-            CommandFailure::Fault(format!("{} latched at {} ns", word(latched.fault), latched.t_ns)).into()
-        );
+        fail!(Fault, "{} latched at {} ns", word(latched.fault), latched.t_ns);
     }
     let ReplayOutcome { counts_out, counts_in, completed, illegal_out, .. } = outcome;
     if !outcome.balanced() || illegal_out > 0 {
-        let message = format!(
-            "the ledger does not balance: {counts_out} counts out - {counts_in} in, {completed} completed, {illegal_out} illegal \
-             transitions at the MTC"
-        );
-        return Err(CommandFailure::No(message).into());
+        let sums = format!("{counts_out} counts out - {counts_in} in, {completed} completed");
+        fail!(No, "the ledger does not balance: {sums}, {illegal_out} illegal transitions at the MTC");
     }
     let open = outcome.requested - outcome.completed;
     if design == InsertionDesign::Ecc && open.abs() >= InsertionDesign::Ecc.increment_counts() {
@@ -184,10 +177,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {
-        let why: BTreeSet<String> = outcome.refused.iter().map(|r| word(r.why)).collect();
-        let why = why.into_iter().collect::<Vec<_>>().join(", ");
-        let message = format!("nothing was corrected: every request was refused ({why})");
-        return Err(CommandFailure::No(message).into());
+        let why = list(outcome.refused.iter().map(|r| word(r.why)).collect::<BTreeSet<_>>());
+        fail!(No, "nothing was corrected: every request was refused ({why})");
     }
     Ok(())
 }

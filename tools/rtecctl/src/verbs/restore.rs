@@ -2,7 +2,7 @@
 
 use super::backup::{Manifest, Packed, read};
 use crate::CommandFailure;
-use crate::document::say_line;
+use crate::document::{list, say_line};
 use anyhow::Context;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
@@ -43,7 +43,6 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// A file to be written.
 struct RestoredFile<'a> {
     packed: &'a Packed,
     bytes: &'a [u8],
@@ -66,11 +65,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let _held =
         if args.dry_run { None } else { Some(lock::keep_out(&config.control.socket).map_err(running)?) };
     let differs = |w: &&RestoredFile<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
-    let in_the_way: Vec<String> = wanted.iter().filter(differs).map(|w| w.to.display().to_string()).collect();
-    if !in_the_way.is_empty() && !args.replace {
-        let files = in_the_way.join(", ");
-        let text = format!("{files} is there and differs: nothing is written; --replace writes over it");
-        return Err(CommandFailure::No(text).into());
+    let files = list(wanted.iter().filter(differs).map(|w| w.to.display()));
+    if !files.is_empty() && !args.replace {
+        fail!(No, "{files} is there and differs: nothing is written; --replace writes over it");
     }
     if !args.dry_run {
         // The configuration is written last: until then the daemon finds the machine unchanged.

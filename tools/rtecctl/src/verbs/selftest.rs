@@ -1,7 +1,6 @@
 //! `rtecctl selftest latency`: measures this computer's latencies.
 //! It shows the speeds at which they allow corrections.
 
-use crate::CommandFailure;
 use crate::document::say_line;
 use crate::verbs::card::{alone, confirm, unreachable};
 use anyhow::Context;
@@ -74,12 +73,6 @@ struct LatencyArgs {
     histfile: Option<PathBuf>,
 }
 
-/// The card that is measured: of the test itself, or of the configuration.
-enum Target {
-    Simulated(Backend),
-    Configured(Box<Config>),
-}
-
 /// The self-test, for a card of any backend.
 struct CardTest<'a> {
     options: SelftestOptions,
@@ -94,11 +87,8 @@ fn duration(text: &str) -> Result<Duration, String> {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let Test::Latency(args) = &args.test;
-    let target = target(args)?;
-    let config = match &target {
-        Target::Simulated(_) => args.config.as_deref().map(Config::load).transpose()?,
-        Target::Configured(config) => Some((**config).clone()),
-    };
+    let config = args.config.as_deref().map(Config::load).transpose()?;
+    let simulated = simulated(args, config.as_ref())?;
     let rt = config.as_ref().map(|c| &c.rt);
     let options = SelftestOptions {
         cpu: args.cpu.or(rt.and_then(|rt| rt.cpu)).unwrap_or_else(|| SystemRoot::live().default_cpu()),
@@ -114,17 +104,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let histfile = args.histfile.as_ref().map(created).transpose()?;
     let mut provenance = LatencyTestConditions::here(&CardConfig::Mock, options.cpu, &SystemRoot::live());
-    let measured = match &target {
-        Target::Simulated(backend) => {
-            let card = if *backend == Backend::Mock {
-                "wires in this process"
-            } else {
-                "registers in shared memory"
-            };
-            provenance.card = format!("simulated: {card}");
-            measure(options, *backend, progress).context("measuring latencies")?
-        }
-        Target::Configured(config) => {
+    let (measured, backend) = match (simulated, &config) {
+        (None, Some(config)) => {
             provenance.card = config.card.named();
             let _alone = alone(config)?;
             if args.drive && !args.mtc_is_off {
@@ -133,7 +114,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("selftest: card {}", provenance.card);
             let access = if args.drive { CardAccess::Drive } else { CardAccess::Read };
             let test = CardTest { options, axes: &config.engine_axes(), drive: args.drive };
-            card::with(&config.card, access, test).map_err(unreachable)??
+            (card::with(&config.card, access, test).map_err(unreachable)??, config.card.backend())
+        }
+        (simulated, _) => {
+            let backend = simulated.unwrap_or(Backend::Mapped);
+            let (name, card) = match backend {
+                Backend::Mock => ("mock", "wires in this process"),
+                Backend::Mapped => ("mapped", "registers in shared memory"),
+            };
+            provenance.card = format!("simulated: {card}");
+            (measure(options, backend, progress).context("measuring latencies")?, name)
         }
     };
     let verdict = SelftestVerdict::new(&measured, config.as_ref());
@@ -142,21 +132,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         written.and_then(|()| file.finish()).context("writing the histogram file")?;
     }
     if args.json {
-        let backend = match &target {
-            Target::Simulated(Backend::Mock) => "mock",
-            Target::Simulated(Backend::Mapped) => "mapped",
-            Target::Configured(config) => config.card.backend(),
-        };
         say_line(&verdict.document(&measured, &options, &provenance, backend))?;
     } else {
         // As with cyclictest, a histogram written to a file is not printed as well.
         print!("{}", text(&measured, &options, &verdict, &provenance, args.histfile.is_none()));
     }
-    if verdict.reasons.is_empty() {
-        Ok(())
-    } else {
-        Err(CommandFailure::No(verdict.reasons.join("; ")).into())
-    }
+    ensure!(verdict.reasons.is_empty(), No, "{}", verdict.reasons.join("; "));
+    Ok(())
 }
 
 impl CardOperation for CardTest<'_> {
@@ -171,36 +153,32 @@ fn progress(what: &str, left_s: u64) {
     eprintln!("selftest: {what}, {left_s} s left");
 }
 
-/// The card to be measured; an error if that is not possible.
-fn target(args: &LatencyArgs) -> anyhow::Result<Target> {
-    let bad = |text: String| anyhow::Error::from(CommandFailure::Bad(text));
-    let Some(file) = &args.config else {
+/// The simulated card to be measured; none for the configured one.
+fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Option<Backend>> {
+    let (Some(file), Some(config)) = (&args.config, config) else {
         return match args.backend.as_deref() {
-            None | Some("mapped") => Ok(Target::Simulated(Backend::Mapped)),
-            Some("mock") => Ok(Target::Simulated(Backend::Mock)),
-            Some(card) => Err(bad(format!(
-                "--backend {card} needs --config FILE: which card of this backend is to be measured stands there"
-            ))),
+            None | Some("mapped") => Ok(Some(Backend::Mapped)),
+            Some("mock") => Ok(Some(Backend::Mock)),
+            Some(card) => {
+                let why = "which card of this backend is to be measured stands there";
+                fail!(Bad, "--backend {card} needs --config FILE: {why}")
+            }
         };
     };
-    let config = Config::load(file)?;
     let configured = config.card.backend();
     if let Some(asked) = args.backend.as_deref().filter(|card| *card != configured) {
-        return Err(bad(format!(
-            "{} has card {}, and --backend {asked} asks for another: leave --backend out",
-            file.display(),
-            config.card.named()
-        )));
+        let (file, named) = (file.display(), config.card.named());
+        fail!(Bad, "{file} has card {named}, and --backend {asked} asks for another: leave --backend out");
     }
     match &config.card {
         CardConfig::Replay { .. } => {
-            Err(bad("a recording has no latency: [card] backend = \"replay\" cannot be measured".to_owned()))
+            fail!(Bad, "a recording has no latency: [card] backend = \"replay\" cannot be measured")
         }
         CardConfig::Mock if args.drive => {
-            Err(bad("a mock card has no outputs outside the process: leave --drive out".to_owned()))
+            fail!(Bad, "a mock card has no outputs outside the process: leave --drive out")
         }
-        CardConfig::Mock => Ok(Target::Simulated(Backend::Mock)),
-        _ => Ok(Target::Configured(Box::new(config))),
+        CardConfig::Mock => Ok(Some(Backend::Mock)),
+        _ => Ok(None),
     }
 }
 

@@ -36,16 +36,13 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match args.to.to_str().and_then(|to| to.split_once("://")) {
-        Some(("s3", _)) => return Err(handed_over(args).into()),
+        Some(("s3", _)) => return Err(handed_over().into()),
         Some((other, _)) => {
             let found = format!("--to: found `{other}://`, expected a folder or s3://BUCKET");
-            return Err(
-                CommandFailure::Bad(format!("{found}; other stores: python -m rtec.shop ship")).into()
-            );
+            fail!(Bad, "{found}; other stores: python -m rtec.shop ship");
         }
         None if args.endpoint.is_some() => {
-            let found = format!("--to {} beside --endpoint", args.to.display());
-            return Err(CommandFailure::Bad(format!("found {found}, expected s3://BUCKET")).into());
+            fail!(Bad, "found --to {} beside --endpoint, expected s3://BUCKET", args.to.display());
         }
         None => {}
     }
@@ -64,21 +61,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Replaces this process by `rtec-ship`, the program that knows S3.
 /// It returns only if that program cannot be started.
-fn handed_over(args: &Args) -> CommandFailure {
+fn handed_over() -> CommandFailure {
     let own = std::env::current_exe().unwrap_or_default();
     let program = own.with_file_name("rtec-ship");
-    let mut command = Command::new(&program);
-    command.arg("--spool").arg(&args.spool).arg("--to").arg(&args.to).arg("--machine").arg(&args.machine);
-    if let Some(endpoint) = &args.endpoint {
-        command.arg("--endpoint").arg(endpoint);
-    }
-    if let Some(seconds) = args.every {
-        command.arg("--every").arg(seconds.to_string());
-    }
-    if args.json {
-        command.arg("--json");
-    }
-    let why = command.exec();
+    // Its options are those of this verb.
+    let why = Command::new(&program).args(std::env::args_os().skip(2)).exec();
     let mend = "it stands beside rtecctl in the package, and is built by `cargo build -p rtec-ship`";
     CommandFailure::Bad(format!("{}: {why}: {mend}", program.display()))
 }

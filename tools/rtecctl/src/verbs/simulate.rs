@@ -1,6 +1,6 @@
 //! `rtecctl simulate`: experiments on the simulated machine.
 
-use crate::document::{say_line, say_pretty};
+use crate::document::{list, say_line, say_pretty};
 use anyhow::Context;
 use rtec_files::InputError;
 use rtec_model::machine::{FitNote, Machine};
@@ -96,11 +96,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for record in findings.records.iter().filter(|r| !r.path.to_string_lossy().contains("compensated")) {
         // A response on which no error of the machine acts shows only noise, which is reported.
         let Ok(said) = truth.predict(record) else { continue };
-        let still = said.columns.iter().filter(|c| c.1.iter().all(|e| e.abs() < 1e-9)).map(|c| c.0.as_str());
-        let still: Vec<&str> = still.collect();
+        let still = list(said.columns.iter().filter(|c| c.1.iter().all(|e| e.abs() < 1e-9)).map(|c| &c.0));
         if record.kind != RunKind::Dynamics && record.kind != RunKind::Probing && !still.is_empty() {
             let file = record.path.file_name().unwrap_or_default().to_string_lossy();
-            let still = still.join(", ");
             eprintln!("rtecctl: {file}: {still} shows noise alone, nothing of the machine acts on it here");
         }
     }
@@ -148,9 +146,7 @@ fn shown(value: &Value) -> String {
     match value {
         Value::Array(all) => all.iter().map(shown).collect::<Vec<_>>().join(" "),
         Value::String(text) => text.clone(),
-        Value::Object(of) => {
-            of.iter().map(|(k, v)| format!("{k} {}", shown(v))).collect::<Vec<_>>().join(", ")
-        }
+        Value::Object(of) => list(of.iter().map(|(k, v)| format!("{k} {}", shown(v)))),
         other => other.to_string(),
     }
 }

@@ -1,8 +1,7 @@
 //! `rtecctl status`: what the corrector does, and if nothing, why.
 
-use crate::CommandFailure;
 use crate::daemon::{DaemonArgs, explained, status};
-use crate::document::line;
+use crate::document::{line, list};
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
 use rtec_control::protocol::{
@@ -39,9 +38,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             args.daemon.view().map_or_else(|_| Vec::new(), |mut client| on_their_way(&mut client, &status));
         print!("{}", table(&status, &way, Screen::here()));
     }
-    if status.mode == "fault" {
-        return Err(CommandFailure::Fault("a fault is latched".to_owned()).into());
-    }
+    ensure!(status.mode != "fault", Fault, "a fault is latched");
     Ok(())
 }
 
@@ -91,7 +88,6 @@ struct Screen {
     width: Option<u16>,
 }
 
-/// Columns of the whole table.
 const WHOLE: u16 = 118;
 
 impl Screen {
@@ -116,7 +112,6 @@ fn table(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     screen.fit(head(s, screen)) + &axes(s, screen) + &screen.fit(below(s, way, screen))
 }
 
-/// The machine as a whole.
 fn head(s: &DaemonStatus, screen: Screen) -> String {
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let ledger = if !s.ledger_known() {
@@ -140,7 +135,6 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
     )
 }
 
-/// The lines below the axes.
 fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     let mut text = String::new();
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
@@ -193,12 +187,11 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
     if some || s.mode == "run" && s.why_not.is_empty() {
         let _ = writeln!(text, "{}", correcting(s, way));
     }
-    let still: Vec<String> = (s.axes.iter().filter(|a| a.in_effect != 0))
-        .map(|a| format!("{} {:+}", a.name, a.in_effect))
-        .collect();
-    if s.mode != "run" && !still.is_empty() {
+    let left = s.axes.iter().filter(|a| a.in_effect != 0);
+    let left = list(left.map(|a| format!("{} {:+}", a.name, a.in_effect)));
+    if s.mode != "run" && !left.is_empty() {
         let what = tone("still in the controller's count:", Tone::Doubtful);
-        let _ = writeln!(text, "{what} {} counts", still.join(", "));
+        let _ = writeln!(text, "{what} {left} counts");
     }
     text
 }
@@ -245,8 +238,8 @@ fn axes(s: &DaemonStatus, screen: Screen) -> String {
 
 /// The present corrections, if nothing prevents them.
 fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
-    let way: Vec<String> = way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")).collect();
-    let way = (!way.is_empty()).then(|| format!("ramping, still to go: {}", way.join(", ")));
+    let ramps = list(way.iter().map(|(axis, um)| format!("{axis} {um:+.1} µm")));
+    let way = (!way.is_empty()).then(|| format!("ramping, still to go: {ramps}"));
     let axis = |AxisReport { name, requested, in_effect, gate, .. }: &AxisReport| {
         if in_effect == requested {
             return format!("{name} {in_effect:+}");
@@ -258,10 +251,10 @@ fn correcting(s: &DaemonStatus, way: &[RampingAxis]) -> String {
         format!("{name} {in_effect:+} of {requested:+} ({why})")
     };
     let asked = s.axes.iter().filter(|a| a.requested != 0 || a.in_effect != 0);
-    let asked: Vec<String> = asked.map(axis).collect();
+    let asked = list(asked.map(axis));
     if !asked.is_empty() {
         let way = way.map_or_else(String::new, |way| format!("; {way}"));
-        return format!("correcting: {} counts{way}", asked.join(", "));
+        return format!("correcting: {asked} counts{way}");
     }
     if s.model.is_none() && s.table.is_none() {
         return "correcting nothing: no model, no part table, no total of the operator: `rtecctl model load`"

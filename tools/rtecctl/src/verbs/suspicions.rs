@@ -4,7 +4,6 @@ use rtec_files::InputMessage;
 use rtec_measure::plausible;
 use rtec_model::record::Record;
 
-/// Prints one message.
 #[allow(clippy::needless_pass_by_value)] // the libraries pass it by value
 pub(crate) fn say(said: InputMessage) {
     eprintln!("{said}");
@@ -18,7 +17,6 @@ pub(crate) fn said(said: InputMessage) {
     }
 }
 
-/// Warns of mistakes that these records show.
 pub(crate) fn warn(records: &[Record]) {
     plausible::said(records, &mut say);
 }

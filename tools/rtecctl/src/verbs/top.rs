@@ -3,7 +3,6 @@
 
 mod view;
 
-use crate::CommandFailure;
 use crate::daemon::{DaemonArgs, observe};
 use crate::full_screen::{Key, Screen, keys};
 use crate::terminal::signs;
@@ -40,22 +39,15 @@ const KEYS: Duration = Duration::from_millis(100);
 /// Shortest interval; the daemon has other work.
 const FASTEST: Duration = Duration::from_millis(50);
 
-/// Result of a look at the daemon.
-enum PollResult {
-    Here(Box<DaemonSnapshot>),
-    Gone(String),
-}
+/// Result of a look at the daemon: what it shows, or why it does not answer.
+type PollResult = Result<Box<DaemonSnapshot>, String>;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let every = args.every;
-    let bad = |text: &str| anyhow::Error::from(CommandFailure::Bad(text.to_owned()));
     if args.daemon.json || !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
-        let text = "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json";
-        return Err(bad(text));
+        fail!(Bad, "top needs a terminal; elsewhere: `rtecctl status --watch`, for programs with --json");
     }
-    if every < FASTEST {
-        return Err(bad("--every: expected 50ms or more"));
-    }
+    ensure!(every >= FASTEST, Bad, "--every: expected 50ms or more");
     // The first connection is made before the screen is taken, so that a wrong socket is reported as usual.
     drop(args.daemon.view()?);
     // Before the thread starts, because it inherits the mask. A signal must not leave the terminal in raw
@@ -78,18 +70,19 @@ fn look(daemon: &DaemonArgs, every: Duration, to: &Sender<PollResult>) {
     loop {
         let found = once(daemon, &mut client, &mut last);
         let wait = if found.is_ok() { every } else { AGAIN };
-        let look = found.unwrap_or_else(|error| {
-            client = None;
-            PollResult::Gone(format!("{error:#}"))
-        });
-        if to.send(look).is_err() {
+        client.take_if(|_| found.is_err());
+        if to.send(found.map_err(|error| format!("{error:#}"))).is_err() {
             return;
         }
         std::thread::sleep(wait);
     }
 }
 
-fn once(daemon: &DaemonArgs, client: &mut Option<Client>, last: &mut u64) -> anyhow::Result<PollResult> {
+fn once(
+    daemon: &DaemonArgs,
+    client: &mut Option<Client>,
+    last: &mut u64,
+) -> anyhow::Result<Box<DaemonSnapshot>> {
     let client = match client {
         Some(client) => client,
         None => client.insert(daemon.view()?),
@@ -101,7 +94,7 @@ fn once(daemon: &DaemonArgs, client: &mut Option<Client>, last: &mut u64) -> any
     if seen.events.is_empty() {
         *last = 0;
     }
-    Ok(PollResult::Here(Box::new(seen)))
+    Ok(Box::new(seen))
 }
 
 fn show(
@@ -112,8 +105,8 @@ fn show(
 ) -> anyhow::Result<()> {
     loop {
         match looks.recv_timeout(KEYS) {
-            Ok(PollResult::Here(seen)) => view.take(*seen),
-            Ok(PollResult::Gone(why)) => view.gone(why),
+            Ok(Ok(seen)) => view.take(*seen),
+            Ok(Err(why)) => view.gone(why),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }

@@ -2,7 +2,7 @@
 //! It shows levels, edges and rates, as halscope and gpiomon do, and whether both edges of each line were
 //! seen.
 
-use super::{refused, unreachable};
+use super::{ProbeArgs, refused, unreachable};
 use crate::document::say_pretty;
 use crate::terminal::redraw;
 use rtec_control::card::{self, CardAccess, CardOperation};
@@ -12,22 +12,10 @@ use rtec_driver::card::{AxisLines, Card, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
-use std::time::Duration;
 
 /// Changes of one channel alone after which the other is reported as silent.
 /// An axis pushed back and forth across one boundary by hand makes a few.
 const ALONE: u64 = 8;
-
-/// Interval, duration and form of the output.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Options {
-    /// Time between two refreshes.
-    pub every: Duration,
-    /// Duration of the watch; without one it runs until it is stopped.
-    pub during: Option<Duration>,
-    /// Prints one JSON document at the end instead of refreshes.
-    pub json: bool,
-}
 
 /// Observations of one input line.
 #[derive(Debug)]
@@ -211,14 +199,14 @@ impl InputMonitor {
 /// The watch, for a card of any backend.
 struct Watching<'a> {
     config: &'a Config,
-    options: Options,
+    args: &'a ProbeArgs,
 }
 
 impl CardOperation for Watching<'_> {
     type Output = anyhow::Result<()>;
 
     fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
-        let Options { every, during, json } = self.options;
+        let &ProbeArgs { every, during, json, .. } = self.args;
         let first = card.sample(0).map_err(unreachable)?;
         let mut watch = InputMonitor::new(self.config, &first);
         let end_ns = during.map_or(u64::MAX, |d| first.t_ns.saturating_add(d.as_nanos() as u64));
@@ -244,9 +232,8 @@ impl CardOperation for Watching<'_> {
 ///
 /// # Errors
 /// When the card cannot be opened, or has no lines outside the daemon.
-pub(super) fn watch(config: &Config, options: Options) -> anyhow::Result<()> {
-    card::with(&config.card, CardAccess::Read, Watching { config, options })
-        .map_err(|e| refused(config, e))?
+pub(super) fn watch(config: &Config, args: &ProbeArgs) -> anyhow::Result<()> {
+    card::with(&config.card, CardAccess::Read, Watching { config, args }).map_err(|e| refused(config, e))?
 }
 
 #[cfg(test)]

@@ -95,7 +95,6 @@ impl Recorder {
         self.socket.clone().or(alone.then_some(None)).map(DaemonTotals::connect).transpose()
     }
 
-    /// The columns of the feed.
     fn gauges(&self) -> Result<Vec<Column>, InputError> {
         let parsed = |text: &String| {
             let parsed = text.split_once('=').and_then(|(n, r)| Some((n, Role::parse(r)?)));
@@ -133,7 +132,6 @@ fn usage(found: String, expected: &str) -> InputError {
     InputError::whole(Path::new("recording"), found, expected)
 }
 
-/// A time in seconds.
 fn seconds(text: &str) -> Result<f64, String> {
     crate::duration::duration(text).map(|t| t.as_secs_f64())
 }
@@ -250,8 +248,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
             0 => String::new(),
             rows => format!(", {rows} with a reading that is none"),
         };
-        let text = format!("no complete row in {duration:.0} s ({what}{faulty})");
-        return Err(crate::CommandFailure::Unreachable(text).into());
+        fail!(Unreachable, "no complete row in {duration:.0} s ({what}{faulty})");
     }
     if let Some(refused) = feed.as_ref().map(SensorLineFeed::refused).filter(|n| *n > 0) {
         eprintln!("warning: lines of the feed that were no readings: {refused}");

@@ -1,7 +1,7 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors and fit growth.
 //! The model is judged on data that it has not seen.
 
-use crate::document::say_pretty;
+use crate::document::{list, say_pretty};
 use crate::rounding::with_bounds;
 use crate::verbs::{read_records, suspicions};
 use rtec_files::InputError;
@@ -245,8 +245,7 @@ pub(crate) fn draw_beside<'c>(
         drawn.push(path);
     }
     if drawn.iter().any(|d| d != path) {
-        let names: Vec<String> = drawn.iter().map(|d| d.display().to_string()).collect();
-        eprintln!("rtecctl: drawn: {}", names.join(", "));
+        eprintln!("rtecctl: drawn: {}", list(drawn.iter().map(|d| d.display())));
     }
     Ok(())
 }

@@ -1,10 +1,8 @@
 //! `rtecctl model load` and `unload`: choose the model that the daemon runs.
 
-use crate::CommandFailure;
-use crate::daemon::{DaemonArgs, absolute, check, unexpected, unreachable};
+use crate::daemon::{DaemonArgs, absolute, check, expected, unreachable};
 use crate::document::say_line;
 use rtec_control::protocol::{AxisTotalChange, ClientRequest, ModelPreview, Response};
-use rtec_files::InputError;
 use rtec_files::text::open_regular;
 use rtec_model::machine::Machine;
 use std::fmt::Write as _;
@@ -32,48 +30,32 @@ pub(crate) struct LoadArgs {
 
 pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let file = args.file.as_deref().map(absolute);
-    let own = args.file.as_deref().map(of_model).transpose()?.unwrap_or_default();
+    // The daemon receives a user's files open. A missing file, or one with a mistake, is reported here.
+    let own = file.as_ref().map(|file| Machine::read_with_files(Path::new(file))).transpose()?;
+    let (warnings, own) = own.map(|(machine, own)| (machine.changed_sources(), own)).unwrap_or_default();
     let mut client = args.daemon.connect()?;
-    let names: Vec<String> = own.files.iter().map(|f| f.display().to_string()).collect();
+    let names: Vec<String> = own.iter().map(|f| f.display().to_string()).collect();
     let mut request = |take: Option<String>| -> anyhow::Result<Response> {
-        let files = own.files.iter().map(|f| open_regular(f)).collect::<Result<Vec<File>, _>>()?;
+        let files = own.iter().map(|f| open_regular(f)).collect::<Result<Vec<File>, _>>()?;
         let expired = take.is_some() && args.expired;
         let request = ClientRequest::ModelLoad { file: file.clone(), take, expired, files: names.clone() };
         check(client.ask_with(&request, &files).map_err(unreachable)?)
     };
-    let mut preview = match request(None)? {
-        Response::ModelPreview(preview) => preview,
-        other => return Err(unexpected(&other)),
-    };
-    preview.warnings.splice(0..0, own.warnings.clone());
+    let mut preview = expected!(request(None)?, Response::ModelPreview(preview) => preview);
+    preview.warnings.splice(0..0, warnings);
     if args.daemon.json {
         say_line(&*preview)?;
     } else {
         print!("{}", table(&preview));
     }
     let refused = !preview.expired.is_empty() && !args.expired;
-    if !refused && !args.yes && !agreed()? {
-        return Err(CommandFailure::No("nothing is loaded; the daemon goes on as before".to_owned()).into());
-    }
+    let taken = refused || args.yes || agreed()?;
+    ensure!(taken, No, "nothing is loaded; the daemon goes on as before");
     request(Some(preview.sha256))?;
     if !args.daemon.json {
         println!("loaded");
     }
     Ok(())
-}
-
-/// A model of this user: its files, the model first, and remarks about it.
-#[derive(Debug, Default)]
-struct ModelFiles {
-    files: Vec<PathBuf>,
-    warnings: Vec<String>,
-}
-
-/// The files of a model that this user names; the daemon receives them open.
-/// A missing file, or one with a mistake, is reported here.
-fn of_model(file: &Path) -> Result<ModelFiles, InputError> {
-    let (machine, files) = Machine::read_with_files(Path::new(&absolute(file)))?;
-    Ok(ModelFiles { warnings: machine.changed_sources(), files })
 }
 
 pub(crate) fn unload(daemon: &DaemonArgs) -> anyhow::Result<()> {

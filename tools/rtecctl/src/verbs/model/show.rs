@@ -1,6 +1,6 @@
 //! `rtecctl model show` and `compare`: contents and differences of models.
 
-use crate::document::say_pretty;
+use crate::document::{list, say_pretty};
 use crate::rounding::alike;
 use crate::verbs::suspicions;
 use rtec_files::date;
@@ -82,8 +82,8 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             );
         }
         if let Some(by) = &l.provenance.added_by {
-            let from: Vec<&str> = l.provenance.from.iter().map(|s| s.file.as_str()).collect();
-            println!("    by {by} {} from {}", l.provenance.date.as_deref().unwrap_or(""), from.join(", "));
+            let from = list(l.provenance.from.iter().map(|s| &s.file));
+            println!("    by {by} {} from {from}", l.provenance.date.as_deref().unwrap_or(""));
         }
     }
     if let Some(chain) = machine.chain() {
@@ -97,7 +97,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         );
         if by_kind_um.len() > 1 {
             let of = |(kind, width): (&String, &f64)| format!("{kind} ±{width:.3} {unit}");
-            println!("    by kind of run: {}", by_kind_um.iter().map(of).collect::<Vec<_>>().join(", "));
+            println!("    by kind of run: {}", list(by_kind_um.iter().map(of)));
         }
     }
     Ok(())

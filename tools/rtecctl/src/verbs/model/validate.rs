@@ -2,8 +2,7 @@
 //! They use data that it has not seen, or a recorded shift.
 
 use super::fit::{draw, draw_beside};
-use crate::CommandFailure;
-use crate::document::say_pretty;
+use crate::document::{answer, say_pretty};
 use crate::verbs::{read_records, suspicions};
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
@@ -63,22 +62,14 @@ pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.plot {
         draw(path, &found.charts)?;
     }
-    if args.json {
-        say_pretty(&found.document)?;
-    } else {
-        for v in found.document["responses"].as_array().into_iter().flatten() {
-            print_judged(v);
-        }
-    }
-    if found.no_better.is_empty() {
-        return Ok(());
-    }
-    Err(CommandFailure::No(format!("no better than without the model: {}", found.no_better.join(", ")))
-        .into())
+    let judged = found.document["responses"].as_array().into_iter().flatten();
+    answer(args.json, &found.document, || judged.map(judged_line).collect())?;
+    let no_better = found.no_better.join(", ");
+    ensure!(no_better.is_empty(), No, "no better than without the model: {no_better}");
+    Ok(())
 }
 
-/// Prints one response on a line.
-fn print_judged(v: &Value) {
+fn judged_line(v: &Value) -> String {
     let f = |key: &str| v[key].as_f64().map_or("-".to_owned(), |v| format!("{v:.3}"));
     let unit = FitNote::unit_of(v["response"].as_str().unwrap_or_default());
     let interval = if let Some(why) = v["no_interval"].as_str() {
@@ -96,9 +87,8 @@ fn print_judged(v: &Value) {
     let [record, response] = ["record", "response"].map(|key| v[key].as_str().unwrap_or_default());
     let [left, without, sd, mean, largest] =
         ["rms", "rms_without_model", "sd", "mean_left", "largest_left"].map(f);
-    println!(
-        "{record} {response}: {left} left of {without} {unit} (SD {sd}), mean {mean}, largest {largest}; {interval}{unseen}"
-    );
+    let rest = format!("(SD {sd}), mean {mean}, largest {largest}; {interval}{unseen}");
+    format!("{record} {response}: {left} left of {without} {unit} {rest}\n")
 }
 
 pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {

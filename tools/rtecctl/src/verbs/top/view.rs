@@ -20,7 +20,6 @@ const NEEDS: (u16, u16) = (60, 16);
 /// Levels of the trend, lowest first.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// The latest state, and how to show it.
 #[derive(Default)]
 pub(super) struct View {
     pub help: bool,
