@@ -19,6 +19,8 @@ pub mod keys; // one table of keys per section of a TOML file, to read, check an
 mod lines; // a file line by line through one buffer
 pub mod message_text; // text of messages: the word that was probably meant, printable and quoted text
 mod numbers; // the format of a column's numbers: decimal point or comma, thousands
+#[cfg(feature = "clap")]
+pub mod options; // parsers of command-line options
 pub mod position_record; // the quadrature trace that a scale gives along measured positions
 mod sheet; // a CSV whose columns are known, read whole
 pub mod text; // a text file read whole: UTF-8 or UTF-16, without its byte-order mark

@@ -24,23 +24,37 @@ pub struct PositionRecord {
     pub file: PathBuf,
     /// What one count is worth, µm.
     pub count_um: f64,
-    /// The position column, by its name or number from 1.
-    /// None: the one whose name begins with "position".
-    pub position_column: Option<String>,
-    /// The time column, by its name or number from 1.
-    /// None: `t_s`, `t_ms`, `t_us` or `t_ns`.
+    /// Its columns, and how they are read.
+    pub options: PositionOptions,
+}
+
+// The documentation of the fields is the help of `rtecctl trace from-position`.
+/// Columns of a position record, and how they are read
+#[derive(Debug, Clone)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
+pub struct PositionOptions {
+    /// The position column, by its name or number from 1 [default: the one whose name begins with "position"]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
+    pub column: Option<String>,
+    /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
     pub time_column: Option<String>,
-    /// The time's unit, of [`TIMES`]; none: that of the column's name, else s.
+    /// The time's unit, d for days [default: of the column's name, `t_ms`; else s]
+    #[cfg_attr(feature = "clap", arg(long, value_parser = TIMES.map(|(unit, _)| unit), requires = "time_column"))]
     pub time_unit: Option<String>,
-    /// The position's unit, of [`LENGTHS`]; none: that of the column's name, else m.
+    /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
+    #[cfg_attr(feature = "clap", arg(long, value_parser = LENGTHS.map(|(unit, _)| unit)))]
     pub unit: Option<String>,
-    /// Way back before a count edge is undone, counts.
-    /// A scale's interpolator has it.
+    /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
+    /// this gives no edges
+    #[cfg_attr(feature = "clap", arg(long, value_name = "COUNTS", default_value_t = 0.25,
+        value_parser = crate::options::number(|n| n.is_finite() && n >= 0.0, "expected a number from 0")))]
     pub hysteresis_counts: f64,
-    /// Bits of a counter that begins again at zero; 0 for none.
-    /// None: found in the record.
+    /// The position is a counter of so many bits that begins again at zero; 0: it is none [default: found in the record]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(0..=48)))]
     pub counter_bits: Option<u32>,
-    /// A record whose trace would have more edges is refused.
+    /// Refuse a record whose trace would have more edges
+    #[cfg_attr(feature = "clap", arg(long, value_name = "EDGES", default_value_t = 50_000_000))]
     pub most_edges: u64,
 }
 
@@ -71,7 +85,7 @@ impl PositionRecord {
         if let Some(written) = rows.marks.as_ref().and_then(|marks| marks.written(&self.file)) {
             say(&format!("note: {written}"));
         }
-        let mut scale = InterpolatedScale::new(t_ns, counts, self.hysteresis_counts);
+        let mut scale = InterpolatedScale::new(t_ns, counts, self.options.hysteresis_counts);
         edge(scale.at)?;
         travel.goes_on(counts, rows.line, self);
         while let Some((t_ns, counts)) = rows.next()? {
@@ -89,20 +103,20 @@ impl PositionRecord {
     /// Reads the whole record before its trace is made.
     /// Returns the bits of its counter. A pipe, which cannot be read twice, is not checked.
     fn checked(&self, say: &mut dyn FnMut(&str)) -> Result<u32, InputError> {
-        let mut bits = self.counter_bits.unwrap_or(0);
+        let mut bits = self.options.counter_bits.unwrap_or(0);
         if !self.file.is_file() {
             return Ok(bits);
         }
         let mut jumps = PositionJumps::default();
         let see = &mut |t_ns, counts, line| jumps.see(t_ns, counts * self.count_um, line);
         let mut travel = self.read(bits, see)?;
-        if self.counter_bits.is_none()
+        if self.options.counter_bits.is_none()
             && let Some((of, said)) = jumps.counter(self)
         {
             say(&format!("note: {said}"));
             bits = of;
             travel = self.read(bits, &mut |_, _, _| ())?;
-        } else if let Some(warning) = jumps.said(self).filter(|_| self.counter_bits != Some(0)) {
+        } else if let Some(warning) = jumps.said(self).filter(|_| self.options.counter_bits != Some(0)) {
             say(&format!("warning: {warning}"));
         }
         travel.is_short_enough(self)?;
@@ -136,14 +150,14 @@ struct Travel {
 impl Travel {
     fn goes_on(&mut self, counts: f64, line: usize, record: &PositionRecord) {
         self.counts += (counts - self.last.replace(counts).unwrap_or(counts)).abs();
-        if self.counts > record.most_edges as f64 {
+        if self.counts > record.options.most_edges as f64 {
             self.too_long.get_or_insert((line, self.counts));
         }
     }
 
     fn is_short_enough(&self, record: &PositionRecord) -> Result<(), InputError> {
         let Some((line, counts)) = self.too_long else { return Ok(()) };
-        let (found, most) = (format!("a way of {counts:.0} counts so far"), record.most_edges);
+        let (found, most) = (format!("a way of {counts:.0} counts so far"), record.options.most_edges);
         let expected =
             format!("at most {most} edges (--most-edges takes more; is --count-um, or the unit, too small?)");
         Err(InputError::at(&record.file, line, 0, found, expected))

@@ -129,18 +129,25 @@ impl Format for CompensationTableCsv {
     }
 }
 
-/// Range and accuracy of a table.
+// The documentation of the fields is the help of `rtecctl model export`.
+/// Range and accuracy of a table
 #[derive(Debug, Clone, PartialEq)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct TableRange {
-    /// Lowest position, mm.
+    /// Lowest position, mm
+    #[cfg_attr(feature = "clap", arg(long = "from", value_name = "FROM"))]
     pub from_mm: f64,
-    /// Highest position, mm.
+    /// Highest position, mm
+    #[cfg_attr(feature = "clap", arg(long = "to", value_name = "TO"))]
     pub to_mm: f64,
-    /// Distance between points, mm; `None`: from the model.
+    /// Distance between positions, mm; chosen from the model where it is not given
+    #[cfg_attr(feature = "clap", arg(long = "step", value_name = "STEP"))]
     pub step_mm: Option<f64>,
-    /// Largest deviation of the table from the model between its points, µm.
+    /// How far the table may be off the model between its positions, um; a warning above
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 0.5))]
     pub limit_um: f64,
-    /// Most points, if fewer than the format allows.
+    /// Most positions (linuxcnc 256; siemens 200 unless MD38000 says more; ssfk 1500 unless P-COMP-00059 says more)
+    #[cfg_attr(feature = "clap", arg(long = "max-points", value_name = "MAX_POINTS"))]
     pub most: Option<usize>,
 }
 

@@ -128,12 +128,16 @@ pub struct PlaceStatistics {
     pub finding: BatchFinding,
 }
 
-/// The strictness of the judgement.
+// The documentation of the fields is the help of `rtecctl part post-process`.
+/// The strictness of the judgement
 #[derive(Debug, Clone, Copy)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct SignificanceLimits {
-    /// False-alarm rate over all places together.
+    /// False-alarm rate over all places together
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 0.01))]
     pub alpha: f64,
-    /// Smallest mean error that matters, in µm.
+    /// Mean errors below this do not matter, in µm
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 1.0))]
     pub least_um: f64,
 }
 

@@ -36,18 +36,23 @@ fn unit_of_header(units: i32) -> Option<Unit> {
     }))
 }
 
-/// The options for reading a drawing.
-#[derive(Debug, Clone, Copy)]
-pub struct DxfOptions<'a> {
-    /// The drawing's unit, if its header does not give it or is wrong.
+// The documentation of the fields is the help of `rtecctl part`.
+/// How to read a drawing
+#[derive(Debug, Clone)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
+pub struct DxfOptions {
+    /// The drawing's unit, where its header does not say
+    #[cfg_attr(feature = "clap", arg(long = "units", value_name = "UNITS", value_parser = rtec_files::options::one_of(&Unit::ALL, &[])))]
     pub unit: Option<Unit>,
-    /// The only layer to read.
-    pub layer: Option<&'a str>,
-    /// Ends that are closer than this count as one point, in mm.
+    /// Take the contour from this layer only
+    #[cfg_attr(feature = "clap", arg(long))]
+    pub layer: Option<String>,
+    /// Ends closer than this are one point, in mm
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 1e-3))]
     pub tolerance_mm: f64,
 }
 
-impl Default for DxfOptions<'_> {
+impl Default for DxfOptions {
     fn default() -> Self {
         Self { unit: None, layer: None, tolerance_mm: 1e-3 }
     }
@@ -120,7 +125,7 @@ pub fn read(file: &Path, options: &DxfOptions) -> Result<(Contour, Unit), InputE
         |layer: &str| options.layer.is_none() && drawing.hidden_layers.contains(&layer.to_lowercase());
     for placed in block::placed(file, &drawing, unit.0, &is_hidden)? {
         let Placed { entity, layer, place, hidden_by } = placed;
-        if is_annotation(&entity.kind) || options.layer.is_some_and(|asked| asked != layer) {
+        if is_annotation(&entity.kind) || options.layer.as_ref().is_some_and(|asked| asked != layer) {
             continue;
         }
         if hidden_by.is_some() || !entity.visible || is_hidden(layer) {
@@ -141,10 +146,10 @@ pub fn read(file: &Path, options: &DxfOptions) -> Result<(Contour, Unit), InputE
         return Err(InputError::whole(file, found, expected));
     }
     if pieces.is_empty() && cleaned.speck.is_none() {
-        let layer = options.layer.map_or(String::new(), |l| format!(" on layer '{l}'"));
+        let layer = options.layer.as_ref().map_or(String::new(), |l| format!(" on layer '{l}'"));
         let there: BTreeSet<&str> = drawing.entities.iter().map(|e| e.layer.as_str()).collect();
         let there = there.into_iter().take(40).collect::<Vec<_>>().join(", ");
-        let expected = match options.layer {
+        let expected = match &options.layer {
             Some(_) if !there.is_empty() => format!("one of the layers that hold anything: {there}"),
             _ => "lines, arcs, ellipses or splines".to_owned(),
         };
@@ -349,7 +354,7 @@ fn axis_ratio(ellipse: &Entity) -> f64 {
 struct Reader<'a> {
     file: &'a Path,
     unit: Unit,
-    options: &'a DxfOptions<'a>,
+    options: &'a DxfOptions,
     /// The placement of the present entity.
     place: AffineMap,
 }

@@ -5,6 +5,8 @@ use crate::errors::{ErrorReport, NominalShape, ProbedPoints};
 use crate::geometric_fit::{self, FitShape, FittedShape, Zx};
 use crate::path::{approaches, read_expected, read_pathfin};
 use crate::unit::Unit;
+#[cfg(feature = "clap")]
+use rtec_files::options::one_of;
 use rtec_files::{InputError, InputMessage};
 use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::machine::Machine;
@@ -18,35 +20,49 @@ rtec_files::choice! {
     }
 }
 
-/// The request for a feature's errors.
+// The documentation of the fields is the help of `rtecctl part errors`.
+/// The request for a feature's errors
 #[derive(Debug, Clone)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct ErrorRequest {
-    /// The probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`.
+    /// Probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`, the tip's centre at each trip
+    #[cfg_attr(feature = "clap", arg(long))]
     pub points: PathBuf,
-    /// Assignments of columns, as `z_mm=3` or `x_mm=Radius`.
-    /// Empty if the columns have their own names.
+    /// Columns of the file that have other names, or none, each by its name or number from 1; all others are left out
+    #[cfg_attr(feature = "clap", arg(long, value_name = "NAME=COLUMN", value_delimiter = ','))]
     pub columns: Vec<String>,
-    /// Nominal radius of a circle, mm.
+    /// Nominal radius of the circle, in mm; a straight feature has none
+    #[cfg_attr(feature = "clap", arg(long))]
     pub radius_mm: Option<f64>,
-    /// Radius of the probe's tip, mm; `None` means 0, which a message reports.
+    /// Radius of the probe's tip, in mm; 0 where the points already are on the surface [default: 0, and it is said]
+    #[cfg_attr(feature = "clap", arg(long))]
     pub tip_mm: Option<f64>,
-    /// The kind of feature; `None` to recognise it from the points.
+    /// What was probed [default: recognised from the points]
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&ProbedFeature::ALL, &[])))]
     pub feature: Option<ProbedFeature>,
-    /// Nominal inclination of a taper to the part's axis, degrees.
+    /// Nominal inclination of a taper to the part's axis, in degrees: the difference is shown, error.cor does not take it out
+    #[cfg_attr(feature = "clap", arg(long))]
     pub taper_deg: Option<f64>,
-    /// A machine model whose prediction is subtracted.
+    /// Take out what this machine's model predicts at each point; the temperatures are the record's columns T0, T1, …
+    #[cfg_attr(feature = "clap", arg(long))]
     pub machine: Option<PathBuf>,
-    /// Machine position at the part's zero, mm: Z and X.
+    /// Machine position at the part's zero, in mm, for the model
+    #[cfg_attr(feature = "clap", arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 1))]
     pub origin_mm: Option<Vec<f64>>,
-    /// The file of expected trips.
+    /// The expected trips: every point must be near its own
+    #[cfg_attr(feature = "clap", arg(long, value_name = "PROBPATH.CDL"))]
     pub expected: Option<PathBuf>,
-    /// The probe's path, which gives the side of each touch if the points do not.
+    /// The probe's path, where the points have no approach: from which side each was touched
+    #[cfg_attr(feature = "clap", arg(long, value_name = "PATHFIN.CDL"))]
     pub path: Option<PathBuf>,
-    /// Unit of the expected trips and of the path.
+    /// Unit of the expected trips and of the path
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm"))]
     pub path_units: Unit,
-    /// Largest distance of a trip from its expected place, mm.
+    /// How near a trip must be to its expected place, in mm
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 1.0))]
     pub trip_window_mm: f64,
-    /// Whether the constant error (size) goes into the table too.
+    /// Put the constant error (size) into error.cor too; without it the table takes out the form alone
+    #[cfg_attr(feature = "clap", arg(long))]
     pub with_size: bool,
 }
 

@@ -12,16 +12,22 @@ use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// The machine's motion while probing.
+// The documentation of the fields is the help of `rtecctl part`.
+/// How the machine moves while probing
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct ProbingMotion {
-    /// Probing feed along the path.
+    /// Probing feed, in mm/min
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = Self::REPORT.feed_mm_min))]
     pub feed_mm_min: f64,
-    /// Acceleration to that feed.
+    /// Acceleration to the feed, in mm/s²
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = Self::REPORT.accel_mm_s2))]
     pub accel_mm_s2: f64,
-    /// Deceleration from that feed.
+    /// Deceleration from the feed, in mm/s²
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = Self::REPORT.decel_mm_s2))]
     pub decel_mm_s2: f64,
-    /// Travel at constant velocity on each side of the expected trip.
+    /// Constant velocity wanted on each side of the trip, in mm
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = Self::REPORT.window_mm))]
     pub window_mm: f64,
 }
 

@@ -259,7 +259,8 @@ fn broken_groups_are_named_with_their_line() {
     let rest = "10\n0\n20\n9\n11\n5\n21\n9\n0\nENDSEC\n0\nEOF\n";
     let read_layer = |bytes: &[u8]| {
         std::fs::write(&file, bytes).unwrap();
-        let options = DxfOptions { layer: Some("Ränder"), unit: Some(Unit::INCH), ..DxfOptions::default() };
+        let options =
+            DxfOptions { layer: Some("Ränder".to_owned()), unit: Some(Unit::INCH), ..DxfOptions::default() };
         read(&file, &options).map(|(contour, _)| contour.features.len())
     };
     // Escaped, in UTF-8, in Windows-1252, with the line ends of three systems.

@@ -327,20 +327,22 @@ pub(crate) fn export_table(
             },
             temperatures_degc: asked.temperatures_degc,
             at_mm: asked.at_mm,
-            format: one_of("format", &asked.format, &named(export::request::ExportFormat::ALL))?,
-            unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
-            along: asked.along,
-            along_name: asked.along_name,
-            table: asked.table,
-            positive_moves_up: asked
-                .positive_moves
-                .map(|way| one_of("positive_moves", &way, &[("up", true), ("down", false)]))
-                .transpose()?,
-            axis_name: asked.axis_name,
-            encoder: asked.encoder,
-            reference_mm: asked.reference_mm,
-            axis_number: asked.axis_number,
-            form: asked.form,
+            to: export::request::TableFormat {
+                format: one_of("format", &asked.format, &named(export::request::ExportFormat::ALL))?,
+                unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
+                along: asked.along,
+                along_name: asked.along_name,
+                table: asked.table,
+                positive_moves_up: asked
+                    .positive_moves
+                    .map(|way| one_of("positive_moves", &way, &[("up", true), ("down", false)]))
+                    .transpose()?,
+                axis_name: asked.axis_name,
+                encoder: asked.encoder,
+                reference_mm: asked.reference_mm,
+                axis_number: asked.axis_number,
+                form: asked.form,
+            },
         };
         let done = order.of(&machine.inner)?;
         let file = machine.inner.path.display();
@@ -383,6 +385,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportOptions) -> Answered<Re
             }
             _ => None,
         };
+        let out = asked.out;
         let asked = import::request::ImportRequest {
             file: asked.file,
             format: one_of("format", &asked.format, &named(import::request::ImportFormat::ALL))?,
@@ -396,10 +399,8 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportOptions) -> Answered<Re
             unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
             form: asked.form,
             derive: asked.derive,
-            circle,
-            out: asked.out,
         };
-        let inner = asked.read(say)?;
+        let inner = asked.read(circle, &out, say)?;
         if let Some(note) = &inner.note {
             say(InputMessage::Note(note.clone()));
         }

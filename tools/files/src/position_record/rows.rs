@@ -65,7 +65,8 @@ fn unit_of(
 impl PositionRows {
     pub(super) fn open(record: &PositionRecord, counter_bits: u32) -> Result<Self, InputError> {
         let mut rows = Reader::open(&record.file)?;
-        let named = [&record.position_column, &record.time_column].into_iter().flatten().map(String::as_str);
+        let options = &record.options;
+        let named = [&options.column, &options.time_column].into_iter().flatten().map(String::as_str);
         let named: Vec<&str> = named.collect();
         let expected = "a header such as t_s,position_mm";
         let time_of = |name: &str| {
@@ -83,9 +84,9 @@ impl PositionRows {
             rows.header_of(expected, &named)?
         };
         let columns = || format!("the columns {}", header.text());
-        let (time, (time_unit, ns_per_unit)) = if let Some(column) = &record.time_column {
+        let (time, (time_unit, ns_per_unit)) = if let Some(column) = &options.time_column {
             let place = header.place_or_number(column)?;
-            let unit = unit_of(&header, place, record.time_unit.as_deref(), TIMES, "--time-unit")?;
+            let unit = unit_of(&header, place, options.time_unit.as_deref(), TIMES, "--time-unit")?;
             (place, unit.unwrap_or(TIMES[0]))
         } else {
             let mut named = header.names().enumerate();
@@ -95,7 +96,7 @@ impl PositionRows {
                 rows.instead_of(&header, finding)
             })?
         };
-        let position = if let Some(column) = &record.position_column {
+        let position = if let Some(column) = &options.column {
             header.place_or_number(column)?
         } else {
             let mut matching = header.names().enumerate().filter(|(_, name)| name.starts_with("position"));
@@ -105,7 +106,7 @@ impl PositionRows {
             };
             position
         };
-        let length = unit_of(&header, position, record.unit.as_deref(), LENGTHS, "--unit")?;
+        let length = unit_of(&header, position, options.unit.as_deref(), LENGTHS, "--unit")?;
         let without_unit = length.is_none().then(|| {
             let name = header.names().nth(position).unwrap_or_default();
             format!("{}: column '{name}' names no unit: taken as m (see --unit)", record.file.display())

@@ -8,6 +8,8 @@ use super::{
 };
 use rtec_files::Result;
 use rtec_files::date;
+#[cfg(feature = "clap")]
+use rtec_files::options::one_of;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -39,28 +41,52 @@ pub struct ExportRequest {
     /// Positions of the other axes, mm; axes not listed are at 0.
     pub at_mm: Vec<(String, f64)>,
     /// The format.
+    pub to: TableFormat,
+}
+
+// The documentation of the fields is the help of `rtecctl model export`.
+/// A format, and what its controller needs to know
+#[derive(Debug, Clone)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
+pub struct TableFormat {
+    /// What to write
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&ExportFormat::ALL, &[]), default_value = "linuxcnc"))]
     pub format: ExportFormat,
-    /// LinuxCNC: the machine's unit.
+    /// linuxcnc: the machine's `LINEAR_UNITS`
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm"))]
     pub unit: Unit,
-    /// The axis that a cross table goes along.
+    /// The axis that the table goes along, where it is another: what squareness, straightness and sag make of `--axis`
+    #[cfg_attr(feature = "clap", arg(long))]
     pub along: Option<String>,
-    /// siemens-cec: name of that axis in the controller.
+    /// siemens-cec: that axis as the controller names it, as X1
+    #[cfg_attr(feature = "clap", arg(long))]
     pub along_name: Option<String>,
-    /// siemens-cec: number of the table.
+    /// siemens-cec: number of the table
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 0))]
     pub table: u16,
-    /// siemens-cec: true if a positive value moves the axis up, tried on the machine.
+    /// siemens-cec: which way a positive value moves the axis, as tried on the machine
+    #[cfg_attr(feature = "clap", arg(long = "positive-moves", value_name = "POSITIVE_MOVES", value_parser = one_of(&UP_OR_DOWN, &[])))]
     pub positive_moves_up: Option<bool>,
-    /// Siemens: name of the machine axis in the controller.
+    /// siemens, siemens-cec: the machine axis as the controller names it, as X1
+    #[cfg_attr(feature = "clap", arg(long, required_if_eq("format", "siemens")))]
     pub axis_name: Option<String>,
-    /// Siemens: number of the encoder.
+    /// siemens: number of the encoder
+    #[cfg_attr(feature = "clap", arg(long, default_value_t = 0))]
     pub encoder: u8,
-    /// Siemens, and own formats with a zero there: the reference point, mm.
+    /// siemens, siemens-cec, and forms that want a zero there: the reference point, mm
+    #[cfg_attr(feature = "clap", arg(long, required_if_eq("format", "siemens")))]
     pub reference_mm: Option<f64>,
-    /// ssfk: number of the axis in the controller.
+    /// ssfk: the controller's logical axis number
+    #[cfg_attr(feature = "clap", arg(long, required_if_eq("format", "ssfk")))]
     pub axis_number: Option<u16>,
-    /// Own: the file that describes the format.
+    /// own: the file that describes the form
+    #[cfg_attr(feature = "clap", arg(long, value_name = "FORM.toml", required_if_eq("format", "own")))]
     pub form: Option<PathBuf>,
 }
+
+/// Which way a positive value moves an axis, and whether that is up.
+#[cfg(feature = "clap")]
+const UP_OR_DOWN: [(&str, bool, &str); 2] = [("up", true, ""), ("down", false, "")];
 
 /// An exported table.
 #[derive(Debug, Clone)]
@@ -80,8 +106,9 @@ fn needed<T>(value: Option<T>, option: &str) -> Result<T> {
     value.ok_or_else(|| usage(format!("no --{option}"), format!("--{option} with this format")))
 }
 
-impl ExportRequest {
-    fn format(&self) -> Result<Box<dyn Format>> {
+impl TableFormat {
+    /// The format; it takes at most so many positions.
+    fn format(&self, most: Option<usize>) -> Result<Box<dyn Format>> {
         let linuxcnc = matches!(self.format, ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1);
         if self.unit == Unit::Inch && !linuxcnc {
             return Err(usage("--unit inch", "--unit with LinuxCNC's tables only; the others are in mm"));
@@ -90,7 +117,6 @@ impl ExportRequest {
         if !reference_mm.is_finite() {
             return Err(usage(format!("--reference-mm {reference_mm}"), "a position in mm"));
         }
-        let most = self.wanted.most;
         let cannot_along = match self.format {
             ExportFormat::Linuxcnc | ExportFormat::LinuxcncType1 => Some(
                 "COMP_FILE of LinuxCNC is looked up at the joint's own position: it cannot hold what another axis does to this one",
@@ -137,16 +163,18 @@ impl ExportRequest {
             }
         })
     }
+}
 
+impl ExportRequest {
     /// Exports the table of a model.
     ///
     /// # Errors
     /// The model has no such axis or lacks what the table needs; the format cannot hold it.
     pub fn of(&self, machine: &Machine) -> Result<Exported> {
-        let format = self.format()?;
+        let format = self.to.format(self.wanted.most)?;
         let errors = self.errors(machine)?;
         let mut rules = format.rules();
-        if self.along.is_some() {
+        if self.to.along.is_some() {
             // The table does not move the axis that it is looked up at.
             rules = Rules { lookup: LookupPosition::Encoder, both: false, ..rules };
         }
@@ -154,7 +182,7 @@ impl ExportRequest {
         let text = format.text(&table)?;
         let mut warnings = machine.doubts(date::today());
         warnings.extend(errors.doubts()?);
-        let along = self.along.as_ref().unwrap_or(&self.axis);
+        let along = self.to.along.as_ref().unwrap_or(&self.axis);
         warnings.extend(beyond(machine, &self.axis, along, [self.wanted.from_mm, self.wanted.to_mm]));
         warnings.extend(self.coarse(&table, rules.both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
@@ -165,7 +193,7 @@ impl ExportRequest {
         let TableResidual { max_up_um: up, max_down_um: down, rms_um: rms } = left;
         let (axis, step_mm, [start, end]) =
             (&table.axis, table.step_mm, [table.start_mm(), table.end_mm()].map(short));
-        let across = self.along.as_ref().map_or(String::new(), |along| format!(" along {along}"));
+        let across = self.to.along.as_ref().map_or(String::new(), |along| format!(" along {along}"));
         let mut notes = vec![
             format!("axis {axis}{across}, {points} positions, {step_mm:.4} mm apart, {start} to {end} mm"),
             format!(
@@ -194,7 +222,7 @@ impl ExportRequest {
 
     /// The model's errors along the axis, or along `along`.
     fn errors<'m>(&self, machine: &'m Machine) -> Result<StaticErrors<'m>> {
-        let Some(along) = &self.along else {
+        let Some(along) = &self.to.along else {
             return StaticErrors::of(machine, &self.axis, &self.temperatures_degc, &self.at_mm);
         };
         let (own, others): (Vec<_>, Vec<_>) = self.at_mm.iter().cloned().partition(|(a, _)| *a == self.axis);

@@ -5,6 +5,8 @@ use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rt
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
+#[cfg(feature = "clap")]
+use rtec_files::options::one_of;
 use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record, RunKind};
@@ -46,46 +48,74 @@ impl ImportFormat {
     }
 }
 
-/// Options of an import.
+// The documentation of the fields is the help of `rtecctl characterise import`.
+/// Options of an import
 #[derive(Debug, Clone)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct ImportRequest {
-    /// The file.
+    /// The file to import
     pub file: PathBuf,
-    /// Its format.
+    /// What it is
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&ImportFormat::ALL, &[])))]
     pub format: ImportFormat,
-    /// The measured axis, if the file does not state it.
+    /// The axis that was measured (not for plates and tables)
+    #[cfg_attr(feature = "clap", arg(long))]
     pub axis: Option<String>,
-    /// Columns with their roles, as `t=time:min`.
+    /// csv, halsampler, shdr: columns with their roles, and the unit where it is not the role's own, as
+    /// t=time:min,gz=error.z:mm; with a factor as volt=force.x:V*35.15=N. Columns of halsampler go by number, from 1
+    #[cfg_attr(
+        feature = "clap",
+        arg(
+            long,
+            value_delimiter = ',',
+            value_name = "NAME=ROLE[:UNIT]",
+            required_if_eq_any([("format", "csv"), ("format", "halsampler"), ("format", "shdr")])
+        )
+    )]
     pub columns: Vec<String>,
-    /// Kind of the run, if the file does not state it.
+    /// csv, halsampler, shdr: what kind of run it is
+    #[cfg_attr(feature = "clap", arg(long, default_value = "drift"))]
     pub kind: String,
-    /// Whether numbers have a decimal comma; `None`: either.
+    /// csv: how numbers are written [default: a point; either where semicolons part the columns]
+    #[cfg_attr(feature = "clap", arg(long = "decimal", value_name = "DECIMAL", value_parser = one_of(&POINT_OR_COMMA, &[])))]
     pub decimal_comma: Option<bool>,
-    /// Whether it is a log, which needs no response.
+    /// csv, halsampler, shdr: a log, which need not have a response
+    #[cfg_attr(feature = "clap", arg(long))]
     pub log: bool,
-    /// halsampler: sampling period, s.
+    /// halsampler: seconds a sample
+    #[cfg_attr(feature = "clap", arg(long, required_if_eq("format", "halsampler")))]
     pub period_s: Option<f64>,
-    /// halsampler: whether the sample's number comes first.
+    /// halsampler: written with -t, the sample's number in front
+    #[cfg_attr(feature = "clap", arg(long))]
     pub numbered: bool,
-    /// LinuxCNC: the machine's unit.
+    /// linuxcnc-comp: the machine's `LINEAR_UNITS`
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm"))]
     pub unit: Unit,
-    /// Own: the file that describes the table.
+    /// own: the file that describes the table
+    #[cfg_attr(feature = "clap", arg(long, value_name = "FORM.toml", required_if_eq("format", "own")))]
     pub form: Option<PathBuf>,
-    /// Whether to derive velocity and acceleration from positions.
+    /// Add velocity and acceleration from the positions, where there are none
+    #[cfg_attr(feature = "clap", arg(long))]
     pub derive: bool,
-    /// Circle of a ballbar record.
-    pub circle: Option<Circle>,
-    /// Path of the future record.
-    pub out: PathBuf,
 }
 
+/// How numbers are written, and whether that is with a comma.
+#[cfg(feature = "clap")]
+const POINT_OR_COMMA: [(&str, bool, &str); 2] = [("point", false, ""), ("comma", true, "")];
+
 impl ImportRequest {
-    /// Reads the file as a record; the record is not written yet.
+    /// Reads the file as a record, with the circle of a ballbar run.
+    /// The record is for the path `out` and is not written yet.
     ///
     /// # Errors
     /// The first finding in the file or in the options.
-    pub fn read(&self, say: &mut dyn FnMut(InputMessage)) -> Result<Record> {
-        let (file, out) = (self.file.as_path(), self.out.as_path());
+    pub fn read(
+        &self,
+        circle: Option<Circle>,
+        out: &Path,
+        say: &mut dyn FnMut(InputMessage),
+    ) -> Result<Record> {
+        let file = self.file.as_path();
         let bytes = rtec_files::text::bytes(file)?;
         let text = if self.format == ImportFormat::Rtl {
             any_text(file, &bytes)?
@@ -102,7 +132,7 @@ impl ImportRequest {
         let instead = |e: InputError| {
             if e.file == file { FileKind::instead_of(self.format.kind(), &text, e) } else { e }
         };
-        let mut record = self.of_text(&text).map_err(|e| instead(of_file(e)))?;
+        let mut record = self.of_text(&text, out).map_err(|e| instead(of_file(e)))?;
         // The file that will be written is a plain CSV.
         if let Some(written) = record.written.take() {
             say(InputMessage::Note(written));
@@ -112,7 +142,7 @@ impl ImportRequest {
             let text = format!("positions and corrections were read in {unit}: --unit states another");
             say(InputMessage::Note(text));
         }
-        if let Some(circle) = self.circle.clone() {
+        if let Some(circle) = circle {
             record = record.with_circle(circle).map_err(|(found, expected)| {
                 InputError::whole(Path::new("--radius-mm, --plane"), found, expected)
             })?;
@@ -131,8 +161,8 @@ impl ImportRequest {
         Ok(record)
     }
 
-    fn of_text(&self, text: &str) -> Result<Record> {
-        let (file, out) = (self.file.as_path(), self.out.as_path());
+    fn of_text(&self, text: &str, out: &Path) -> Result<Record> {
+        let file = self.file.as_path();
         let axis = || -> Result<Axis> {
             let name = self.axis.as_deref().unwrap_or_default();
             let found = if name.is_empty() { "no --axis".to_owned() } else { format!("--axis {name}") };

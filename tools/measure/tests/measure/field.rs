@@ -7,7 +7,7 @@ use rtec_files::InputMessage;
 use rtec_measure::evaluation::{Evaluation, EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::request::{ExportFormat, ExportRequest};
+use rtec_measure::export::request::{ExportFormat, ExportRequest, TableFormat};
 use rtec_measure::import;
 use rtec_measure::iso230::{self, Returns};
 use rtec_measure::plausible;
@@ -137,17 +137,19 @@ fn every_format_states_what_its_table_leaves_applied() {
         wanted: TableRange { from_mm: -254.0, to_mm: 0.0, step_mm: None, limit_um: 0.5, most: None },
         temperatures_degc: Vec::new(),
         at_mm: Vec::new(),
-        format,
-        unit,
-        along: None,
-        along_name: None,
-        table: 0,
-        positive_moves_up: None,
-        axis_name: Some("X1".to_owned()),
-        encoder: 0,
-        reference_mm: Some(0.0),
-        axis_number: Some(1),
-        form: Some(form.clone()),
+        to: TableFormat {
+            format,
+            unit,
+            along: None,
+            along_name: None,
+            table: 0,
+            positive_moves_up: None,
+            axis_name: Some("X1".to_owned()),
+            encoder: 0,
+            reference_mm: Some(0.0),
+            axis_number: Some(1),
+            form: Some(form.clone()),
+        },
     };
     // A controller that adds the value to what its encoder reads meets the error of that place; others look it up where they
     // were told to go, and drive elsewhere by it.
@@ -468,17 +470,19 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
         wanted: TableRange { from_mm: 0.0, to_mm: 400.0, step_mm: None, limit_um: 0.3, most: None },
         temperatures_degc: Vec::new(),
         at_mm: vec![("y".to_owned(), 120.0)],
-        format,
-        unit: Unit::Mm,
-        along: Some("x".to_owned()),
-        along_name: Some("X1".to_owned()),
-        table: 3,
-        positive_moves_up,
-        axis_name: Some("Y1".to_owned()),
-        encoder: 0,
-        reference_mm: Some(50.0),
-        axis_number: Some(1),
-        form: None,
+        to: TableFormat {
+            format,
+            unit: Unit::Mm,
+            along: Some("x".to_owned()),
+            along_name: Some("X1".to_owned()),
+            table: 3,
+            positive_moves_up,
+            axis_name: Some("Y1".to_owned()),
+            encoder: 0,
+            reference_mm: Some(50.0),
+            axis_number: Some(1),
+            form: None,
+        },
     };
     // By hand, µm.
     let bow = |p: f64| match p {
@@ -508,7 +512,8 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
         let e = order(None, format).of(&machine).unwrap_err().to_string();
         assert!(e.contains("own position"), "{e}");
     }
-    let none = ExportRequest { along: Some("z".to_owned()), ..order(Some(true), ExportFormat::SiemensCec) };
+    let mut none = order(Some(true), ExportFormat::SiemensCec);
+    none.to.along = Some("z".to_owned());
     let e = none.of(&machine).unwrap_err().to_string();
     assert!(e.contains("an axis that an error of y depends on: x"), "{e}");
 }

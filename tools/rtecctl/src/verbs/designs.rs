@@ -1,8 +1,9 @@
 //! `rtecctl designs`: every insertion design on the same motion and computer.
 //! The designs are those of the sources.
 
-use crate::document::pretty;
+use crate::document::answer;
 use anyhow::Context;
+use rtec_files::options::number;
 use rtec_sim::bench::InsertionDesign;
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::insertion_designs::{TestMotion, compare, waveforms};
@@ -17,11 +18,12 @@ pub(crate) struct Args {
     /// Instead: this PC, as `rtecctl selftest latency --json` measured it
     #[arg(long, value_name = "FILE", conflicts_with = "computer")]
     latency: Option<PathBuf>,
+    // At the slow end a motion takes hours; no real edge is faster than the other end.
     /// Speed of the motion, as encoder frequency in Hz (a quarter of the count rate)
-    #[arg(long, value_name = "HZ", default_value_t = TestMotion::default().encoder_hz, value_parser = encoder_hz)]
+    #[arg(long, value_name = "HZ", default_value_t = TestMotion::default().encoder_hz, value_parser = number(|v| (0.1..=1e8).contains(&v), "expected a number from 1e-1 to 1e8 Hz"))]
     encoder_hz: f64,
     /// Acceleration of the motion, counts/s²
-    #[arg(long, value_name = "A", default_value_t = TestMotion::default().accel_counts_s2, value_parser = accel)]
+    #[arg(long, value_name = "A", default_value_t = TestMotion::default().accel_counts_s2, value_parser = number(|v| (1.0..=1e12).contains(&v), "expected a number from 1e0 to 1e12 counts/s²"))]
     accel: f64,
     /// Length of each way of the motion, counts
     #[arg(long, value_name = "N", default_value_t = TestMotion::default().counts,
@@ -47,23 +49,6 @@ enum ComputerModel {
     Dsp,
 }
 
-/// Parses an encoder frequency.
-/// At the slow end a motion takes hours; no real edge is faster than the other end.
-fn encoder_hz(text: &str) -> Result<f64, String> {
-    within(text, 0.1, 1e8, "Hz")
-}
-
-fn accel(text: &str) -> Result<f64, String> {
-    within(text, 1.0, 1e12, "counts/s²")
-}
-
-fn within(text: &str, low: f64, high: f64, unit: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(v) if (low..=high).contains(&v) => Ok(v),
-        _ => Err(format!("expected a number from {low:e} to {high:e} {unit}")),
-    }
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let computer = match (&args.latency, args.computer) {
         (Some(file), _) => ComputerTiming::measured(file)?,
@@ -87,6 +72,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }
-    crate::say(&if args.json { pretty(&comparison)? } else { comparison.to_table() });
-    Ok(())
+    answer(args.json, &comparison, || comparison.to_table())
 }

@@ -59,13 +59,12 @@ macro_rules! verbs_below {
 }
 pub(crate) use verbs_below;
 
-use clap::builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use nix::unistd::{AccessFlags, access};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::path::{Path, PathBuf};
 
-/// Reads run records.
 pub(crate) fn read_records(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
     paths.iter().map(|p| rtec_measure::record::read(p)).collect()
 }
@@ -87,23 +86,6 @@ pub(crate) fn pairs(
 /// Parser of a file to write, which is checked before the work.
 pub(crate) fn output() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|file| can_be_written(&file).map(|()| file))
-}
-
-/// Parser of an option that takes one of a library's values.
-/// Each has its name, itself, and its meaning where the name does not say it.
-/// `also` are other names: each with the name that it stands for.
-pub(crate) fn one_of<T: Copy + Send + Sync + 'static>(
-    all: &'static [(&'static str, T, &'static str)],
-    also: &'static [(&'static str, &'static str)],
-) -> impl TypedValueParser<Value = T> {
-    let values = all.iter().map(|(name, _, meaning)| {
-        let aliases = also.iter().filter(|(_, of)| of == name).map(|(alias, _)| *alias);
-        PossibleValue::new(*name).aliases(aliases).help((!meaning.is_empty()).then_some(*meaning))
-    });
-    PossibleValuesParser::new(values).try_map(move |given| {
-        let name = also.iter().find(|(alias, _)| *alias == given).map_or(given.as_str(), |(_, name)| name);
-        all.iter().find(|value| value.0 == name).map(|value| value.1).ok_or("expected one of these values")
-    })
 }
 
 /// Parser of an option that names a drawing, which is always SVG.

@@ -3,10 +3,11 @@
 
 use super::characterise::record::{Recorder, record};
 use super::read_records;
-use crate::document::{pretty, write};
+use crate::document::{list, pretty, write};
 use crate::rounding::with_half;
 use crate::say;
 use anyhow::Context;
+use rtec_files::options::number;
 use rtec_files::{InputError, date};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
@@ -40,7 +41,8 @@ pub(crate) struct Args {
     #[arg(long)]
     json: bool,
     /// How often chance alone may lead to an answer
-    #[arg(long, default_value_t = 0.01, value_parser = level)]
+    #[arg(long, default_value_t = 0.01,
+          value_parser = number(|v| v > 0.0 && v < 0.5, "a probability above 0 and below 0.5"))]
     level: f64,
     /// Stop after a stage: find (where they disagree), name (what is missing), add (the better model), show (all)
     #[arg(long, value_enum, default_value_t = Stage::Show)]
@@ -60,13 +62,6 @@ enum Stage {
     Name,
     Add,
     Show,
-}
-
-fn level(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(v) if v > 0.0 && v < 0.5 => Ok(v),
-        _ => Err("a probability above 0 and below 0.5".into()),
-    }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -220,8 +215,8 @@ fn values(x: &CorrectedEffect) -> String {
         let was = was.split(' ').next().unwrap_or_default();
         format!("{name}{was} -> {now} {}", p.unit)
     });
-    let each: Vec<String> = each.collect();
-    if each.is_empty() { String::new() } else { format!(": {}", each.join(", ")) }
+    let each = list(each);
+    if each.is_empty() { each } else { format!(": {each}") }
 }
 
 fn summary(r: &Reconciliation) -> String {

@@ -5,7 +5,8 @@ use crate::document::say_line;
 use anyhow::Context;
 use clap::Subcommand;
 use rtec_driver::replay::TracePoint;
-use rtec_files::position_record::{LENGTHS, PositionRecord, TIMES};
+use rtec_files::options::number;
+use rtec_files::position_record::{PositionOptions, PositionRecord};
 use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -43,48 +44,16 @@ struct FromPosition {
     /// The record: a header, a time column `t_s` (or `t_ms`, `t_us`, `t_ns`) and a position column
     input: PathBuf,
     /// What one count is worth, in µm
-    #[arg(long, value_name = "UM", value_parser = positive)]
+    #[arg(long, value_name = "UM", value_parser = number(|n| n.is_finite() && n > 0.0, "expected a number above 0"))]
     count_um: f64,
     /// The trace to write (.csv or .vcd)
     #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]
     out: PathBuf,
-    /// The position column, by its name or number from 1 [default: the one whose name begins with "position"]
-    #[arg(long, value_name = "NAME")]
-    column: Option<String>,
-    /// The time column, by its name or number from 1 [default: `t_s`, `t_ms`, `t_us` or `t_ns`]
-    #[arg(long, value_name = "NAME")]
-    time_column: Option<String>,
-    /// The time's unit, d for days [default: of the column's name, `t_ms`; else s]
-    #[arg(long, value_parser = TIMES.map(|(unit, _)| unit), requires = "time_column")]
-    time_unit: Option<String>,
-    /// The position's unit [default: of the column's name, `x_mm` or `X [mm]`; else m]
-    #[arg(long, value_parser = LENGTHS.map(|(unit, _)| unit))]
-    unit: Option<String>,
-    /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
-    /// this gives no edges
-    #[arg(long, value_name = "COUNTS", default_value_t = 0.25, value_parser = not_negative)]
-    hysteresis_counts: f64,
-    /// The position is a counter of so many bits that begins again at zero; 0: it is none [default: found in the record]
-    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(0..=48))]
-    counter_bits: Option<u32>,
-    /// Refuse a record whose trace would have more edges
-    #[arg(long, value_name = "EDGES", default_value_t = 50_000_000)]
-    most_edges: u64,
+    #[command(flatten)]
+    options: PositionOptions,
     /// Print the summary as one JSON document
     #[arg(long)]
     json: bool,
-}
-
-fn number(text: &str, good: fn(f64) -> bool, expected: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|&n| good(n)).ok_or_else(|| format!("expected {expected}"))
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    number(text, |n| n.is_finite() && n > 0.0, "a number above 0")
-}
-
-fn not_negative(text: &str) -> Result<f64, String> {
-    number(text, |n| n.is_finite() && n >= 0.0, "a number from 0")
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -96,7 +65,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-/// Figures of the trace that was written.
 #[derive(Debug, Default, PartialEq)]
 struct Summary {
     points: u64,
@@ -187,17 +155,8 @@ fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Su
 }
 
 fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
-    let record = PositionRecord {
-        file: args.input.clone(),
-        count_um: args.count_um,
-        position_column: args.column.clone(),
-        time_column: args.time_column.clone(),
-        time_unit: args.time_unit.clone(),
-        unit: args.unit.clone(),
-        hysteresis_counts: args.hysteresis_counts,
-        counter_bits: args.counter_bits,
-        most_edges: args.most_edges,
-    };
+    let FromPosition { input, count_um, options, .. } = args;
+    let record = PositionRecord { file: input.clone(), count_um: *count_um, options: options.clone() };
     let mut out = Output::create(&args.out)?;
     record.trace(&mut |said| eprintln!("{said}"), &mut |point| out.write(point))?;
     out.finish()

@@ -1,8 +1,9 @@
 //! `rtecctl characterise evaluate`: figures of runs by their standard.
 //! The output is text, JSON, plots or a page.
 
-use crate::document::{say_pretty, write};
-use crate::verbs::{one_of, suspicions};
+use crate::document::{answer, write};
+use crate::verbs::suspicions;
+use rtec_files::options::one_of;
 use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::PathBuf;
@@ -54,9 +55,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(path) = &args.html {
         write(path, &found.report.html())?;
     }
-    if args.json {
-        return say_pretty(&found.document);
-    }
-    print!("{}", found.report.text());
-    Ok(())
+    answer(args.json, &found.document, || found.report.text())
 }

@@ -1,58 +1,19 @@
 //! `rtecctl part errors`: part errors, `error.cor` and whiskers from probed points.
 
-use super::{print, write_all};
-use crate::document::say_pretty;
-use crate::verbs::one_of;
+use super::write_all;
+use crate::document::answer;
 use crate::verbs::suspicions;
-use rtec_part::error_determination::{self, ErrorRequest, ProbedFeature};
+use rtec_part::error_determination::{self, ErrorRequest};
 use rtec_part::errors::ErrorReport;
 use rtec_part::geometric_fit;
-use rtec_part::unit::Unit;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 /// Determine a part's form errors from probed points
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`, the tip's centre at each trip
-    #[arg(long)]
-    points: PathBuf,
-    /// Columns of the file that have other names, or none, each by its name or number from 1; all others are left out
-    #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
-    columns: Vec<String>,
-    /// Nominal radius of the circle, in mm; a straight feature has none
-    #[arg(long)]
-    radius_mm: Option<f64>,
-    /// Radius of the probe's tip, in mm; 0 where the points already are on the surface [default: 0, and it is said]
-    #[arg(long)]
-    tip_mm: Option<f64>,
-    /// What was probed [default: recognised from the points]
-    #[arg(long, value_parser = one_of(&ProbedFeature::ALL, &[]))]
-    feature: Option<ProbedFeature>,
-    /// Nominal inclination of a taper to the part's axis, in degrees: the difference is shown, error.cor does not take it out
-    #[arg(long, allow_negative_numbers = true)]
-    taper_deg: Option<f64>,
-    /// Take out what this machine's model predicts at each point; the temperatures are the record's columns T0, T1, …
-    #[arg(long)]
-    machine: Option<PathBuf>,
-    /// Machine position at the part's zero, in mm, for the model
-    #[arg(long, value_name = "Z,X", value_delimiter = ',', num_args = 1, allow_negative_numbers = true)]
-    origin_mm: Option<Vec<f64>>,
-    /// The expected trips: every point must be near its own
-    #[arg(long, value_name = "PROBPATH.CDL")]
-    expected: Option<PathBuf>,
-    /// The probe's path, where the points have no approach: from which side each was touched
-    #[arg(long, value_name = "PATHFIN.CDL")]
-    path: Option<PathBuf>,
-    /// Unit of the expected trips and of the path
-    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
-    path_units: Unit,
-    /// How near a trip must be to its expected place, in mm
-    #[arg(long, default_value_t = 1.0)]
-    trip_window_mm: f64,
-    /// Put the constant error (size) into error.cor too; without it the table takes out the form alone
-    #[arg(long)]
-    with_size: bool,
+    #[command(flatten)]
+    request: ErrorRequest,
     /// Write error.cor, whisker.svg and whisker.dxf into this folder
     #[arg(long)]
     out: Option<PathBuf>,
@@ -62,23 +23,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let asked = ErrorRequest {
-        points: args.points.clone(),
-        columns: args.columns.clone(),
-        radius_mm: args.radius_mm,
-        tip_mm: args.tip_mm,
-        feature: args.feature,
-        taper_deg: args.taper_deg,
-        machine: args.machine.clone(),
-        origin_mm: args.origin_mm.clone(),
-        expected: args.expected.clone(),
-        path: args.path.clone(),
-        path_units: args.path_units,
-        trip_window_mm: args.trip_window_mm,
-        with_size: args.with_size,
-    };
-    let report = error_determination::determine(&asked, &mut suspicions::said)?;
-    if args.with_size && !report.is_size_known() {
+    let with_size = args.request.with_size;
+    let report = error_determination::determine(&args.request, &mut suspicions::said)?;
+    if with_size && !report.is_size_known() {
         let size = report.size_error_um.unwrap_or(0.0);
         let within = report.size_within_um().unwrap_or(f64::INFINITY);
         eprintln!(
@@ -86,11 +33,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     if let Some(folder) = &args.out {
-        let table = report.error_cor(args.with_size);
+        let table = report.error_cor(with_size);
         let (svg, dxf) = (report.whisker_svg(), report.whisker_dxf());
         write_all(folder, &[("error.cor", table), ("whisker.svg", svg), ("whisker.dxf", dxf)])?;
     }
-    if args.json { say_pretty(&report) } else { print(&text(&report, args.with_size)) }
+    answer(args.json, &report, || text(&report, with_size))
 }
 
 /// Size error per µm of form error above which it is reported.

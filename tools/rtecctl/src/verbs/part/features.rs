@@ -1,8 +1,7 @@
 //! `rtecctl part features`: the features of a drawing, in probing order.
 
-use super::{print, write_all};
-use crate::document::say_pretty;
-use crate::verbs::one_of;
+use super::write_all;
+use crate::document::answer;
 use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{self, DxfOptions};
 use rtec_part::svg::Svg;
@@ -17,48 +16,23 @@ pub(crate) struct DrawingArgs {
     /// The part's half profile as DXF: X along the axis, Y ≥ 0 the distance from it
     pub(crate) drawing: PathBuf,
     #[command(flatten)]
-    how: DrawingOptions,
+    pub(crate) how: DxfOptions,
 }
 
-/// How to read a drawing
-#[derive(Debug, clap::Args)]
-pub(crate) struct DrawingOptions {
-    /// The drawing's unit, where its header does not say
-    #[arg(long, value_parser = one_of(&Unit::ALL, &[]))]
-    pub(crate) units: Option<Unit>,
-    /// Take the contour from this layer only
-    #[arg(long)]
-    pub(crate) layer: Option<String>,
-    /// Ends closer than this are one point, in mm
-    #[arg(long, default_value_t = 1e-3)]
-    tolerance_mm: f64,
-}
-
-impl DrawingArgs {
-    pub(crate) fn read(&self) -> anyhow::Result<(Contour, Unit)> {
-        self.how.read(&self.drawing)
+/// Reads a drawing, and reports what is unusual in it.
+pub(crate) fn read(drawing: &Path, how: &DxfOptions) -> anyhow::Result<(Contour, Unit)> {
+    let read = drawing::read(drawing, how)?;
+    if let (Some(asked), Some(header)) = (how.unit, drawing::header_unit(drawing)?)
+        && asked != header
+    {
+        let (Unit(asked), Unit(header), file) = (asked, header, drawing.display());
+        let says = format!("its header ($INSUNITS) says 1 unit = {header} mm, --units says {asked} mm");
+        eprintln!("warning: {file}: {says}: --units is taken");
     }
-}
-
-impl DrawingOptions {
-    pub(crate) fn read(&self, drawing: &Path) -> anyhow::Result<(Contour, Unit)> {
-        let unit = self.units;
-        let options = DxfOptions { unit, layer: self.layer.as_deref(), tolerance_mm: self.tolerance_mm };
-        let read = drawing::read(drawing, &options)?;
-        if let (Some(asked), Some(header)) = (unit, drawing::header_unit(drawing)?)
-            && asked != header
-        {
-            let (Unit(asked), Unit(header)) = (asked, header);
-            eprintln!(
-                "warning: {}: its header ($INSUNITS) says 1 unit = {header} mm, --units says {asked} mm: --units is taken",
-                drawing.display()
-            );
-        }
-        for cleaned in &read.0.cleaned {
-            eprintln!("note: {cleaned}");
-        }
-        Ok(read)
+    for cleaned in &read.0.cleaned {
+        eprintln!("note: {cleaned}");
     }
+    Ok(read)
 }
 
 /// List the features of a drawing in probing order
@@ -74,7 +48,6 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Writes `features.svg`.
 pub(crate) fn write_drawn(folder: &Path, contour: &Contour) -> anyhow::Result<()> {
     let mut svg = Svg::default();
     contour.draw(&mut svg, true);
@@ -83,19 +56,21 @@ pub(crate) fn write_drawn(folder: &Path, contour: &Contour) -> anyhow::Result<()
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let (contour, unit) = args.drawing.read()?;
+    let (contour, unit) = read(&args.drawing.drawing, &args.drawing.how)?;
     if let Some(folder) = &args.out {
         write_drawn(folder, &contour)?;
     }
-    if args.json {
-        let features = contour.features.iter().map(|f| {
-            let (a, b) = (f.segment.at(0.0), f.segment.at(1.0));
-            json!({"name": f.name, "feature": f.kind, "start_mm": [a.z, a.x], "end_mm": [b.z, b.x],
-                   "length_mm": f.segment.length_mm(), "entity": f.entity})
-        });
-        let features: Vec<_> = features.collect();
-        return say_pretty(&json!({"unit_mm": unit.0, "closed": contour.closed, "features": features}));
-    }
+    let features = contour.features.iter().map(|f| {
+        let (a, b) = (f.segment.at(0.0), f.segment.at(1.0));
+        json!({"name": f.name, "feature": f.kind, "start_mm": [a.z, a.x], "end_mm": [b.z, b.x],
+               "length_mm": f.segment.length_mm(), "entity": f.entity})
+    });
+    let document =
+        json!({"unit_mm": unit.0, "closed": contour.closed, "features": features.collect::<Vec<_>>()});
+    answer(args.json, &document, || text(&contour, unit))
+}
+
+fn text(contour: &Contour, unit: Unit) -> String {
     let mut t = format!("{} features, 1 drawing unit = {} mm\n", contour.features.len(), unit.0);
     for f in &contour.features {
         let what = match f.kind {
@@ -109,5 +84,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         };
         let _ = writeln!(t, "{:<4} {what:<52} {:>10.4} mm long  {}", f.name, f.segment.length_mm(), f.entity);
     }
-    print(&t)
+    t
 }

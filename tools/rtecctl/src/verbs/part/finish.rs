@@ -3,8 +3,8 @@
 
 use super::points::positive;
 use super::simulated_machine::SimMachineArgs;
-use super::{failed, print, within, write_all};
-use crate::document::say_pretty;
+use super::{failed, within, write_all};
+use crate::document::answer;
 use rtec_model::machine::Machine;
 use rtec_part::error_cor_file::read_arc;
 use rtec_part::geometric_fit::Zx;
@@ -61,10 +61,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     write_all(&args.out, &[("workpiece.csv", part.to_csv())])?;
     let insertions = [0, 1].map(|n| ran.status.axes[n].insertions);
     let completed = [0, 1].map(|n| ran.status.axes[n].completed);
-    if args.json {
-        return say_pretty(&serde_json::json!({"seconds": ran.seconds, "insertions": insertions,
-            "completed": completed, "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()}));
-    }
+    let document = serde_json::json!({"seconds": ran.seconds, "insertions": insertions,
+        "completed": completed, "mtc_minus_scale": ran.mtc_minus_scale, "corrected": table.is_some()});
     let how = match (&table, &setup.model) {
         (Some(_), Some(_)) => "with the table on top of the model",
         (Some(_), None) => "with the table",
@@ -72,5 +70,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         (None, None) => "without corrections",
     };
     let (seconds, [z, x]) = (ran.seconds, insertions);
-    print(&format!("cut to {radius_mm} mm {how} in {seconds:.1} s: {z} insertions in Z, {x} in X\n"))
+    answer(args.json, &document, || {
+        format!("cut to {radius_mm} mm {how} in {seconds:.1} s: {z} insertions in Z, {x} in X\n")
+    })
 }

@@ -1,9 +1,8 @@
 //! `rtecctl part inspect`: before and after in one report.
 
 use super::points::positive;
-use super::{print, usage, within, write_all};
-use crate::CommandFailure;
-use crate::document::say_pretty;
+use super::{usage, within, write_all};
+use crate::document::answer;
 use rtec_model::record::span;
 use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::errors::{ErrorReport, NominalShape, ProbedPoints};
@@ -124,11 +123,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let log = decisions.join("\n") + "\n";
         write_all(folder, &[("inspection.html", page), ("decisions.log", log)])?;
     }
-    if args.json {
-        say_pretty(&serde_json::json!({"before": before, "after": after, "decisions": decisions}))?;
-    } else {
-        print(&(decisions.join("\n") + "\n"))?;
-    }
+    let document = serde_json::json!({"before": before, "after": after, "decisions": decisions});
+    answer(args.json, &document, || decisions.join("\n") + "\n")?;
     let Some((limit_um, false)) = limit else { return Ok(()) };
-    Err(CommandFailure::No(format!("{judged_um:.2} µm from nominal, more than {limit_um} µm")).into())
+    fail!(No, "{judged_um:.2} µm from nominal, more than {limit_um} µm")
 }

@@ -66,19 +66,11 @@ impl DownloadArgs {
             (format!("set open {path}"), "SET OPEN"),
         ] {
             let said = ask(&command, answer)?;
-            if said.contains("NAK") {
-                return Err(
-                    CommandFailure::No(format!("LinuxCNC at {address} refuses `{command}`: {said}")).into()
-                );
-            }
+            ensure!(!said.contains("NAK"), No, "LinuxCNC at {address} refuses `{command}`: {said}");
         }
         let open = ask("get program", "PROGRAM")?;
-        if !open.to_lowercase().ends_with(&path.to_lowercase()) {
-            return Err(CommandFailure::No(format!(
-                "LinuxCNC at {address} has another program open: {open}"
-            ))
-            .into());
-        }
+        let is_open = open.to_lowercase().ends_with(&path.to_lowercase());
+        ensure!(is_open, No, "LinuxCNC at {address} has another program open: {open}");
         // LinuxCNC closes the connection; the result does not matter.
         let _ = ask("quit", "");
         eprintln!("LinuxCNC at {address} has opened {}", there.display());
@@ -86,7 +78,6 @@ impl DownloadArgs {
     }
 }
 
-/// A conversation with `linuxcncrsh`.
 struct Client {
     lines: BufReader<TcpStream>,
 }

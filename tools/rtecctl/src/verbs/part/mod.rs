@@ -53,8 +53,7 @@ fn write_all(folder: &Path, files: &[(&str, impl AsRef<[u8]>)]) -> anyhow::Resul
     use anyhow::Context as _;
     let ends = folder.extension().and_then(|e| e.to_str()).unwrap_or_default();
     if !folder.is_dir() && FILES.contains(&ends) {
-        let names = files.iter().map(|f| f.0).collect::<Vec<_>>().join(", ");
-        let expected = format!("a folder, for {names}");
+        let expected = format!("a folder, for {}", crate::document::list(files.iter().map(|f| f.0)));
         return Err(usage("--out", format!("the name of a file, {}", folder.display()), expected));
     }
     std::fs::create_dir_all(folder)
@@ -65,13 +64,6 @@ fn write_all(folder: &Path, files: &[(&str, impl AsRef<[u8]>)]) -> anyhow::Resul
         written.with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
-    Ok(())
-}
-
-/// Prints a whole result.
-#[allow(clippy::unnecessary_wraps, reason = "the last thing that every step does")]
-fn print(text: &str) -> anyhow::Result<()> {
-    crate::say(text);
     Ok(())
 }
 

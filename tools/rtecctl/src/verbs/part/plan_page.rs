@@ -22,7 +22,6 @@ use std::time::Duration;
 
 const PAGE: &str = include_str!("page.html");
 
-/// State that the page edits.
 #[derive(Debug)]
 pub(crate) struct PlanEditor {
     /// The part that is probed.
@@ -37,7 +36,6 @@ pub(crate) struct PlanEditor {
     pub(crate) clear_mm: f64,
 }
 
-/// A page that is ready to be served.
 pub(crate) struct PlanPage {
     server: Server,
     address: SocketAddr,
@@ -82,10 +80,8 @@ impl PlanPage {
     }
 }
 
-/// Time for sending the last answer.
 const LAST_ANSWER: Duration = Duration::from_millis(100);
 
-/// State for the answers.
 struct PlanServer {
     secret: String,
     address: SocketAddr,
@@ -94,7 +90,6 @@ struct PlanServer {
 }
 
 impl PlanServer {
-    /// The action that a request's path names.
     fn what<'r>(&self, request: &'r Request) -> Option<&'r str> {
         request.path.strip_prefix(&self.secret).filter(|what| what.starts_with('/'))
     }
@@ -119,34 +114,24 @@ impl Handler for PlanServer {
     }
 
     fn answer(&self, request: &Request) -> Answer {
+        const JSON: &str = "application/json";
         let what = self.what(request).unwrap_or_default();
-        let (status, kind, body) = answer(&self.session, what, request);
+        // If a thread panicked, no change is half done: each is one call.
+        let mut editor = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        let (status, kind, body) = match (request.method.as_str(), what) {
+            ("GET", "/") => (200, "text/html; charset=utf-8", PAGE.to_owned()),
+            ("GET", "/plan") => (200, JSON, state(&editor).to_string()),
+            ("POST", _) => match serde_json::from_slice(&request.body) {
+                Err(_) => (400, "text/plain", "a JSON object was expected".to_owned()),
+                Ok(asked) => match change(&mut editor, what, &asked) {
+                    Ok(()) => (200, JSON, state(&editor).to_string()),
+                    Err(why) => (400, "text/plain", why),
+                },
+            },
+            _ => (404, "text/plain", "no such page".to_owned()),
+        };
         self.done.fetch_or(status == 200 && what == "/done", Ordering::AcqRel);
         Answer { status, kind, body }
-    }
-}
-
-fn answer(session: &Mutex<PlanEditor>, what: &str, request: &Request) -> (u16, &'static str, String) {
-    const JSON: &str = "application/json";
-    // If a thread panicked, no change is half done: each is one call.
-    let editor = || session.lock().unwrap_or_else(PoisonError::into_inner);
-    let get = request.method == "GET";
-    if get && what == "/" {
-        return (200, "text/html; charset=utf-8", PAGE.to_owned());
-    }
-    if get && what == "/plan" {
-        return (200, JSON, state(&editor()).to_string());
-    }
-    if request.method != "POST" {
-        return (404, "text/plain", "no such page".to_owned());
-    }
-    let Ok(asked) = serde_json::from_slice::<Value>(&request.body) else {
-        return (400, "text/plain", "a JSON object was expected".to_owned());
-    };
-    let mut editor = editor();
-    match change(&mut editor, what, &asked) {
-        Ok(()) => (200, JSON, state(&editor).to_string()),
-        Err(why) => (400, "text/plain", why),
     }
 }
 

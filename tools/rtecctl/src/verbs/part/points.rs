@@ -1,10 +1,9 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
-use super::features::DrawingArgs;
+use super::features::{DrawingArgs, read};
 use super::plan_page::{PlanEditor, PlanPage};
-use super::{print, usage, within, write_all};
-use crate::CommandFailure;
-use crate::document::say_pretty;
+use super::{usage, within, write_all};
+use crate::document::{answer, list};
 use rtec_part::geometric_fit::Zx;
 use rtec_part::path::{Collision, ProbeGeometry, ProbingMotion, ProbingPlan, Stem, number_at};
 use rtec_part::unit::Unit;
@@ -33,7 +32,7 @@ pub(crate) struct Args {
     #[arg(long)]
     tip_mm: f64,
     #[command(flatten)]
-    motion: MotionArgs,
+    motion: ProbingMotion,
     /// Distance from the start of a touch to the trip, in mm; by default from feed and acceleration
     #[arg(long)]
     stand_off_mm: Option<f64>,
@@ -66,32 +65,12 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// How the machine moves while probing
-#[derive(Debug, clap::Args)]
-pub(crate) struct MotionArgs {
-    /// Probing feed, in mm/min
-    #[arg(long, default_value_t = ProbingMotion::REPORT.feed_mm_min)]
-    feed_mm_min: f64,
-    /// Acceleration to the feed, in mm/s²
-    #[arg(long, default_value_t = ProbingMotion::REPORT.accel_mm_s2)]
-    accel_mm_s2: f64,
-    /// Deceleration from the feed, in mm/s²
-    #[arg(long, default_value_t = ProbingMotion::REPORT.decel_mm_s2)]
-    decel_mm_s2: f64,
-    /// Constant velocity wanted on each side of the trip, in mm
-    #[arg(long, default_value_t = ProbingMotion::REPORT.window_mm)]
-    window_mm: f64,
-}
-
-impl MotionArgs {
-    pub(crate) fn motion(&self) -> anyhow::Result<ProbingMotion> {
-        Ok(ProbingMotion {
-            feed_mm_min: positive("--feed-mm-min", self.feed_mm_min)?,
-            accel_mm_s2: positive("--accel-mm-s2", self.accel_mm_s2)?,
-            decel_mm_s2: positive("--decel-mm-s2", self.decel_mm_s2)?,
-            window_mm: positive("--window-mm", self.window_mm)?,
-        })
-    }
+pub(crate) fn checked(motion: ProbingMotion) -> anyhow::Result<ProbingMotion> {
+    positive("--feed-mm-min", motion.feed_mm_min)?;
+    positive("--accel-mm-s2", motion.accel_mm_s2)?;
+    positive("--decel-mm-s2", motion.decel_mm_s2)?;
+    positive("--window-mm", motion.window_mm)?;
+    Ok(motion)
 }
 
 /// Points closer than this share of the tip's radius show one position.
@@ -161,7 +140,7 @@ impl FromStr for Choice {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let (contour, drawn) = args.drawing.read()?;
+    let (contour, drawn) = read(&args.drawing.drawing, &args.drawing.how)?;
     // A path file does not state its unit, and the steps that read it know mm and inch only.
     let unit = if drawn == Unit::INCH { drawn } else { Unit::MM };
     if unit == Unit::INCH {
@@ -169,7 +148,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "rtecctl: pathfin.cdl and probpath.cdl are in inches, as the drawing: the steps that read them want --path-units inch"
         );
     }
-    let motion = args.motion.motion()?;
+    let motion = checked(args.motion)?;
     let stem = match args.stem.as_deref() {
         None => None,
         Some(&[length_mm, radius_mm, deg]) if length_mm > 0.0 && radius_mm > 0.0 && deg.is_finite() => {
@@ -196,8 +175,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     for choice in &args.features {
         let feature = contour.features.iter().position(|f| f.name == choice.feature).ok_or_else(|| {
-            let names: Vec<&str> = contour.features.iter().map(|f| f.name.as_str()).collect();
-            usage("--feature", choice.feature.clone(), format!("one of {}", names.join(", ")))
+            let names = list(contour.features.iter().map(|f| &f.name));
+            usage("--feature", choice.feature.clone(), format!("one of {names}"))
         })?;
         let length_mm = contour.features[feature].segment.length_mm();
         if 2.0 * args.margin_mm >= length_mm {
@@ -233,21 +212,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     write_all(&args.out, &plan.files(&contour, unit))?;
     let hits = plan.hits(&contour);
-    if args.json {
-        let expected: Vec<[f64; 2]> = plan.expected().iter().map(|p| [p.z, p.x]).collect();
-        say_pretty(&serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
-            "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits}))?;
-    } else {
-        print(&text(&plan, &hits))?;
-    }
-    if hits.is_empty() {
-        return Ok(());
-    }
-    Err(CommandFailure::No(format!(
-        "{} collisions: add --bypass, a margin or a shorter stand-off",
-        hits.len()
-    ))
-    .into())
+    let expected: Vec<[f64; 2]> = plan.expected().iter().map(|p| [p.z, p.x]).collect();
+    let document = serde_json::json!({"points": plan.points.len(), "stand_off_mm": probe.stand_off_mm,
+        "over_travel_mm": probe.over_travel_mm, "path": plan.records(), "expected_mm": expected, "hits": hits});
+    answer(args.json, &document, || text(&plan, &hits))?;
+    let n = hits.len();
+    ensure!(n == 0, No, "{n} collisions: add --bypass, a margin or a shorter stand-off");
+    Ok(())
 }
 
 fn text(plan: &ProbingPlan, hits: &[Collision]) -> String {

@@ -1,10 +1,12 @@
 //! `rtecctl part post-process`: systematic errors of a batch of measured parts.
 //! Changes are offered, not applied.
 
-use super::{print, usage, within, write_all};
-use crate::document::say_pretty;
+use super::{usage, within, write_all};
+use crate::document::{answer, list};
 use rtec_files::text::short;
-use rtec_part::batch::{BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns};
+use rtec_part::batch::{
+    Batch, BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns,
+};
 use rtec_part::error_cor_file::{error_cor, read_arc};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -21,12 +23,8 @@ pub(crate) struct Args {
     /// What probing on the machine found on the same feature: an `error.cor`
     #[arg(long, value_name = "ERROR.COR")]
     inspected: Option<PathBuf>,
-    /// False-alarm rate over all places together
-    #[arg(long, default_value_t = 0.01)]
-    alpha: f64,
-    /// Mean errors below this do not matter, in µm
-    #[arg(long, default_value_t = 1.0)]
-    least_um: f64,
+    #[command(flatten)]
+    limits: SignificanceLimits,
     /// Write offer.cor (errors to add to the table's, should you decide so) into this folder
     #[arg(long)]
     out: Option<PathBuf>,
@@ -36,13 +34,13 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if !(args.alpha > 0.0 && args.alpha < 1.0) {
-        return Err(usage("--alpha", args.alpha.to_string(), "a rate between 0 and 1"));
+    let SignificanceLimits { alpha, least_um } = args.limits;
+    if !(alpha > 0.0 && alpha < 1.0) {
+        return Err(usage("--alpha", alpha.to_string(), "a rate between 0 and 1"));
     }
-    within("--least-um", args.least_um, 0.0..=f64::MAX, "0 or more, in µm")?;
+    within("--least-um", least_um, 0.0..=f64::MAX, "0 or more, in µm")?;
     let seen = args.inspected.as_deref().map(read_arc).transpose()?;
-    let judgement = SignificanceLimits { alpha: args.alpha, least_um: args.least_um };
-    let batch = evaluate_columns(&args.batch, &args.columns, seen.as_deref(), judgement)?;
+    let batch = evaluate_columns(&args.batch, &args.columns, seen.as_deref(), args.limits)?;
     if let Some(written) = &batch.written {
         eprintln!("note: {written}");
     }
@@ -66,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if let (false, Some(with)) = (left_out.is_empty(), with_every_reading) {
             let reading =
                 |w: &WildReading| format!("part {}, {} µm (line {})", w.part, short(w.error_um), w.line);
-            let readings = left_out.iter().map(reading).collect::<Vec<_>>().join(", ");
+            let readings = list(left_out.iter().map(reading));
             let at = angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad"));
             eprintln!(
                 "warning: {file}: {feature}{at}: far off the other parts, and in no figure: {readings}. With every reading the mean would be \
@@ -91,9 +89,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let errors: Vec<_> = offered.iter().map(|o| o.error).collect();
         write_all(folder, &[("offer.cor", error_cor(&errors))])?;
     }
-    if args.json {
-        return say_pretty(&batch);
-    }
+    answer(args.json, &batch, || text(&batch))
+}
+
+fn text(batch: &Batch) -> String {
     let mut t =
         "feature         angle rad  parts  mean µm    SD µm        p   trend µm        p\n".to_owned();
     for p in &batch.places {
@@ -115,5 +114,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for offer in &batch.offers {
         let _ = writeln!(t, "- {offer}");
     }
-    print(&t)
+    t
 }

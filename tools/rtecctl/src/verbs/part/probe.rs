@@ -3,13 +3,13 @@
 
 use super::points::positive;
 use super::simulated_machine::SimMachineArgs;
-use super::{failed, print, usage, write_all};
+use super::{failed, usage, write_all};
 use crate::CommandFailure;
 use crate::daemon::{self, DaemonArgs, unreachable};
-use crate::document::say_pretty;
-use crate::verbs::one_of;
+use crate::document::{answer, list};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
+use rtec_files::options::one_of;
 use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::geometric_fit::Zx;
@@ -105,16 +105,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
-    if json {
-        return say_pretty(&serde_json::json!({"trips": trips, "seconds": seconds}));
-    }
-    let mut t = "point       Z mm       X mm  within µm\n".to_owned();
-    for trip in trips {
-        let p = trip.tip_centre;
-        let _ = writeln!(t, "{:>5} {:>10.4} {:>10.4} {:>10.3}", trip.point, p.z, p.x, trip.uncertainty_um);
-    }
-    let _ = writeln!(t, "{} points in {seconds:.1} s", trips.len());
-    print(&t)
+    answer(json, &serde_json::json!({"trips": trips, "seconds": seconds}), || {
+        let mut t = "point       Z mm       X mm  within µm\n".to_owned();
+        for Trip { point, tip_centre: p, uncertainty_um, .. } in trips {
+            let _ = writeln!(t, "{point:>5} {:>10.4} {:>10.4} {uncertainty_um:>10.3}", p.z, p.x);
+        }
+        t + &format!("{} points in {seconds:.1} s\n", trips.len())
+    })
 }
 
 /// Results of a session by the daemon.
@@ -141,13 +138,13 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     let ask = |request: &ClientRequest| daemon::ask(&mut daemon.connect()?, request);
     let status = daemon::status(&mut daemon.connect()?)?;
     for (option, name) in [("--z-axis", &args.z_axis), ("--x-axis", &args.x_axis)] {
-        let names: Vec<&str> = status.axes.iter().map(|a| a.name.as_str()).collect();
-        if !names.contains(&name.as_str()) {
-            return Err(usage(option, name.clone(), format!("one of {}", names.join(", "))));
+        if status.axes.iter().all(|a| a.name != *name) {
+            let names = list(status.axes.iter().map(|a| &a.name));
+            return Err(usage(option, name.clone(), format!("one of {names}")));
         }
     }
     if let Some(why) = status.not_homed() {
-        return Err(CommandFailure::No(why).into());
+        fail!(No, "{why}");
     }
     // The watch starts first, so that no trip can come in between.
     let mut events = daemon.connect()?;
@@ -171,8 +168,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     let (kept, dropped): (Vec<usize>, Vec<usize>) = (0..status.sensors.len()).partition(|&n| known(n));
     let name = |n: usize| status.sensors[n].sensor.clone();
     if !dropped.is_empty() {
-        let names: Vec<String> = dropped.into_iter().map(name).collect();
-        eprintln!("no temperature at every trip, left out: {}", names.join(", "));
+        eprintln!("no temperature at every trip, left out: {}", list(dropped.into_iter().map(name)));
     }
     let sensors = kept.iter().copied().map(name).collect();
     let degc = degc.iter().map(|d| kept.iter().filter_map(|&n| d[n]).collect()).collect();
@@ -211,9 +207,9 @@ fn follow(
             Err(error) => return Err(unreachable(error)),
         };
         let trip = match (happened.kind.as_str(), happened.trip) {
-            ("fault", _) => return Err(CommandFailure::Fault(happened.text).into()),
+            ("fault", _) => fail!(Fault, "{}", happened.text),
             ("mode", _) if ["disabled", "run", "shadow"].iter().any(|m| happened.text.ends_with(m)) => {
-                return Err(CommandFailure::No("probing was switched off by somebody else".to_owned()).into());
+                fail!(No, "probing was switched off by somebody else")
             }
             ("bounce", _) => {
                 captured.bounces.push(captured.trips.len() + 1);

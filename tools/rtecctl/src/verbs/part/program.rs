@@ -2,13 +2,12 @@
 
 use super::linuxcnc_download::{DownloadArgs, warn_of_dialect};
 use super::points::positive;
-use super::{print, usage, write_all};
-use crate::document::say_pretty;
-use crate::verbs::one_of;
+use super::{usage, write_all};
+use crate::document::{answer, list};
+use rtec_files::options::one_of;
 use rtec_part::path::{PathRole, read_pathfin};
 use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
 use rtec_part::unit::Unit;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -70,7 +69,13 @@ enum Comments {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let Some(path) = args.path.as_deref().filter(|_| !args.parameters) else { return list() };
+    let Some(path) = args.path.as_deref().filter(|_| !args.parameters) else {
+        for p in PARAMETERS {
+            let default = format!("'{}'", p.default);
+            println!("${:<3} {:<16} {default:<12} {}", p.number, p.name, p.meaning);
+        }
+        return Ok(());
+    };
     let path_unit = args.path_units;
     let unit = args.units.unwrap_or(path_unit);
     let records = read_pathfin(path, path_unit)?;
@@ -78,8 +83,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         (Some(dialect), _) => Controller::read(dialect, args.template.as_deref().unwrap_or(dialect))?,
         (None, Some(built_in)) => built_in?,
         (None, None) => {
-            let names: Vec<&str> = BUILT_IN.iter().map(|b| b.0).collect();
-            return Err(usage("--dialect", args.dialect.clone(), format!("one of {}", names.join(", "))));
+            let expected = format!("one of {}", list(BUILT_IN.iter().map(|b| b.0)));
+            return Err(usage("--dialect", args.dialect.clone(), expected));
         }
     };
     if let Some(template) = &args.template {
@@ -99,9 +104,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             parameters.read(file)?;
         }
     }
-    let unset: Vec<&str> = parameters.unset(&controller.template).collect();
+    let unset = list(parameters.unset(&controller.template));
     if !unset.is_empty() {
-        let unset = unset.join(", ");
         eprintln!("rtecctl: machine positions left at 0: {unset}; set them before the program runs");
     }
     let made = args.date.clone().map_or_else(|| Ok(date_time(now_s()?)), anyhow::Ok)?;
@@ -114,14 +118,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     warn_of_dialect(args.download.asked(), &controller.dialect.name);
     args.download.bring(&name, &text)?;
     let points = records.iter().filter(|r| matches!(r.role, PathRole::Touch(_))).count();
-    if args.json {
-        return say_pretty(
-            &serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
-            "points": points, "lines": text.lines().count(), "bytes": text.len()}),
-        );
-    }
-    let shown: Vec<&str> = text.lines().take(20).collect();
-    print(&format!("{}\n… {} lines, {points} points\n", shown.join("\n"), text.lines().count()))
+    let lines = text.lines().count();
+    let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
+        "points": points, "lines": lines, "bytes": text.len()});
+    answer(args.json, &document, || {
+        let shown: Vec<&str> = text.lines().take(20).collect();
+        format!("{}\n… {lines} lines, {points} points\n", shown.join("\n"))
+    })
 }
 
 fn now_s() -> anyhow::Result<u64> {
@@ -129,13 +132,4 @@ fn now_s() -> anyhow::Result<u64> {
         Ok(text) => text.parse().map_err(|_| usage("SOURCE_DATE_EPOCH", text, "seconds since 1970")),
         Err(_) => Ok(SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs()),
     }
-}
-
-fn list() -> anyhow::Result<()> {
-    let mut t = String::new();
-    for p in PARAMETERS {
-        let default = format!("'{}'", p.default);
-        let _ = writeln!(t, "${:<3} {:<16} {default:<12} {}", p.number, p.name, p.meaning);
-    }
-    print(&t)
 }

@@ -1,14 +1,14 @@
 //! `rtecctl part run`: the whole process-intermittent loop, simulated.
 
-use super::features::{DrawingOptions, write_drawn};
+use super::features::{read, write_drawn};
 use super::points::positive;
 use super::simulated_machine::SimMachineArgs;
-use super::{failed, print, usage, write_all};
-use crate::CommandFailure;
-use crate::document::say_pretty;
+use super::{failed, usage, write_all};
+use crate::document::answer;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
+use rtec_part::drawing::DxfOptions;
 use rtec_sim::turning::TurningOutcome;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ pub(crate) struct Args {
     /// The part's half profile as DXF, whose nose is turned; else the report's, with --radius-mm
     drawing: Option<PathBuf>,
     #[command(flatten)]
-    how: DrawingOptions,
+    how: DxfOptions,
     #[command(flatten)]
     bench: SimMachineArgs,
     /// What is known of the machine: corrected live while cutting, off line in what was probed
@@ -55,11 +55,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     setup.model = args.model.as_deref().map(Machine::read).transpose()?;
     setup.points = args.points as usize;
     let mut drawn = None;
-    if args.drawing.is_none() && (args.how.units.is_some() || args.how.layer.is_some()) {
+    if args.drawing.is_none() && (args.how.unit.is_some() || args.how.layer.is_some()) {
         return Err(usage("DRAWING", "--units or --layer without it", "the drawing that they are about"));
     }
     if let Some(drawing) = &args.drawing {
-        let (contour, _) = args.how.read(drawing)?;
+        let (contour, _) = read(drawing, &args.how)?;
         (setup.centre, setup.radius_mm) = nose_of(&contour).ok_or_else(|| {
             let first = contour.features.first().map_or("nothing".into(), |f| format!("{:?}", f.kind));
             let expected = "a quarter of a circle about the axis at the free end, which the simulated lathe turns; other \
@@ -82,15 +82,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         write_all(folder, &[("decisions.log", outcome.decisions.join("\n") + "\n")])?;
     }
-    let printed = if args.json { say_pretty(&outcome) } else { print(&text(&outcome)) };
-    printed?;
-    if !outcome.balanced() {
-        return Err(CommandFailure::No("the ledger does not balance".into()).into());
-    }
-    let limit_um = args.limit_um.unwrap_or(outcome.increment_um);
-    if outcome.finish.largest_um > limit_um {
-        let what = format!("{:.2} µm left, more than {limit_um:.2} µm", outcome.finish.largest_um);
-        return Err(CommandFailure::No(what).into());
+    answer(args.json, &outcome, || text(&outcome))?;
+    ensure!(outcome.balanced(), No, "the ledger does not balance");
+    let (left_um, limit_um) = (outcome.finish.largest_um, args.limit_um.unwrap_or(outcome.increment_um));
+    if left_um > limit_um {
+        fail!(No, "{left_um:.2} µm left, more than {limit_um:.2} µm");
     }
     Ok(())
 }

@@ -1,9 +1,10 @@
 //! Options of the simulated machine, for the steps that need a machine.
 
-use super::points::{MotionArgs, positive};
+use super::points::{checked, positive};
 use super::{usage, within};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
+use rtec_part::path::ProbingMotion;
 use rtec_sim::lathe::{self, LatheSpec};
 use rtec_sim::turning::TurningExperiment;
 use std::path::{Path, PathBuf};
@@ -36,7 +37,7 @@ pub(crate) struct SimMachineArgs {
     #[arg(long, default_value_t = 1.0)]
     trip_window_mm: f64,
     #[command(flatten)]
-    motion: MotionArgs,
+    motion: ProbingMotion,
 }
 
 impl SimMachineArgs {
@@ -59,7 +60,7 @@ impl SimMachineArgs {
             bench,
             design: self.design.clone(),
             tip_mm: positive("--tip-mm", self.tip_mm)?,
-            motion: self.motion.motion()?,
+            motion: checked(self.motion)?,
             cut_feed_mm_min: positive("--cut-feed-mm-min", self.cut_feed_mm_min)?,
             window_mm: positive("--trip-window-mm", self.trip_window_mm)?,
             seed: self.seed,

@@ -1,13 +1,12 @@
 //! `rtecctl part table`: the finish cut's corrections by position.
 
 use super::points::positive;
-use super::{print, usage, within, write_all};
-use crate::document::say_pretty;
+use super::{usage, within, write_all};
+use crate::document::answer;
 use rtec_part::error_cor_file::FeatureErrors;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::straight_table::StraightTable;
 use rtec_part::table::{AxisCounts, FinishArc, FinishTable, csv};
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 /// Turn part errors into the table of corrections for the finish cut
@@ -181,19 +180,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let [z, x] = [0, 1].map(|axis| rows.iter().map(|r| r.requested[axis].abs()).max().unwrap_or(0));
     let left_um = rows.iter().map(|r| r.left_um.abs()).fold(0.0, f64::max);
     let lines = moves.len().saturating_sub(1);
-    if args.json {
-        return say_pretty(&serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [z, x],
-            "most_left_um": left_um, "g01_lines": lines}));
-    }
-    let mut t = format!(
-        "{} entries, at most {z} counts in Z and {x} in X, at most {left_um:.2} µm left along the normal\n\
-         sent {lead_mm:.3} mm ahead\n",
-        rows.len()
-    );
-    if lines > 0 {
-        let _ = writeln!(t, "the same as {lines} G01 lines in g01.nc");
-    }
-    print(&t)
+    let document = serde_json::json!({"rows": rows, "lead_mm": lead_mm, "most_requested": [z, x],
+        "most_left_um": left_um, "g01_lines": lines});
+    answer(args.json, &document, || {
+        let same = format!("the same as {lines} G01 lines in g01.nc\n");
+        format!(
+            "{} entries, at most {z} counts in Z and {x} in X, at most {left_um:.2} µm left along the normal\n\
+             sent {lead_mm:.3} mm ahead\n{}",
+            rows.len(),
+            if lines > 0 { &same } else { "" }
+        )
+    })
 }
 
 /// Straight moves of the nose's centre in part coordinates, mm, X a radius.
