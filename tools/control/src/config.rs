@@ -333,6 +333,19 @@ impl Config {
         self.axes.iter().position(|axis| axis.name == name)
     }
 
+    /// The axis of that name for a replay, or the first; `file` is the configuration.
+    ///
+    /// # Errors
+    /// There is no such axis.
+    pub fn replayed_axis(&self, file: &Path, name: Option<&str>) -> Result<AxisConfig, InputError> {
+        let Some(name) = name else { return Ok(self.axes[0].engine) };
+        let axis = self.axes.iter().find(|axis| axis.name == name).ok_or_else(|| {
+            let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
+            InputError::whole(file, format!("no axis {name}"), names.join(" or "))
+        })?;
+        Ok(axis.engine)
+    }
+
     /// The axis whose name is most similar.
     pub fn nearest_axis(&self, name: &str) -> Option<&str> {
         nearest(name, &self.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>())

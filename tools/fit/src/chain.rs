@@ -6,7 +6,9 @@
 //! products of two small quantities. A second pass includes those.
 
 use crate::linear_least_squares::{FittedValue, LinearProblem, unread};
+use crate::thermal::residual_chart;
 use rtec_files::InputError;
+use rtec_measure::plot::Chart;
 use rtec_model::chain::{COMPONENTS, Chain};
 use rtec_model::record::{Record, Role};
 use serde::Serialize;
@@ -50,6 +52,18 @@ pub struct ChainReport {
     pub rows: Vec<ChainRows>,
     /// Messages about the gauges' steps.
     pub warnings: Vec<String>,
+}
+
+impl ChainReport {
+    /// What is left of each response of these records, before and after the fit.
+    pub fn charts(&self, records: &[Record]) -> Vec<Chart> {
+        let of_each = self.rms_um.iter().zip(&self.left_um);
+        let charts = of_each.filter_map(|((of, response, _), [before, after])| {
+            let record = records.iter().find(|r| r.path == *of)?;
+            Some(residual_chart(record, &Role::parse(response)?, before, after))
+        });
+        charts.collect()
+    }
 }
 
 /// One response of a record in a chain's fit; it has its own zero.

@@ -8,6 +8,7 @@ use rtec_files::date;
 use rtec_files::{InputError, InputMessage};
 use rtec_measure::gauge_resolution;
 use rtec_measure::plausible::{self, Suspicion};
+use rtec_measure::plot::Chart;
 use rtec_model::effect::Difference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role, RunKind};
@@ -210,6 +211,21 @@ impl NamedFit {
         let mut document = serde_json::to_value(&self.report)?;
         plausible::enter(&mut document, &self.doubts);
         Ok(document)
+    }
+
+    /// What the base and the fitted model leave of each response.
+    ///
+    /// # Errors
+    /// As [`Machine::predict`].
+    pub fn charts(&self, base: Option<&Machine>) -> Result<Vec<Chart>, InputError> {
+        let ideal = Machine::ideal("");
+        let mut charts = Vec::new();
+        for record in &self.records {
+            let (before, after) = (base.unwrap_or(&ideal).beyond(record)?, self.machine.beyond(record)?);
+            let both = before.responses().zip(after.responses());
+            charts.extend(both.map(|(b, a)| thermal::residual_chart(record, &b.role, &b.data, &a.data)));
+        }
+        Ok(charts)
     }
 }
 

@@ -66,27 +66,6 @@ pub struct ErrorRequest {
     pub with_size: bool,
 }
 
-impl ErrorRequest {
-    /// A request for these points, with defaults for everything else.
-    pub fn of(points: &Path) -> Self {
-        Self {
-            points: points.to_owned(),
-            columns: Vec::new(),
-            radius_mm: None,
-            tip_mm: None,
-            feature: None,
-            taper_deg: None,
-            machine: None,
-            origin_mm: None,
-            expected: None,
-            path: None,
-            path_units: Unit::MM,
-            trip_window_mm: 1.0,
-            with_size: false,
-        }
-    }
-}
-
 fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) -> InputError {
     InputError::whole(Path::new(argument), found, expected)
 }

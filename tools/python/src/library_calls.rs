@@ -12,7 +12,7 @@ use rtec_files::format_stamp::signed;
 use rtec_files::trace::{RequestReader, TraceReader, request_columns, trace_columns};
 use rtec_files::{InputError, InputMessage};
 use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, FittedChainTerm};
-use rtec_fit::thermal::{self, prediction_chart, residual_chart};
+use rtec_fit::thermal::{self, prediction_chart};
 use rtec_fit::workflow;
 use rtec_measure::evaluation::{self, Standard};
 use rtec_measure::export::linuxcnc::Unit;
@@ -24,7 +24,7 @@ use rtec_measure::plot::PlotSpec;
 use rtec_measure::{export, import};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::chain::Chain;
-use rtec_model::record::{Axis, Role};
+use rtec_model::record::Axis;
 use rtec_part::error_determination;
 use rtec_reconcile::{Options, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
 use rtec_rt::axis::AxisConfig;
@@ -183,17 +183,9 @@ pub(crate) fn fit_named(
         }
         let asked = asked.asked()?;
         let done = workflow::fit_named(inners(records), &effects, &asked, say)?;
-        let ideal = rtec_model::machine::Machine::ideal("");
-        let base = asked.options.base.as_ref().unwrap_or(&ideal);
-        let mut pictures: Vec<PlotSpec> = Vec::new();
-        for record in &done.records {
-            let (before, after) = (base.beyond(record)?, done.machine.beyond(record)?);
-            let both = before.responses().zip(after.responses());
-            pictures
-                .extend(both.map(|(b, a)| PlotSpec::from(residual_chart(record, &b.role, &b.data, &a.data))));
-        }
-        let document = pretty(&done.document()?)?;
-        Ok((document, Machine { inner: done.machine }, drawn(pictures.iter())?, outers(done.records)))
+        let pictures = done.charts(asked.options.base.as_ref())?.into_iter().map(PlotSpec::from);
+        let (document, pictures) = (pretty(&done.document()?)?, drawn(pictures)?);
+        Ok((document, Machine { inner: done.machine }, pictures, outers(done.records)))
     })
 }
 
@@ -223,10 +215,7 @@ pub(crate) fn fit_chain(
             records.iter().zip(tools_mm).map(|(record, tool_mm)| ChainRun { record, tool_mm }).collect();
         let (fitted, report) = chain_fit::fit(&from, &components, &runs)?;
         let text = chain_fit::text(&chain, &fitted, &report)?;
-        let pictures = report.rms_um.iter().zip(&report.left_um).filter_map(|((of, response, _), left)| {
-            let record = records.iter().find(|r| r.path == *of)?;
-            Some(PlotSpec::from(residual_chart(record, &Role::parse(response)?, &left[0], &left[1])))
-        });
+        let pictures = report.charts(&records).into_iter().map(PlotSpec::from);
         Ok((pretty(&report)?, text, drawn(pictures)?, regression_of_chain(&records, &report)))
     })?;
     Ok((document, text, pictures, arrays(py, of)))
@@ -450,15 +439,7 @@ pub(crate) fn reconcile(
         let options = Options { level, date, unexplained, figures: true };
         let (train, holdout) = (inners(train), inners(holdout));
         let answer = rtec_reconcile::reconcile(&train, &holdout, &machine.inner, &options)?;
-        for note in &answer.derived {
-            say(InputMessage::Note(note.clone()));
-        }
-        for s in &answer.suspicions {
-            say(InputMessage::Warning(s.to_string()));
-        }
-        for records in [&train, &holdout] {
-            plausible::say_conditions(records, &answer.suspicions, say);
-        }
+        answer.say_of(&train, &holdout, say);
         let page = rtec_reconcile::html(&answer, machine.inner.name());
         let pictures = rtec_reconcile::pictures(&answer);
         let (document, laws) = (answer.to_json(), answer.curve.map(|(_, laws)| laws));
@@ -580,12 +561,7 @@ pub(crate) fn replay(
         let (engine, large) = match &config {
             None => (AxisConfig::default(), true),
             Some(file) => {
-                let config = Config::load(file)?;
-                let name = axis.as_deref().unwrap_or(config.axes[0].name.as_str());
-                let names = || config.axes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join(" or ");
-                let missing = || InputError::whole(file, format!("no axis {name}"), names());
-                let n = config.axis(name).ok_or_else(missing)?;
-                (config.axes[n].engine, false)
+                (Config::load(file)?.replayed_axis(file, axis.as_deref())?, false)
             }
         };
         let design = one_of("design", &design, &InsertionDesign::ALL.map(|d| (d.name(), d)))?;
@@ -627,6 +603,7 @@ pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(
         let features = named(error_determination::ProbedFeature::ALL);
         let report = error_determination::determine(
             &error_determination::ErrorRequest {
+                points: asked.points,
                 columns: asked.columns,
                 radius_mm: asked.radius_mm,
                 tip_mm: asked.tip_mm,
@@ -636,9 +613,9 @@ pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(
                 origin_mm: asked.origin_mm,
                 expected: asked.expected,
                 path: asked.path,
+                path_units: rtec_part::unit::Unit::MM,
                 trip_window_mm: asked.trip_window_mm,
                 with_size: asked.with_size,
-                ..error_determination::ErrorRequest::of(&asked.points)
             },
             say,
         )?;

@@ -6,7 +6,8 @@ use crate::localisation::ResidualStructure;
 use rtec_estimate::priors::HELD;
 use rtec_estimate::setup::SetUpKind;
 use rtec_estimate::{Shape, TriedExplanation};
-use rtec_measure::plausible::Suspicion;
+use rtec_files::InputMessage;
+use rtec_measure::plausible::{self, Suspicion};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
@@ -186,6 +187,15 @@ impl Reconciliation {
         let rows: usize = own.map(|t| t.before.len()).sum();
         let independent = rows as f64 * (1.0 - self.phi) / (1.0 + self.phi);
         gap.train[0].powi(2) > gap.floor.powi(2) * chance(independent)
+    }
+
+    /// Reports what was derived, suspicions, and conditions of the records that are no mistakes.
+    pub fn say_of(&self, train: &[Record], holdout: &[Record], say: &mut dyn FnMut(InputMessage)) {
+        self.derived.iter().cloned().map(InputMessage::Note).for_each(&mut *say);
+        self.suspicions.iter().map(ToString::to_string).map(InputMessage::Warning).for_each(&mut *say);
+        for records in [train, holdout] {
+            plausible::say_conditions(records, &self.suspicions, say);
+        }
     }
 
     /// What limits the verdict, for its headline.

@@ -9,7 +9,6 @@ use crate::say;
 use anyhow::Context;
 use rtec_files::options::number;
 use rtec_files::{InputError, date};
-use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_reconcile::{
     CorrectedEffect, LAWS_FILE, Options, Reconciliation, ResidualStructure, SEED, html, reconcile, why,
@@ -93,15 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
     let answer = reconcile(&train, &holdout, &machine, &options)?;
-    for note in &answer.derived {
-        eprintln!("note: {note}");
-    }
-    for s in &answer.suspicions {
-        eprintln!("warning: {s}");
-    }
-    for records in [&train, &holdout] {
-        plausible::say_conditions(records, &answer.suspicions, &mut super::suspicions::say);
-    }
+    answer.say_of(&train, &holdout, &mut super::suspicions::say);
     if args.stage == Stage::Find {
         let document = answer.to_json();
         let document = json!({"where": document["where"], "level": args.level, "seed": SEED});

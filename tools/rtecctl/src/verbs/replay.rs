@@ -186,15 +186,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// The axis to replay, and whether its requests are flagged large.
 fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
     let Some(file) = &args.config else { return Ok((AxisConfig::default(), true)) };
-    let config = Config::load(file)?;
-    let n = match &args.axis {
-        None => 0,
-        Some(name) => config.axis(name).ok_or_else(|| {
-            let names: Vec<&str> = config.axes.iter().map(|a| a.name.as_str()).collect();
-            InputError::whole(file, format!("no axis {name}"), names.join(" or "))
-        })?,
-    };
-    Ok((config.axes[n].engine, false))
+    Ok((Config::load(file)?.replayed_axis(file, args.axis.as_deref())?, false))
 }
 
 /// A trace that reports its progress every two seconds.

@@ -6,10 +6,8 @@ use crate::rounding::with_bounds;
 use crate::verbs::suspicions;
 use rtec_files::InputError;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
-use rtec_fit::thermal::residual_chart;
 use rtec_measure::plausible;
 use rtec_model::chain::Chain;
-use rtec_model::record::Role;
 use std::path::{Path, PathBuf};
 
 /// Fit components of a kinematic chain on the records that measure them
@@ -51,11 +49,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     chain_fit::write(&args.chain, &fitted, &report, &args.out)?;
     if let Some(path) = &args.plot {
-        let charts = report.rms_um.iter().zip(&report.left_um).filter_map(|((of, response, _), left)| {
-            let record = records.iter().find(|r| r.path == *of)?;
-            Some(residual_chart(record, &Role::parse(response)?, &left[0], &left[1]))
-        });
-        draw(path, &charts.collect::<Vec<_>>())?;
+        draw(path, &report.charts(&records))?;
     }
     if args.json {
         return say_pretty(&report);

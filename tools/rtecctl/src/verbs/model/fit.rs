@@ -184,15 +184,7 @@ fn named(args: &FitArgs, asked: &FitRequest) -> anyhow::Result<()> {
         workflow::fit_named(read_records(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
     let (machine, report) = (&done.machine, &done.report);
     if let Some(path) = &args.common.plot {
-        let ideal = Machine::ideal("");
-        let base = asked.options.base.as_ref().unwrap_or(&ideal);
-        let mut charts = Vec::new();
-        for record in &done.records {
-            let (before, after) = (base.beyond(record)?, machine.beyond(record)?);
-            let both = before.responses().zip(after.responses());
-            charts.extend(both.map(|(b, a)| thermal::residual_chart(record, &b.role, &b.data, &a.data)));
-        }
-        draw(path, &charts)?;
+        draw(path, &done.charts(asked.options.base.as_ref())?)?;
     }
     machine.write(&args.out)?;
     if args.common.json {
