@@ -5,23 +5,24 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
+use tempfile::TempPath;
 
 /// An archive that is being written.
 /// Without [`Archive::finish`] it is removed.
-pub(crate) struct Archive<'p> {
-    path: &'p Path,
-    tar: Option<tar::Builder<File>>,
+pub(crate) struct Archive {
+    tar: tar::Builder<File>,
+    path: TempPath,
     now_s: u64,
 }
 
-impl<'p> Archive<'p> {
+impl Archive {
     /// Creates it. It never overwrites a file and never follows a symbolic link.
-    pub(crate) fn create(path: &'p Path) -> anyhow::Result<Self> {
+    pub(crate) fn create(path: &Path) -> anyhow::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
         let file = file.map_err(|e| {
             CommandFailure::Bad(format!("{}: {e}; expected a name that is free", path.display()))
         })?;
-        Ok(Self { path, tar: Some(tar::Builder::new(file)), now_s: now_s() })
+        Ok(Self { tar: tar::Builder::new(file), path: TempPath::try_from_path(path)?, now_s: now_s() })
     }
 
     pub(crate) fn add(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
@@ -30,28 +31,14 @@ impl<'p> Archive<'p> {
         header.set_mode(0o600);
         header.set_mtime(self.now_s);
         header.set_cksum();
-        match &mut self.tar {
-            Some(tar) => tar.append_data(&mut header, name, bytes),
-            None => Ok(()),
-        }
+        self.tar.append_data(&mut header, name, bytes)
     }
 
     /// Completes the archive and waits until it is on the disk.
-    pub(crate) fn finish(mut self) -> std::io::Result<()> {
-        let Some(tar) = self.tar.take() else { return Ok(()) };
-        let done = tar.into_inner().and_then(|file| file.sync_all());
-        if done.is_err() {
-            let _ = std::fs::remove_file(self.path);
-        }
-        done
-    }
-}
-
-impl Drop for Archive<'_> {
-    fn drop(&mut self) {
-        if self.tar.is_some() {
-            let _ = std::fs::remove_file(self.path);
-        }
+    pub(crate) fn finish(self) -> std::io::Result<()> {
+        self.tar.into_inner()?.sync_all()?;
+        self.path.keep()?;
+        Ok(())
     }
 }
 

@@ -269,13 +269,9 @@ fn more(stream: &mut UnixStream, bytes: &mut Vec<u8>, deadline: Instant) -> io::
     stream.set_read_timeout(Some(left.max(Duration::from_millis(1))))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     let mut buffer = [0; 1024];
-    match stream.read(&mut buffer)? {
-        0 => Err(ErrorKind::UnexpectedEof.into()),
-        n => {
-            bytes.extend_from_slice(&buffer[..n]);
-            Ok(())
-        }
-    }
+    let n = stream.read(&mut buffer)?;
+    bytes.extend_from_slice(&buffer[..n]);
+    if n > 0 { Ok(()) } else { Err(ErrorKind::UnexpectedEof.into()) }
 }
 
 fn send(stream: &mut UnixStream, answer: &Answer, head_only: bool) -> io::Result<()> {

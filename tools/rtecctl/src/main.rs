@@ -145,18 +145,15 @@ verbs! {
 /// Reasons why a command ends without success.
 /// They are the exit codes of the command contract, except usage errors.
 #[derive(Debug, thiserror::Error)]
+#[error("{0}")]
 pub(crate) enum CommandFailure {
     /// Exit 1: the run finished and the answer is no.
-    #[error("{0}")]
     No(String),
     /// Exit 2: the request itself is wrong.
-    #[error("{0}")]
     Bad(String),
     /// Exit 3: the daemon or the hardware could not be reached.
-    #[error("{0}")]
     Unreachable(String),
     /// Exit 4: a fault is latched.
-    #[error("{0}")]
     Fault(String),
 }
 

@@ -42,7 +42,7 @@ const STATE: &str = "state.json";
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let out = args.out.clone().unwrap_or_else(|| format!("rtec-bugreport-{}.tar", now_s()).into());
     let done = Archive::create(&out).and_then(|archive| fill(args, archive));
-    let Contents { text, missing } = done?;
+    let (text, missing) = done?;
     if args.daemon.json {
         say_line(&serde_json::json!({ "file": out, "contents": text, "missing": missing }))?;
     } else {
@@ -56,25 +56,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Err(kind(format!("{} is written without {}", out.display(), missing.join(", "))).into())
 }
 
-/// Contents of the archive in words, and the parts that are missing.
-#[derive(Default)]
-struct Contents {
-    text: String,
-    missing: Vec<&'static str>,
-}
-
-fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
-    let mut contents = Contents::default();
+/// Fills the archive. Returns its contents in words, and the parts that are missing.
+fn fill(args: &Args, mut archive: Archive) -> anyhow::Result<(String, Vec<&'static str>)> {
+    let (mut contents, mut missing) = (String::new(), Vec::new());
     let mut put = |name: &'static str, text: anyhow::Result<String>| -> anyhow::Result<()> {
         let text = match text {
             Ok(text) => text,
             Err(error) => {
-                let _ = writeln!(contents.text, "{name}: missing: {error:#}");
-                contents.missing.push(name);
+                let _ = writeln!(contents, "{name}: missing: {error:#}");
+                missing.push(name);
                 return Ok(());
             }
         };
-        let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
+        let _ = writeln!(contents, "{name}: {} bytes", text.len());
         Ok(archive.add(&format!("{TOP}/{name}"), text.as_bytes())?)
     };
     let installed = Path::new(INSTALLED);
@@ -85,7 +79,8 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
         // The daemon then runs on the same configuration.
         None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
     };
-    put("versions.txt", Ok(versions()))?;
+    let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
+    put("versions.txt", Ok(format!("{}\n{release}", rtec_files::format_stamp::by())))?;
     let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
     let runs = seen.as_ref().ok().map(|seen| seen.status.machine.clone());
     let of = config.as_ref().ok().and_then(|text| Some(Config::parse(installed, text).ok()?.machine));
@@ -102,18 +97,17 @@ fn fill(args: &Args, mut archive: Archive<'_>) -> anyhow::Result<Contents> {
     put("platform.json", pretty(&system.inspect(cpu, 80)))?;
     put("devices.txt", Ok(devices()))?;
     for (name, text) in file.map(beside).unwrap_or_default() {
-        let _ = writeln!(contents.text, "{name}: {} bytes", text.len());
+        let _ = writeln!(contents, "{name}: {} bytes", text.len());
         archive.add(&format!("{TOP}/{name}"), text.as_bytes())?;
     }
     if let Some((of, runs)) = of.zip(runs).filter(|(of, runs)| of != runs) {
-        let _ = writeln!(
-            contents.text,
-            "rtec.toml is of machine {of:?}, but the daemon that answered runs {runs:?}: `--of FILE` takes its configuration"
-        );
+        let takes = "`--of FILE` takes its configuration";
+        let runs = format!("but the daemon that answered runs {runs:?}");
+        let _ = writeln!(contents, "rtec.toml is of machine {of:?}, {runs}: {takes}");
     }
-    archive.add(&format!("{TOP}/contents.txt"), contents.text.as_bytes())?;
+    archive.add(&format!("{TOP}/contents.txt"), contents.as_bytes())?;
     archive.finish()?;
-    Ok(contents)
+    Ok((contents, missing))
 }
 
 /// The readable files that a configuration names: model, profile, list of devices.
@@ -161,11 +155,6 @@ fn devices() -> String {
         }
     }
     text
-}
-
-fn versions() -> String {
-    let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
-    format!("{}\n{release}", rtec_files::format_stamp::by())
 }
 
 /// A file's text; of a long file only the end.

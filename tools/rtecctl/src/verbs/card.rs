@@ -4,7 +4,6 @@ mod watch;
 
 use crate::CommandFailure;
 use crate::document::{self, say_pretty};
-use clap::Subcommand;
 use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::line_readings;
@@ -20,36 +19,36 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Cards: those known, those in this machine, and the lines of one
+super::verbs_below! {
+    /// Cards: those known, those in this machine, and the lines of one
+    Args;
+    List ListArgs => list;
+    Show ShowArgs => show;
+    Probe ProbeArgs => probe;
+}
+
+/// The card profiles that come with this program, and what is in this machine
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    what: CardAction,
+struct ListArgs {
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
-#[derive(Debug, Subcommand)]
-enum CardAction {
-    /// The card profiles that come with this program, and what is in this machine
-    List {
-        /// Print one JSON document
-        #[arg(long)]
-        json: bool,
-    },
-    /// A card profile: where its registers are, its lines, and the datasheet it comes from
-    Show {
-        /// Name of a profile, or a profile's file
-        profile: String,
-        /// Print its text, as a start for your own
-        #[arg(long, conflicts_with = "json")]
-        toml: bool,
-        /// Print one JSON document
-        #[arg(long)]
-        json: bool,
-    },
-    /// Read the lines of the card that a configuration names; nothing is written unless --drive says so
-    Probe(ProbeArgs),
+/// A card profile: where its registers are, its lines, and the datasheet it comes from
+#[derive(Debug, clap::Args)]
+struct ShowArgs {
+    /// Name of a profile, or a profile's file
+    profile: String,
+    /// Print its text, as a start for your own
+    #[arg(long, conflicts_with = "json")]
+    toml: bool,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
+/// Read the lines of the card that a configuration names; nothing is written unless --drive says so
 #[derive(Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools)] // One per option.
 struct ProbeArgs {
@@ -82,31 +81,25 @@ fn pause(text: &str) -> Result<Duration, String> {
     if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }
 
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.what {
-        CardAction::List { json } => list(*json),
-        CardAction::Show { profile, toml, json } => show(profile, *toml, *json),
-        CardAction::Probe(args) => {
-            let config = load(&args.config)?;
-            if args.watch {
-                let ends = args.during.is_some() || !args.json;
-                ensure!(ends, Bad, "--watch --json needs --for TIME: the document comes at its end");
-                // A counter is latched to be read, and its flags are cleared, which the daemon would then
-                // miss.
-                let counts = matches!(&config.card, CardConfig::Registers { profile, .. } if !profile.counters.is_empty());
-                let _alone = counts.then(|| alone(&config)).transpose()?;
-                return watch::watch(&config, args);
-            }
-            if !args.drive {
-                return probe(&config, args.json);
-            }
-            let _alone = alone(&config)?;
-            if !args.mtc_is_off {
-                confirm("every output of this card is switched on and off again, one after the other")?;
-            }
-            drive_outputs(&config, args.json)
-        }
+fn probe(args: &ProbeArgs) -> anyhow::Result<()> {
+    let config = load(&args.config)?;
+    if args.watch {
+        let ends = args.during.is_some() || !args.json;
+        ensure!(ends, Bad, "--watch --json needs --for TIME: the document comes at its end");
+        // A counter is latched to be read, and its flags are cleared, which the daemon would then miss.
+        let counts =
+            matches!(&config.card, CardConfig::Registers { profile, .. } if !profile.counters.is_empty());
+        let _alone = counts.then(|| alone(&config)).transpose()?;
+        return watch::watch(&config, args);
     }
+    if !args.drive {
+        return show_lines(&config, args.json);
+    }
+    let _alone = alone(&config)?;
+    if !args.mtc_is_off {
+        confirm("every output of this card is switched on and off again, one after the other")?;
+    }
+    drive_outputs(&config, args.json)
 }
 
 /// Loads the configuration.
@@ -142,7 +135,7 @@ fn axes_that_fit(profile: &Profile) -> [usize; 2] {
     [fit(inputs / 2, outputs / 2), fit(inputs / 4, outputs.saturating_sub(1) / 2)]
 }
 
-fn list(as_json: bool) -> anyhow::Result<()> {
+fn list(args: &ListArgs) -> anyhow::Result<()> {
     let mut profiles = Vec::new();
     for (name, _) in SHIPPED {
         // Every name is from the list itself, so it is found.
@@ -171,7 +164,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
         found
     };
     let (parports, uio) = (devices("parport"), devices("uio"));
-    if as_json {
+    if args.json {
         let here = json!({"gpio": chips, "pci": cards, "parport": parports, "uio": uio});
         return say_pretty(&json!({"profiles": profiles, "here": here}));
     }
@@ -210,21 +203,21 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn show(name: &str, as_toml: bool, as_json: bool) -> anyhow::Result<()> {
-    let path = Path::new(name);
+fn show(args: &ShowArgs) -> anyhow::Result<()> {
+    let (name, path) = (args.profile.as_str(), Path::new(&args.profile));
     let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
     let text = match shipped {
         Some((_, text)) => (*text).to_owned(),
         None => rtec_files::text::read(path)
             .map_err(|e| InputError { expected: profile::names_for(name), ..e })?,
     };
-    if as_toml {
+    if args.toml {
         print!("{text}");
         return Ok(());
     }
     let p = profile::parse(path, &text)?;
     let space = |space| if space == AddressSpace::Io { "I/O ports" } else { "memory" };
-    if as_json {
+    if args.json {
         let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});
         let registers = |list: &[Register]| list.iter().map(register).collect::<Vec<_>>();
         let lines = p.lines.iter().map(|(line, place)| {
@@ -335,7 +328,7 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn probe(config: &Config, as_json: bool) -> anyhow::Result<()> {
+fn show_lines(config: &Config, as_json: bool) -> anyhow::Result<()> {
     let reading = line_readings::read(config).map_err(|e| refused(config, e))?;
     if as_json {
         return say_pretty(&reading);

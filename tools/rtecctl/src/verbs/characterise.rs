@@ -39,14 +39,9 @@ impl CircleOptions {
     }
 }
 
-/// Plan, record, import and evaluate measurements of a machine
-#[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    verb: Verb,
-}
-
 super::verbs_below! {
+    /// Plan, record, import and evaluate measurements of a machine
+    Args;
     Evaluate evaluate::Args => evaluate::run;
     Import import::Args => import::run;
     Plan plan::Args => plan::run;

@@ -3,7 +3,6 @@
 use crate::daemon::{DaemonArgs, NO_EVENTS, ask, expected, observe};
 use crate::document::{list, pretty, say_line};
 use anyhow::Context;
-use clap::Subcommand;
 use rtec_control::client::Client;
 use rtec_control::ledger_export::LedgerExportSummary;
 use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
@@ -17,42 +16,40 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// What each axis was asked for, and every insertion
-#[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    what: LedgerAction,
+super::verbs_below! {
+    /// What each axis was asked for, and every insertion
+    Args;
+    Export ExportArgs => export;
 }
 
-#[derive(Debug, Subcommand)]
-enum LedgerAction {
-    /// Write counts, totals and every insertion with its time since homing, for `rtecctl replay`
-    ///
-    /// For each axis it writes `AXIS_trace.csv`, `AXIS_requests.csv` and `AXIS_insertions.csv`. Trace and requests are
-    /// replayed at once; exit 1 if the replay gives other totals. The insertions are every change of the ledger between
-    /// two looks of the daemon, with position and totals. The daemon looks every 10 ms and keeps the last 8192 changes.
-    /// Positions are right at the looks before and after a change, and now. Between two changes the trace is one
-    /// straight line: it is no record of the motion. Replaying the exported requests gives the same totals. The
-    /// requests that were made are in the column `requested` of the insertions.
-    Export {
-        /// The folder to write to; it is made where it is not there
-        #[arg(long, value_name = "DIR")]
-        out: PathBuf,
-        /// This axis only
-        #[arg(long, value_name = "NAME")]
-        axis: Option<String>,
-        /// The last changes only, as 60s
-        #[arg(long, value_name = "TIME", value_parser = crate::duration::duration)]
-        last: Option<Duration>,
-        #[command(flatten)]
-        daemon: DaemonArgs,
-    },
+/// Write counts, totals and every insertion with its time since homing, for `rtecctl replay`
+///
+/// For each axis it writes `AXIS_trace.csv`, `AXIS_requests.csv` and `AXIS_insertions.csv`. Trace and requests are
+/// replayed at once; exit 1 if the replay gives other totals. The insertions are every change of the ledger between
+/// two looks of the daemon, with position and totals. The daemon looks every 10 ms and keeps the last 8192 changes.
+/// Positions are right at the looks before and after a change, and now. Between two changes the trace is one
+/// straight line: it is no record of the motion. Replaying the exported requests gives the same totals. The
+/// requests that were made are in the column `requested` of the insertions.
+#[derive(Debug, clap::Args)]
+struct ExportArgs {
+    /// The folder to write to; it is made where it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// This axis only
+    #[arg(long, value_name = "NAME")]
+    axis: Option<String>,
+    /// The last changes only, as 60s
+    #[arg(long, value_name = "TIME", value_parser = crate::duration::duration)]
+    last: Option<Duration>,
+    #[command(flatten)]
+    daemon: DaemonArgs,
 }
 
 /// Largest number of edges in one trace; more is taken for a mistake.
 const MOST_EDGES: u64 = 50_000_000;
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let LedgerAction::Export { out, axis, last, daemon } = &args.what;
+
+fn export(args: &ExportArgs) -> anyhow::Result<()> {
+    let ExportArgs { out, axis, last, daemon } = args;
     let mut client = daemon.view()?;
     let status = observe(&mut client, NO_EVENTS)?.status;
     let wanted = |a: &&AxisReport| axis.as_ref().is_none_or(|name| *name == a.name);

@@ -42,9 +42,16 @@ pub(crate) mod top;
 pub(crate) mod trace;
 pub(crate) mod whoami;
 
-// The verbs below a verb, one per line: the variant, its arguments, the function that runs it.
+// A verb with verbs below it, one per line: the variant, its arguments, the function that runs it.
 macro_rules! verbs_below {
-    ($($(#[$about:meta])* $verb:ident $args:ty => $run:path;)*) => {
+    ($(#[$of_all:meta])* Args; $($(#[$about:meta])* $verb:ident $args:ty => $run:path;)*) => {
+        #[derive(Debug, clap::Args)]
+        $(#[$of_all])*
+        pub(crate) struct Args {
+            #[command(subcommand)]
+            verb: Verb,
+        }
+
         #[derive(Debug, clap::Subcommand)]
         enum Verb {
             $($(#[$about])* $verb($args),)*

@@ -8,14 +8,9 @@ mod predict;
 mod show;
 mod validate;
 
-/// Work with machine models: choose sensors, fit, predict, judge, rehearse, load, show, compare, export
-#[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    verb: Verb,
-}
-
 super::verbs_below! {
+    /// Work with machine models: choose sensors, fit, predict, judge, rehearse, load, show, compare, export
+    Args;
     /// Take the model up again that was unloaded last, as it was read when it was loaded
     Again crate::daemon::DaemonArgs => load::again;
     Compare show::CompareArgs => show::compare;

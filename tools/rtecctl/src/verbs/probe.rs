@@ -3,7 +3,7 @@
 use crate::daemon::{DaemonArgs, NO_EVENTS, ask, check, observe, unreachable};
 use crate::document::say_line;
 use clap::ValueEnum;
-use rtec_control::protocol::{ClientRequest, EventReport, ProbeTripReport, Response};
+use rtec_control::protocol::{ClientRequest, ProbeTripReport, Response};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
@@ -73,7 +73,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if let (Some(n), true) = (args.captures, args.daemon.json) {
             eprintln!("capture {number} of {n}");
         }
-        show(&happened, args.daemon.json);
+        if let (Some(trip), false) = (&happened.trip, args.daemon.json) {
+            let ProbeTripReport { position_mm, position_counts, uncertainty_counts, .. } = trip;
+            let (t_ns, axis) = (happened.t_ns, happened.axis.as_deref().unwrap_or("-"));
+            let by_model = trip.corrected_mm.map_or("-".to_owned(), |mm| format!("{mm:.6}"));
+            println!(
+                "{t_ns:>16} {axis:<8} {position_mm:>14.6} {position_counts:>14.3} {uncertainty_counts:>10.3} {by_model:>14}"
+            );
+        }
         if args.captures.is_some() {
             captured.push(happened);
         }
@@ -83,14 +90,4 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     ask(&mut args.daemon.connect()?, &ClientRequest::Probe { on: false })?;
     Ok(())
-}
-
-fn show(happened: &EventReport, json: bool) {
-    let (Some(trip), false) = (&happened.trip, json) else { return };
-    let ProbeTripReport { position_mm, position_counts, uncertainty_counts, .. } = trip;
-    let (t_ns, axis) = (happened.t_ns, happened.axis.as_deref().unwrap_or("-"));
-    let by_model = trip.corrected_mm.map_or("-".to_owned(), |mm| format!("{mm:.6}"));
-    println!(
-        "{t_ns:>16} {axis:<8} {position_mm:>14.6} {position_counts:>14.3} {uncertainty_counts:>10.3} {by_model:>14}"
-    );
 }

@@ -25,16 +25,10 @@ use std::time::Duration;
 /// The plotting scripts of the field ask cyclictest for as many.
 const ROWS: usize = 400;
 
-/// Test this machine
-#[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    test: Test,
-}
-
-#[derive(Debug, clap::Subcommand)]
-enum Test {
-    Latency(LatencyArgs),
+super::verbs_below! {
+    /// Test this machine
+    Args;
+    Latency LatencyArgs => latency;
 }
 
 /// Measure wake-up, poll gap and edge-to-done latency with the real engine; exit 1 when they do not allow corrections
@@ -85,8 +79,7 @@ fn duration(text: &str) -> Result<Duration, String> {
     if time < Duration::from_millis(100) { Err("at least 100ms".into()) } else { Ok(time) }
 }
 
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let Test::Latency(args) = &args.test;
+fn latency(args: &LatencyArgs) -> anyhow::Result<()> {
     let config = args.config.as_deref().map(Config::load).transpose()?;
     let simulated = simulated(args, config.as_ref())?;
     let rt = config.as_ref().map(|c| &c.rt);

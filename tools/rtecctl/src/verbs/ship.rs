@@ -36,7 +36,13 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match args.to.to_str().and_then(|to| to.split_once("://")) {
-        Some(("s3", _)) => return Err(handed_over().into()),
+        Some(("s3", _)) => {
+            // Replaces this process by the program that knows S3. Its options are those of this verb.
+            let program = std::env::current_exe().unwrap_or_default().with_file_name("rtec-ship");
+            let why = Command::new(&program).args(std::env::args_os().skip(2)).exec();
+            let mend = "it stands beside rtecctl in the package, and is built by `cargo build -p rtec-ship`";
+            fail!(Bad, "{}: {why}: {mend}", program.display());
+        }
         Some((other, _)) => {
             let found = format!("--to: found `{other}://`, expected a folder or s3://BUCKET");
             fail!(Bad, "{found}; other stores: python -m rtec.shop ship");
@@ -57,17 +63,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
         std::thread::sleep(Duration::from_secs(seconds));
     }
-}
-
-/// Replaces this process by `rtec-ship`, the program that knows S3.
-/// It returns only if that program cannot be started.
-fn handed_over() -> CommandFailure {
-    let own = std::env::current_exe().unwrap_or_default();
-    let program = own.with_file_name("rtec-ship");
-    // Its options are those of this verb.
-    let why = Command::new(&program).args(std::env::args_os().skip(2)).exec();
-    let mend = "it stands beside rtecctl in the package, and is built by `cargo build -p rtec-ship`";
-    CommandFailure::Bad(format!("{}: {why}: {mend}", program.display()))
 }
 
 fn once(args: &Args) -> anyhow::Result<()> {

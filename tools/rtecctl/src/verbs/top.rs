@@ -111,7 +111,9 @@ fn show(
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
         // At a closed terminal, reading keys would wait for ever.
-        if signals.read_signal()?.is_some() || hung_up()? {
+        let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
+        let hung_up = signs(std::io::stdin().as_fd(), PollFlags::empty())?.intersects(gone);
+        if hung_up || signals.read_signal()?.is_some() {
             return Ok(());
         }
         for key in keys()? {
@@ -124,10 +126,4 @@ fn show(
         }
         terminal.draw(|frame| view.draw(frame))?;
     }
-}
-
-/// Whether the terminal's other side is closed.
-fn hung_up() -> anyhow::Result<bool> {
-    let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
-    Ok(signs(std::io::stdin().as_fd(), PollFlags::empty())?.intersects(gone))
 }

@@ -3,7 +3,6 @@
 
 use crate::document::say_line;
 use anyhow::Context;
-use clap::Subcommand;
 use rtec_driver::replay::TracePoint;
 use rtec_files::options::number;
 use rtec_files::position_record::{PositionOptions, PositionRecord};
@@ -11,34 +10,31 @@ use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Convert quadrature traces, or make one from a measured position record
+super::verbs_below! {
+    /// Convert quadrature traces, or make one from a measured position record
+    Args;
+    Convert Convert => convert;
+    FromPosition FromPosition => from_position;
+}
+
+/// Rewrite a trace; the extensions tell the formats (.csv: `t_ns,a,b`; .vcd: IEEE 1364, signals a and b)
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    what: TraceAction,
+struct Convert {
+    /// The trace to read
+    input: PathBuf,
+    /// The trace to write
+    #[arg(value_parser = crate::verbs::output())]
+    output: PathBuf,
+    /// Columns or signals that have other names, or none, each by its name or number from 1; `t_us`, `t_ms` and `t_s` for
+    /// times that are not in ns
+    #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
+    columns: Vec<String>,
+    /// Print the summary as one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
-#[derive(Debug, Subcommand)]
-enum TraceAction {
-    /// Rewrite a trace; the extensions tell the formats (.csv: `t_ns,a,b`; .vcd: IEEE 1364, signals a and b)
-    Convert {
-        /// The trace to read
-        input: PathBuf,
-        /// The trace to write
-        #[arg(value_parser = crate::verbs::output())]
-        output: PathBuf,
-        /// Columns or signals that have other names, or none, each by its name or number from 1; `t_us`, `t_ms` and `t_s` for
-        /// times that are not in ns
-        #[arg(long, value_name = "NAME=COLUMN", value_delimiter = ',')]
-        columns: Vec<String>,
-        /// Print the summary as one JSON document
-        #[arg(long)]
-        json: bool,
-    },
-    /// Make the trace that a scale gives along a measured position record (CSV: `t_s` and a position column)
-    FromPosition(FromPosition),
-}
-
+/// Make the trace that a scale gives along a measured position record (CSV: `t_s` and a position column)
 #[derive(Debug, clap::Args)]
 struct FromPosition {
     /// The record: a header, a time column `t_s` (or `t_ms`, `t_us`, `t_ns`) and a position column
@@ -54,15 +50,6 @@ struct FromPosition {
     /// Print the summary as one JSON document
     #[arg(long)]
     json: bool,
-}
-
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.what {
-        TraceAction::Convert { input, output, columns, json } => {
-            convert(input, output, columns)?.print(output, *json)
-        }
-        TraceAction::FromPosition(args) => from_position(args)?.print(&args.out, args.json),
-    }
 }
 
 #[derive(Debug, Default, PartialEq)]
@@ -138,12 +125,12 @@ impl<'a> Output<'a> {
     }
 }
 
-fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Summary> {
-    let mut reader = TraceReader::open_columns(input, &trace_columns(columns)?)?;
+fn convert(args: &Convert) -> anyhow::Result<()> {
+    let mut reader = TraceReader::open_columns(&args.input, &trace_columns(&args.columns)?)?;
     if let Some(written) = reader.written() {
         eprintln!("note: {written}");
     }
-    let mut out = Output::create(output)?;
+    let mut out = Output::create(&args.output)?;
     while let Some(point) = reader.next_point()? {
         out.write(point)?;
     }
@@ -151,10 +138,14 @@ fn convert(input: &Path, output: &Path, columns: &[String]) -> anyhow::Result<Su
     for said in [reader.said(), reader.sampled()].into_iter().flatten() {
         eprintln!("note: {said}");
     }
-    Ok(summary)
+    summary.print(&args.output, args.json)
 }
 
-fn from_position(args: &FromPosition) -> anyhow::Result<Summary> {
+fn from_position(args: &FromPosition) -> anyhow::Result<()> {
+    made(args)?.print(&args.out, args.json)
+}
+
+fn made(args: &FromPosition) -> anyhow::Result<Summary> {
     let FromPosition { input, count_um, options, .. } = args;
     let record = PositionRecord { file: input.clone(), count_um: *count_um, options: options.clone() };
     let mut out = Output::create(&args.out)?;
@@ -177,7 +168,7 @@ mod tests {
         let (input, out) = (directory.path().join("p.csv"), directory.path().join("t.csv"));
         std::fs::write(&input, text).unwrap();
         let fixed = ["x", input.to_str().unwrap(), "--out", out.to_str().unwrap()];
-        let summary = from_position(&Cli::parse_from(fixed.iter().chain(options)).args);
+        let summary = made(&Cli::parse_from(fixed.iter().chain(options)).args);
         let written = std::fs::read_to_string(&out).unwrap_or_default();
         let left = std::fs::read_dir(directory.path()).unwrap().count();
         assert_eq!(

@@ -243,7 +243,8 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     if taken == 0 {
         std::fs::remove_file(&part).ok();
         let quiet = || silent(&bank, duration, &last[own..], &columns[own..]).join(", ");
-        let what = feed.as_ref().map_or_else(quiet, |f| trouble(f, &columns[gauges..]));
+        let trouble = |f: &SensorLineFeed| columns[gauges..].iter().find_map(|c| f.value(&c.name).err());
+        let what = feed.as_ref().map_or_else(quiet, |f| trouble(f).unwrap_or_default());
         let faulty = match left_out {
             0 => String::new(),
             rows => format!(", {rows} with a reading that is none"),
@@ -334,11 +335,6 @@ fn take(
             *value = None;
         }
     }
-}
-
-/// What is wrong with a feed that gave no row.
-fn trouble(feed: &SensorLineFeed, gauges: &[Column]) -> String {
-    gauges.iter().find_map(|c| feed.value(&c.name).err()).unwrap_or_default()
 }
 
 fn stays(role: &Role) -> bool {

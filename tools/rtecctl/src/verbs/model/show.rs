@@ -64,7 +64,8 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         eprintln!("rtecctl: no effects: an ideal machine; {next}");
     }
     for l in machine.listed() {
-        println!("{}", heading(&l.effect));
+        let delta = l.effect.delta.as_ref().map_or(String::new(), |d| format!(" ({})", d.in_full()));
+        println!("{}{delta}", l.effect.name());
         println!("    {}", l.effect.description().law);
         for (i, p) in l.effect.description().parameters.iter().enumerate() {
             let interval = l.provenance.interval.get(&p.name);
@@ -148,12 +149,6 @@ fn term(t: &Term) -> String {
     let sign = if t.coefficient < 0.0 { '-' } else { '+' };
     let size = short(t.coefficient.abs());
     format!("{sign}{size}{}{}", power("(p/100 mm)", t.position), power("ΔT", t.temperature))
-}
-
-/// A name with its sensor.
-fn heading(effect: &Effect) -> String {
-    let delta = effect.delta.as_ref().map_or(String::new(), |d| format!(" ({})", d.in_full()));
-    format!("{}{delta}", effect.name())
 }
 
 pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {

@@ -31,16 +31,14 @@ pub(crate) struct DownloadArgs {
 const PATIENCE: Duration = Duration::from_secs(10);
 
 impl DownloadArgs {
-    /// Whether LinuxCNC is to open the program.
-    pub(crate) fn asked(&self) -> bool {
-        self.download.is_some()
-    }
-
     /// Writes the program into the controller's folder, and opens it on request.
     ///
     /// # Errors
     /// The folder cannot be written; nothing answers (exit code 3); LinuxCNC refuses (exit code 1).
-    pub(crate) fn bring(&self, name: &str, text: &str) -> anyhow::Result<()> {
+    pub(crate) fn bring(&self, name: &str, text: &str, dialect: &str) -> anyhow::Result<()> {
+        if self.download.is_some() && Path::new(dialect).file_stem().is_none_or(|d| d != "linuxcnc") {
+            eprintln!("rtecctl: the program is in the dialect {dialect}; LinuxCNC reads --dialect linuxcnc");
+        }
         let Some(folder) = &self.program_folder else { return Ok(()) };
         if !folder.is_dir() {
             let found = format!("no folder {}", folder.display());
@@ -117,12 +115,5 @@ impl Client {
                 return Ok(line.to_owned());
             }
         }
-    }
-}
-
-/// Warns if a program is downloaded in a dialect that LinuxCNC does not read.
-pub(crate) fn warn_of_dialect(asked: bool, dialect: &str) {
-    if asked && Path::new(dialect).file_stem().is_none_or(|d| d != "linuxcnc") {
-        eprintln!("rtecctl: the program is in the dialect {dialect}; LinuxCNC reads --dialect linuxcnc");
     }
 }

@@ -21,15 +21,10 @@ use rtec_sim::turning::TurningError;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops
-#[derive(Debug, clap::Args)]
-#[command(arg_required_else_help = true)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    verb: Verb,
-}
-
 super::verbs_below! {
+    /// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops
+    #[command(arg_required_else_help = true)]
+    Args;
     Features Box<features::Args> => features::run;
     Points Box<points::Args> => points::run;
     Program Box<program::Args> => program::run;

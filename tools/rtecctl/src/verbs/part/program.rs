@@ -1,6 +1,6 @@
 //! `rtecctl part program`: the NC probing program from the path and a template.
 
-use super::linuxcnc_download::{DownloadArgs, warn_of_dialect};
+use super::linuxcnc_download::DownloadArgs;
 use super::points::positive;
 use super::{usage, write_all};
 use crate::document::{answer, list};
@@ -115,8 +115,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let text = job.text(args.template.as_deref().unwrap_or(Path::new("template.prb")))?;
     let name = parameters.file_name();
     write_all(&args.out, &[(&name, &text)])?;
-    warn_of_dialect(args.download.asked(), &controller.dialect.name);
-    args.download.bring(&name, &text)?;
+    args.download.bring(&name, &text, &controller.dialect.name)?;
     let points = records.iter().filter(|r| matches!(r.role, PathRole::Touch(_))).count();
     let lines = text.lines().count();
     let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
