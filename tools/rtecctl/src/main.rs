@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `verbs/` | one file per verb: its arguments, what it calls, what it prints |
 //! | `help` | verbs by their users, examples, exit codes |
+//! | `prelude` | names that nearly every verb uses |
 //! | `http` | a server for a few readers on this computer |
 //! | `progress` | progress of a long computation |
 //! | `terminal` | the output's colours and width, and a reader that has gone |
@@ -44,6 +45,7 @@ mod duration;
 mod full_screen;
 mod help;
 mod http;
+mod prelude;
 mod progress;
 mod rounding;
 mod terminal;

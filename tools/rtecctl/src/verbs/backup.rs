@@ -2,17 +2,14 @@
 //! `restore` puts it back, here or on another computer.
 
 use crate::archive::Archive;
-use crate::document::pretty;
-use anyhow::Context;
+use crate::prelude::*;
 use rtec_control::audit;
 use rtec_control::config::{Config, INSTALLED};
 use rtec_control::setup_files;
-use rtec_files::InputError;
 use rtec_model::record::hex;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 /// Put a machine's set-up into one archive: configuration, model, card profile, devices list, state

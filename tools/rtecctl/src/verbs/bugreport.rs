@@ -1,17 +1,13 @@
 //! `rtecctl bugreport`: an archive that lets others analyse a problem.
 
-use crate::CommandFailure;
 use crate::archive::{Archive, now_s};
-use crate::daemon::{DaemonArgs, observe};
-use crate::document::{pretty, say_line};
-use anyhow::Context;
+use crate::daemon::observe;
+use crate::prelude::*;
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
 use rtec_control::setup_files::{self, SetupFile};
 use rtec_rt::setup::SystemRoot;
-use std::fmt::Write as _;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Put configuration, model, profile, devices, state, record, log, platform and versions into one archive, for this user's eyes only

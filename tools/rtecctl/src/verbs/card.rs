@@ -2,8 +2,8 @@
 
 mod watch;
 
-use crate::CommandFailure;
-use crate::document::{self, say_pretty};
+use crate::document;
+use crate::prelude::*;
 use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
 use rtec_control::line_readings;
@@ -12,12 +12,8 @@ use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
 use rtec_driver::profile::{AddressSpace, PciBarSpec, Profile, Register, WordBit};
-use rtec_files::InputError;
 use rtec_rt::link_messages::MAX_AXES;
-use serde_json::{Value, json};
 use std::io::{BufRead, Write};
-use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 super::verbs_below! {
     /// Cards: those known, those in this machine, and the lines of one

@@ -5,10 +5,9 @@ mod import;
 mod plan;
 pub(crate) mod record;
 
-use rtec_files::InputError;
+use crate::prelude::*;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record};
-use std::path::Path;
 
 /// The circle of a ballbar run, as options.
 #[derive(Debug, clap::Args)]

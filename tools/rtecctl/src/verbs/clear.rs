@@ -1,9 +1,8 @@
 //! `rtecctl clear`: release latched faults.
 
-use crate::daemon::{DaemonArgs, NO_EVENTS, ask, observe};
-use crate::document::list;
+use crate::daemon::{NO_EVENTS, ask, observe};
+use crate::prelude::*;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, word};
-use std::fmt::Write as _;
 
 /// Release latched faults, once their cause is mended; says which they were and what must be homed again
 #[derive(Debug, clap::Args)]

@@ -11,9 +11,8 @@
 //! However it ends (an answer, a signal, no answer), the total is requested back to zero. Any part that still
 //! waits for a motion of the axis is reported.
 
-use crate::CommandFailure;
-use crate::daemon::{self, DaemonArgs, expected};
-use crate::document::{list, say_line};
+use crate::daemon::{self, expected};
+use crate::prelude::*;
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
@@ -21,9 +20,8 @@ use rtec_correct::jog_check::{
     JogFinding, JogReading, compensation_um, judge_compensation, judge_insertion, judge_jog, largest_step_um,
 };
 use rtec_model::machine::Machine;
-use serde_json::{Map, Value};
+use serde_json::Map;
 use std::io::Write;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Prove sign and unit of an axis, and that its controller does not compensate already, by a guided jog

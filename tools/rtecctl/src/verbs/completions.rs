@@ -1,8 +1,7 @@
 //! `rtecctl completions SHELL`: shell completions on standard output.
 
-use crate::daemon::DaemonArgs;
+use crate::prelude::*;
 use clap_complete::Shell;
-use std::fmt::Write as _;
 
 /// Print a completion script for your shell; it knows the names of the machine's axes
 #[derive(Debug, clap::Args)]

@@ -1,13 +1,10 @@
 //! `rtecctl config`: checks a configuration, and shows where it is wrong.
 
-use crate::document::say_line;
+use crate::prelude::*;
 use crate::terminal::{self, Tone, toned};
 use clap::Subcommand;
 use rtec_control::config::{Config, ConfigFindings, ConfiguredAxis, EMBEDDED};
-use rtec_files::InputError;
 use rtec_rt::axis::AxisConfig;
-use serde_json::json;
-use std::path::PathBuf;
 
 /// Check a configuration, or print the embedded one
 #[derive(Debug, clap::Args)]

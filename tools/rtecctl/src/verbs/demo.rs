@@ -1,8 +1,7 @@
 //! `rtecctl demo`: corrects a simulated axis with the embedded default.
 
+use crate::prelude::*;
 use rtec_demo::Options;
-use std::path::PathBuf;
-use std::time::Duration;
 
 /// Correct a simulated axis in real time: no hardware, no root, no configuration
 ///

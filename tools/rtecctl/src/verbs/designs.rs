@@ -1,13 +1,11 @@
 //! `rtecctl designs`: every insertion design on the same motion and computer.
 //! The designs are those of the sources.
 
-use crate::document::answer;
-use anyhow::Context;
+use crate::prelude::*;
 use rtec_files::options::number;
 use rtec_sim::bench::InsertionDesign;
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::insertion_designs::{TestMotion, compare, waveforms};
-use std::path::PathBuf;
 
 /// Compare the insertion designs: increment, time, safe speed, rest, what happens when the computer dies
 #[derive(Debug, clap::Args)]

@@ -1,11 +1,8 @@
 //! `rtecctl example`: a simulated machine to begin with.
 
-use crate::document::say_line;
-use anyhow::Context;
+use crate::prelude::*;
 use rtec_sim::example::{EXAMPLES, Example};
-use serde_json::json;
 use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
 
 /// Write an example machine into a folder: model, run records, hold-outs, configuration
 ///

@@ -1,9 +1,8 @@
 //! `rtecctl explain`: the components of each axis's correction.
 
-use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
-use crate::document::list;
+use crate::daemon::{NO_EVENTS, observe};
+use crate::prelude::*;
 use rtec_control::protocol::{AxisExplanation, ClientRequest, Contribution, Response, SensorReading};
-use std::fmt::Write as _;
 
 /// Split each axis's correction now into its effects, with sensor values and their age
 ///

@@ -1,10 +1,7 @@
 //! `rtecctl history`: one machine's figures of merit over time.
 
-use crate::document::{answer, list};
-use anyhow::Context;
-use rtec_files::InputError;
+use crate::prelude::*;
 use rtec_measure::history::{FigureTolerances, history};
-use std::path::{Path, PathBuf};
 
 /// Show a machine's figures over time: A, E, M, R, B, squareness, growth per K, with limits and trend
 ///

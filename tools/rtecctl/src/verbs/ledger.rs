@@ -1,8 +1,7 @@
 //! `rtecctl ledger`: requests and insertions of each axis, as files for a replay.
 
-use crate::daemon::{DaemonArgs, NO_EVENTS, ask, expected, observe};
-use crate::document::{list, pretty, say_line};
-use anyhow::Context;
+use crate::daemon::{NO_EVENTS, ask, expected, observe};
+use crate::prelude::*;
 use rtec_control::client::Client;
 use rtec_control::ledger_export::LedgerExportSummary;
 use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
@@ -12,9 +11,6 @@ use rtec_files::trace::{RequestReader, TraceReader};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::replay::ReplayOutcome;
-use serde_json::json;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 super::verbs_below! {
     /// What each axis was asked for, and every insertion

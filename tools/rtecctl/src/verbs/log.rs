@@ -1,18 +1,13 @@
 //! `rtecctl log`: the record of every command.
 
-use crate::daemon::DaemonArgs;
-use crate::document::{list, say_line};
+use crate::prelude::*;
 use crate::terminal;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use rtec_control::audit::{self, Anchor, ChainLine, Entry};
-use rtec_files::InputError;
 use rtec_files::message_text::is_hidden;
-use serde_json::{Value, json};
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 use std::io;
-use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Show who asked the daemon for what, when, and what it did; check that the record is whole

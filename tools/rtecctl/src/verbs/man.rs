@@ -1,7 +1,6 @@
 //! `rtecctl man DIR`: one manual page per verb.
 
-use anyhow::Context;
-use std::path::PathBuf;
+use crate::prelude::*;
 
 /// Write the manual pages, one per verb, into a directory
 #[derive(Debug, clap::Args)]

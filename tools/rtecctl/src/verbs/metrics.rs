@@ -1,19 +1,16 @@
 //! `rtecctl metrics`: the status as metrics.
 //! They are printed, written for a collector, or served.
 
-use crate::CommandFailure;
-use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
+use crate::daemon::{NO_EVENTS, observe};
 use crate::http::{Answer, Handler, Request, Server};
-use anyhow::Context;
+use crate::prelude::*;
 use rtec_control::metrics::{MetricsFormat, text};
 use rtec_control::protocol::DaemonSnapshot;
-use rtec_files::InputError;
 use rtec_files::format_stamp::VERSION;
 use std::fs::{Permissions, remove_file};
 use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};

@@ -66,11 +66,10 @@ macro_rules! verbs_below {
 }
 pub(crate) use verbs_below;
 
+use crate::prelude::*;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use nix::unistd::{AccessFlags, access};
-use rtec_files::InputError;
 use rtec_model::record::Record;
-use std::path::{Path, PathBuf};
 
 pub(crate) fn read_records(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
     paths.iter().map(|p| rtec_measure::record::read(p)).collect()

@@ -1,9 +1,7 @@
 //! `rtecctl platform`: whether this computer suits a real-time thread.
 //! It says what to change.
 
-use crate::CommandFailure;
-use crate::document::{answer, list};
-use anyhow::Context;
+use crate::prelude::*;
 use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
 use rtec_driver::gpio::{GpioSetup, chip_names};
 use rtec_driver::profile::AddressSpace;
@@ -11,8 +9,6 @@ use rtec_platform::access::{self, Device};
 use rtec_rt::setup::{RtSettings, SetupReport, SystemRoot, apply};
 use serde::Serialize;
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
 
 /// What this kernel and machine can do for the real-time thread, and what to change
 ///

@@ -3,18 +3,15 @@
 
 use super::characterise::record::{Recorder, record};
 use super::read_records;
-use crate::document::{list, pretty, write};
+use crate::document::write;
+use crate::prelude::*;
 use crate::rounding::with_half;
-use crate::say;
-use anyhow::Context;
 use rtec_files::options::number;
 use rtec_files::{InputError, date};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{
     CorrectedEffect, LAWS_FILE, Options, Reconciliation, ResidualStructure, SEED, html, reconcile, why,
 };
-use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
 
 /// Find what the model of a machine lacks: name it, add it, show the gap shrink
 #[derive(Debug, clap::Args)]

@@ -1,12 +1,10 @@
 //! `rtecctl replay`: the real-time engine on a recorded trace, by a virtual clock.
 
-use crate::document::{list, say_line};
-use anyhow::Context;
+use crate::prelude::*;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Listener, TracePoint};
-use rtec_files::InputError;
 use rtec_files::clock;
 use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns};
 use rtec_rt::axis::AxisConfig;
@@ -17,7 +15,6 @@ use rtec_sim::replay::{ReplayError, ReplayOutcome};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Replay a recorded trace through the real-time engine and print what the MTC would have counted

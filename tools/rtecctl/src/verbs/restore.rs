@@ -1,13 +1,10 @@
 //! `rtecctl restore`: a machine's set-up from an archive of `rtecctl backup`.
 
 use super::backup::{Manifest, Packed, read};
-use crate::CommandFailure;
-use crate::document::{list, say_line};
-use anyhow::Context;
+use crate::prelude::*;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
 use rtec_control::lock;
-use rtec_files::InputError;
 use rtec_files::untrusted_folder::Folder;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};

@@ -1,12 +1,10 @@
 //! `rtecctl selftest latency`: measures this computer's latencies.
 //! It shows the speeds at which they allow corrections.
 
-use crate::document::say_line;
+use crate::prelude::*;
 use crate::verbs::card::{alone, confirm, unreachable};
-use anyhow::Context;
 use rtec_control::card::{self, CardAccess, CardOperation};
 use rtec_control::config::{CardConfig, Config, LatencyTestConditions};
-use rtec_files::InputError;
 use rtec_files::write::AtomicFile;
 use rtec_platform::latency_test::{
     Backend, Latency, LatencyTestResult, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
@@ -16,10 +14,7 @@ use rtec_platform::verdict::SelftestVerdict;
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::histogram::HistogramSnapshot;
 use rtec_rt::setup::SystemRoot;
-use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::PathBuf;
-use std::time::Duration;
 
 /// Rows of the histogram in the text, 1 µs each.
 /// The plotting scripts of the field ask cyclictest for as many.

@@ -1,11 +1,9 @@
 //! `rtecctl ship`: finished records from a spool folder to the shop's store.
 
-use crate::CommandFailure;
+use crate::prelude::*;
 use rtec_measure::spool::{FolderStore, ShipError, ship};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
 use std::process::Command;
-use std::time::Duration;
 
 /// Send finished records from a spool folder to the shop's folder or S3-like store, each once and whole
 ///

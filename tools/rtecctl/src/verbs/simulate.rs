@@ -1,17 +1,13 @@
 //! `rtecctl simulate`: experiments on the simulated machine.
 
-use crate::document::{list, say_line, say_pretty};
-use anyhow::Context;
-use rtec_files::InputError;
+use crate::prelude::*;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::RunKind;
 use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentError, ExperimentInputs};
 use rtec_sim::lathe_program::RunError;
 use rtec_sim::sim::{MachineSpec, SimError};
 use rtec_sim::turning::TurningError;
-use serde_json::{Map, Value};
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use serde_json::Map;
 
 /// Run an experiment on the simulated machine, without and with compensation
 #[derive(Debug, clap::Args)]

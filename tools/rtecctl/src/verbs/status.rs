@@ -1,15 +1,14 @@
 //! `rtecctl status`: what the corrector does, and if nothing, why.
 
-use crate::daemon::{DaemonArgs, explained, status};
-use crate::document::{line, list};
+use crate::daemon::{explained, status};
+use crate::document::line;
+use crate::prelude::*;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
 use rtec_control::protocol::{
     AxisReport, ClientRequest, DaemonStatus, PartTable, PartTableState, Response, TimeDistribution,
 };
 use rtec_correct::explain::AxisExplanation;
-use std::fmt::Write as _;
-use std::time::Duration;
 
 /// Show what the corrector is doing; exit 4 while a fault is latched
 #[derive(Debug, clap::Args)]

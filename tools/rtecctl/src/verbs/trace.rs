@@ -1,13 +1,11 @@
 //! `rtecctl trace`: converts quadrature traces, and makes them from positions.
 //! The positions are from a measured record.
 
-use crate::document::say_line;
-use anyhow::Context;
+use crate::prelude::*;
 use rtec_driver::replay::TracePoint;
 use rtec_files::options::number;
 use rtec_files::position_record::{PositionOptions, PositionRecord};
 use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 super::verbs_below! {

@@ -3,15 +3,13 @@
 //! seen.
 
 use super::{ProbeArgs, refused, unreachable};
-use crate::document::say_pretty;
+use crate::prelude::*;
 use crate::terminal::redraw;
 use rtec_control::card::{self, CardAccess, CardOperation};
 use rtec_control::config::Config;
 use rtec_control::line_readings::{WiredLine, wires};
 use rtec_driver::card::{AxisLines, Card, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
-use serde_json::{Value, json};
-use std::fmt::Write as _;
 
 /// Changes of one channel alone after which the other is reported as silent.
 /// An axis pushed back and forth across one boundary by hand makes a few.

@@ -1,11 +1,10 @@
 //! `rtecctl characterise import`: turns other tools' files into run records.
 
+use crate::prelude::*;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use rtec_files::InputMessage;
 use rtec_measure::import::request::ImportRequest;
 use rtec_measure::record;
-use std::path::PathBuf;
 
 /// Turn another tool's file into a run record
 #[derive(Debug, clap::Args)]

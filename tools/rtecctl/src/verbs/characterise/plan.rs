@@ -1,13 +1,10 @@
 //! `rtecctl characterise plan`: the test sequence for this machine.
 
-use crate::document::say_pretty;
-use crate::say;
+use crate::prelude::*;
 use crate::verbs::{pairs, suspicions};
 use rtec_measure::plan::{self, PlanAxis};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{NextRuns, UnresolvedEffect, next_runs};
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
 
 /// Write the test sequence for this machine: what to mount where, how to move, what to record
 #[derive(Debug, clap::Args)]

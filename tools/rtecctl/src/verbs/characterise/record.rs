@@ -1,13 +1,12 @@
 //! `rtecctl characterise record`: records temperatures, positions and gauges.
 //! It shows its progress.
 
-use crate::daemon::{self, DaemonArgs, status};
+use crate::daemon::{self, status};
+use crate::prelude::*;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus};
-use rtec_files::InputError;
 use rtec_files::keys::{Section, SourceFile};
 use rtec_files::text::open_regular;
 use rtec_files::toml::Document;
@@ -16,7 +15,6 @@ use rtec_sensors::bank::SensorBank;
 use rtec_sensors::sensor_line_feed::SensorLineFeed;
 use rtec_sensors::{SensorConfig, SensorUse};
 use std::io::Write;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};

@@ -1,14 +1,12 @@
 //! `rtecctl model fit-chain`: fits a chain's polynomials to records, by component.
 
 use super::fit::draw;
-use crate::document::say_pretty;
+use crate::prelude::*;
 use crate::rounding::with_bounds;
 use crate::verbs::suspicions;
-use rtec_files::InputError;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_measure::plausible;
 use rtec_model::chain::Chain;
-use std::path::{Path, PathBuf};
 
 /// Fit components of a kinematic chain on the records that measure them
 #[derive(Debug, clap::Args)]

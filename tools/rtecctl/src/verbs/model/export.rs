@@ -1,13 +1,11 @@
 //! `rtecctl model export`: a model's correction table for one axis.
 //! It is for a controller that compensates by itself.
 
-use crate::document::say_pretty;
+use crate::prelude::*;
 use crate::verbs::pairs;
-use rtec_files::InputError;
 use rtec_measure::export::TableRange;
 use rtec_measure::export::request::{ExportRequest, TableFormat};
 use rtec_model::machine::Machine;
-use std::path::{Path, PathBuf};
 
 /// Write one axis' errors as a table for a controller that compensates by itself
 #[derive(Debug, clap::Args)]

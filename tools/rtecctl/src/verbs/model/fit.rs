@@ -1,16 +1,14 @@
 //! `rtecctl model fit` and `select-sensors`: choose sensors and fit growth.
 //! The model is judged on data that it has not seen.
 
-use crate::document::{list, say_pretty};
+use crate::prelude::*;
 use crate::rounding::with_bounds;
 use crate::verbs::{read_records, suspicions};
-use rtec_files::InputError;
 use rtec_files::date;
 use rtec_fit::thermal::{self, FittedEffect, ThermalFitReport};
 use rtec_fit::workflow::{self, Fit, FitRequest};
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine};
-use std::path::{Path, PathBuf};
 
 /// What both verbs take
 #[derive(Debug, clap::Args)]

@@ -1,14 +1,12 @@
 //! `rtecctl model load` and `unload`: choose the model that the daemon runs.
 
-use crate::daemon::{DaemonArgs, absolute, check, expected, unreachable};
-use crate::document::say_line;
+use crate::daemon::{absolute, check, expected, unreachable};
+use crate::prelude::*;
 use rtec_control::protocol::{AxisTotalChange, ClientRequest, ModelPreview, Response};
 use rtec_files::text::open_regular;
 use rtec_model::machine::Machine;
-use std::fmt::Write as _;
 use std::fs::File;
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
 
 /// Show what a model changes right now, and have the daemon take it
 ///

@@ -1,11 +1,10 @@
 //! `rtecctl model predict`: the sum of a model's effects at every row of a record.
 
+use crate::prelude::*;
 use crate::verbs::suspicions;
-use anyhow::Context;
 use rtec_files::write::AtomicFile;
 use rtec_measure::prediction::{self, PredictionError};
 use rtec_model::machine::Machine;
-use std::path::PathBuf;
 
 /// Predict a record's responses from a machine model
 #[derive(Debug, clap::Args)]

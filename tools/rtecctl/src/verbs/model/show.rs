@@ -1,6 +1,6 @@
 //! `rtecctl model show` and `compare`: contents and differences of models.
 
-use crate::document::{list, say_pretty};
+use crate::prelude::*;
 use crate::rounding::alike;
 use crate::verbs::suspicions;
 use rtec_files::date;
@@ -8,10 +8,7 @@ use rtec_measure::plausible;
 use rtec_model::chain::{self, COMPONENTS, Chain, Term};
 use rtec_model::effect::Effect;
 use rtec_model::machine::{FitNote, Machine};
-use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
-use std::path::PathBuf;
 
 /// Show a model: effects, parameters, intervals, where they come from, how long they hold
 #[derive(Debug, clap::Args)]

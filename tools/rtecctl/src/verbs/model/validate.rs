@@ -2,7 +2,7 @@
 //! They use data that it has not seen, or a recorded shift.
 
 use super::fit::{draw, draw_beside};
-use crate::document::{answer, say_pretty};
+use crate::prelude::*;
 use crate::verbs::{read_records, suspicions};
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
@@ -12,8 +12,6 @@ use rtec_measure::plausible;
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Role;
-use serde_json::Value;
-use std::path::PathBuf;
 
 /// Test a model on records: what is left, how often its interval holds, where it is used outside its range
 #[derive(Debug, clap::Args)]

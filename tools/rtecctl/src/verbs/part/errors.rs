@@ -1,13 +1,11 @@
 //! `rtecctl part errors`: part errors, `error.cor` and whiskers from probed points.
 
 use super::write_all;
-use crate::document::answer;
+use crate::prelude::*;
 use crate::verbs::suspicions;
 use rtec_part::error_determination::{self, ErrorRequest};
 use rtec_part::errors::ErrorReport;
 use rtec_part::geometric_fit;
-use std::fmt::Write as _;
-use std::path::PathBuf;
 
 /// Determine a part's form errors from probed points
 #[derive(Debug, clap::Args)]

@@ -1,14 +1,11 @@
 //! `rtecctl part features`: the features of a drawing, in probing order.
 
 use super::write_all;
-use crate::document::answer;
+use crate::prelude::*;
 use rtec_part::contour::{Contour, FeatureKind};
 use rtec_part::drawing::{self, DxfOptions};
 use rtec_part::svg::Svg;
 use rtec_part::unit::Unit;
-use serde_json::json;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
 
 /// The drawing and how to read it
 #[derive(Debug, clap::Args)]

@@ -4,14 +4,13 @@
 use super::points::positive;
 use super::simulated_machine::SimMachineArgs;
 use super::{failed, within, write_all};
-use crate::document::answer;
+use crate::prelude::*;
 use rtec_model::machine::Machine;
 use rtec_part::error_cor_file::read_arc;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::table::FinishTable;
 use rtec_sim::lathe::{axes, design};
 use rtec_sim::workpiece::Workpiece;
-use std::path::PathBuf;
 
 /// Cut the nose on the simulated machine, with the errors' table loaded
 #[derive(Debug, clap::Args)]

@@ -2,11 +2,10 @@
 
 use super::points::positive;
 use super::{usage, within, write_all};
-use crate::document::answer;
+use crate::prelude::*;
 use rtec_model::record::span;
 use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::errors::{ErrorReport, NominalShape, ProbedPoints};
-use std::path::{Path, PathBuf};
 
 /// Compare the part before and after the finish cut
 #[derive(Debug, clap::Args)]

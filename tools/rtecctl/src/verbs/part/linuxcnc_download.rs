@@ -3,12 +3,9 @@
 //! is in LinuxCNC's own program folder.
 
 use super::usage;
-use crate::CommandFailure;
-use anyhow::Context as _;
+use crate::prelude::*;
 use std::io::{BufRead, BufReader, Write as _};
 use std::net::{TcpStream, ToSocketAddrs as _};
-use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 /// Into the controller
 #[derive(Debug, clap::Args)]

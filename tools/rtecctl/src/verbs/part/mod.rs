@@ -16,10 +16,9 @@ mod run;
 mod simulated_machine;
 mod table;
 
-use crate::CommandFailure;
+use crate::prelude::*;
 use rtec_sim::turning::TurningError;
 use std::ops::RangeInclusive;
-use std::path::Path;
 
 super::verbs_below! {
     /// Probe a part and compensate its errors: the steps of the process-intermittent and post-process loops

@@ -6,19 +6,17 @@
 //! never ends does not block others.
 
 use crate::http::{Answer, Handler, Request, Server};
+use crate::prelude::*;
 use rtec_model::record::hex;
 use rtec_part::contour::Contour;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::path::ProbingPlan;
 use rtec_part::unit::Unit;
-use serde_json::{Value, json};
 use std::fs::File;
 use std::io::Read;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 const PAGE: &str = include_str!("page.html");
 

@@ -3,12 +3,10 @@
 use super::features::{DrawingArgs, read};
 use super::plan_page::{PlanEditor, PlanPage};
 use super::{usage, within, write_all};
-use crate::document::{answer, list};
+use crate::prelude::*;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::path::{Collision, ProbeGeometry, ProbingMotion, ProbingPlan, Stem, number_at};
 use rtec_part::unit::Unit;
-use std::fmt::Write as _;
-use std::path::PathBuf;
 use std::str::FromStr;
 
 /// Choose probing points and write the probe's path

@@ -2,14 +2,12 @@
 //! Changes are offered, not applied.
 
 use super::{usage, within, write_all};
-use crate::document::{answer, list};
+use crate::prelude::*;
 use rtec_files::text::short;
 use rtec_part::batch::{
     Batch, BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns,
 };
 use rtec_part::error_cor_file::{error_cor, read_arc};
-use std::fmt::Write as _;
-use std::path::PathBuf;
 
 /// Judge a batch measured off the machine and offer changes
 #[derive(Debug, clap::Args)]

@@ -4,9 +4,8 @@
 use super::points::positive;
 use super::simulated_machine::SimMachineArgs;
 use super::{failed, usage, write_all};
-use crate::CommandFailure;
-use crate::daemon::{self, DaemonArgs, unreachable};
-use crate::document::{answer, list};
+use crate::daemon::{self, unreachable};
+use crate::prelude::*;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
 use rtec_files::options::one_of;
@@ -17,9 +16,7 @@ use rtec_part::path::{approaches, read_expected, read_pathfin};
 use rtec_part::probe::{CapturedTrips, Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::unit::Unit;
 use rtec_sim::workpiece::Workpiece;
-use std::fmt::Write as _;
 use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Probe a part: through the daemon while the controller runs the probing program, or on the simulated machine

@@ -3,12 +3,11 @@
 use super::linuxcnc_download::DownloadArgs;
 use super::points::positive;
 use super::{usage, write_all};
-use crate::document::{answer, list};
+use crate::prelude::*;
 use rtec_files::options::one_of;
 use rtec_part::path::{PathRole, read_pathfin};
 use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
 use rtec_part::unit::Unit;
-use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Write the NC probing program

@@ -4,14 +4,11 @@ use super::features::{read, write_drawn};
 use super::points::positive;
 use super::simulated_machine::SimMachineArgs;
 use super::{failed, usage, write_all};
-use crate::document::answer;
-use rtec_files::InputError;
+use crate::prelude::*;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
 use rtec_part::drawing::DxfOptions;
 use rtec_sim::turning::TurningOutcome;
-use std::fmt::Write as _;
-use std::path::PathBuf;
 
 /// Go through all steps on the simulated machine: features, semi-finish, probe, errors, table, finish, inspect
 #[derive(Debug, clap::Args)]

@@ -2,12 +2,11 @@
 
 use super::points::{checked, positive};
 use super::{usage, within};
-use rtec_files::InputError;
+use crate::prelude::*;
 use rtec_model::machine::Machine;
 use rtec_part::path::ProbingMotion;
 use rtec_sim::lathe::{self, LatheSpec};
 use rtec_sim::turning::TurningExperiment;
-use std::path::{Path, PathBuf};
 
 /// The simulated machine
 #[derive(Debug, clap::Args)]

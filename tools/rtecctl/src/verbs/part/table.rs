@@ -2,12 +2,11 @@
 
 use super::points::positive;
 use super::{usage, within, write_all};
-use crate::document::answer;
+use crate::prelude::*;
 use rtec_part::error_cor_file::FeatureErrors;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::straight_table::StraightTable;
 use rtec_part::table::{AxisCounts, FinishArc, FinishTable, csv};
-use std::path::PathBuf;
 
 /// Turn part errors into the table of corrections for the finish cut
 #[derive(Debug, clap::Args)]
