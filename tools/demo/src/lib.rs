@@ -23,14 +23,19 @@ use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// What `rtecctl demo` can be asked for.
+// The documentation of the fields is the help of `rtecctl demo`.
+/// What `rtecctl demo` can be asked for
 #[derive(Debug, Clone)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct Options {
-    /// How long to run.
+    /// How long to run
+    #[cfg_attr(feature = "clap", arg(long, default_value = "10s", value_parser = rtec_files::options::duration))]
     pub duration: Duration,
-    /// One JSON document at the end instead of the live view.
+    /// Print one JSON document at the end instead of the live view
+    #[cfg_attr(feature = "clap", arg(long))]
     pub json: bool,
-    /// CSV file for the tool's error every 10 ms, without and with correction.
+    /// Write the tool's error every 10 ms into this CSV file, without and with correction
+    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE"))]
     pub errors: Option<PathBuf>,
 }
 

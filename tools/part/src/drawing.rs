@@ -42,7 +42,8 @@ fn unit_of_header(units: i32) -> Option<Unit> {
 #[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct DxfOptions {
     /// The drawing's unit, where its header does not say
-    #[cfg_attr(feature = "clap", arg(long = "units", value_name = "UNITS", value_parser = rtec_files::options::one_of(&Unit::ALL, &[])))]
+    #[cfg_attr(feature = "clap", arg(long = "units", value_name = "UNITS",
+        value_parser = rtec_files::options::one_of(&Unit::ALL, &[])))]
     pub unit: Option<Unit>,
     /// Take the contour from this layer only
     #[cfg_attr(feature = "clap", arg(long))]

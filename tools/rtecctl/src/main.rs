@@ -41,7 +41,6 @@ macro_rules! ensure {
 mod archive;
 mod daemon;
 mod document;
-mod duration;
 mod full_screen;
 mod help;
 mod http;

@@ -4,23 +4,37 @@ use crate::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant, inser
 use crate::computer_timing::ComputerTiming;
 use crate::ecc::Pll;
 use rtec_driver::quadrature::State;
+#[cfg(feature = "clap")]
+use rtec_files::options::number;
 use rtec_rt::axis::AxisConfig;
 use serde::Serialize;
 use std::fmt::Write as _;
 
-/// The motion on which all designs are compared.
+// The documentation of the fields is the help of `rtecctl designs`. At the slow end a motion takes hours; no real edge
+// is faster than the other end.
+/// The motion on which all designs are compared
+///
 /// It goes from rest up to speed and back to rest, in both directions, with corrections of both signs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct TestMotion {
-    /// Encoder frequency at speed (a quarter of the count rate), Hz.
+    /// Speed of the motion, as encoder frequency in Hz (a quarter of the count rate)
+    #[cfg_attr(feature = "clap", arg(long, value_name = "HZ", default_value_t = Self::default().encoder_hz,
+        value_parser = number(|v| (0.1..=1e8).contains(&v), "expected a number from 1e-1 to 1e8 Hz")))]
     pub encoder_hz: f64,
-    /// Acceleration, counts/s².
+    /// Acceleration of the motion, counts/s²
+    #[cfg_attr(feature = "clap", arg(long = "accel", value_name = "A", default_value_t = Self::default().accel_counts_s2,
+        value_parser = number(|v| (1.0..=1e12).contains(&v), "expected a number from 1e0 to 1e12 counts/s²")))]
     pub accel_counts_s2: f64,
-    /// Length of each way, counts.
+    /// Length of each way of the motion, counts
+    #[cfg_attr(feature = "clap", arg(long, value_name = "N", default_value_t = Self::default().counts,
+        value_parser = clap::value_parser!(u64).range(100..=10_000_000)))]
     pub counts: u64,
     /// Rest before each way, ns.
+    #[cfg_attr(feature = "clap", arg(skip = Self::default().rest_ns))]
     pub rest_ns: u64,
     /// Largest requested correction, counts.
+    #[cfg_attr(feature = "clap", arg(skip = Self::default().correction_counts))]
     pub correction_counts: i64,
 }
 

@@ -65,7 +65,8 @@ pub struct TableFormat {
     #[cfg_attr(feature = "clap", arg(long, default_value_t = 0))]
     pub table: u16,
     /// siemens-cec: which way a positive value moves the axis, as tried on the machine
-    #[cfg_attr(feature = "clap", arg(long = "positive-moves", value_name = "POSITIVE_MOVES", value_parser = one_of(&UP_OR_DOWN, &[])))]
+    #[cfg_attr(feature = "clap", arg(long = "positive-moves", value_name = "POSITIVE_MOVES",
+        value_parser = one_of(&UP_OR_DOWN, &[])))]
     pub positive_moves_up: Option<bool>,
     /// siemens, siemens-cec: the machine axis as the controller names it, as X1
     #[cfg_attr(feature = "clap", arg(long, required_if_eq("format", "siemens")))]

@@ -77,7 +77,8 @@ pub struct ImportRequest {
     #[cfg_attr(feature = "clap", arg(long, default_value = "drift"))]
     pub kind: String,
     /// csv: how numbers are written [default: a point; either where semicolons part the columns]
-    #[cfg_attr(feature = "clap", arg(long = "decimal", value_name = "DECIMAL", value_parser = one_of(&POINT_OR_COMMA, &[])))]
+    #[cfg_attr(feature = "clap", arg(long = "decimal", value_name = "DECIMAL",
+        value_parser = one_of(&POINT_OR_COMMA, &[])))]
     pub decimal_comma: Option<bool>,
     /// csv, halsampler, shdr: a log, which need not have a response
     #[cfg_attr(feature = "clap", arg(long))]

@@ -64,7 +64,7 @@ struct ProbeArgs {
     #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
     every: Duration,
     /// With --watch: end after this time; without it: until Ctrl-C
-    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
+    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = rtec_files::options::duration)]
     during: Option<Duration>,
     /// Print one JSON document; with --watch at the end of --for
     #[arg(long)]
@@ -72,7 +72,7 @@ struct ProbeArgs {
 }
 
 fn pause(text: &str) -> Result<Duration, String> {
-    let time = crate::duration::duration(text)?;
+    let time = rtec_files::options::duration(text)?;
     let range = Duration::from_millis(20)..=Duration::from_secs(3600);
     if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }

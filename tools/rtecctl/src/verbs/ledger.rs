@@ -35,7 +35,7 @@ struct ExportArgs {
     #[arg(long, value_name = "NAME")]
     axis: Option<String>,
     /// The last changes only, as 60s
-    #[arg(long, value_name = "TIME", value_parser = crate::duration::duration)]
+    #[arg(long, value_name = "TIME", value_parser = rtec_files::options::duration)]
     last: Option<Duration>,
     #[command(flatten)]
     daemon: DaemonArgs,

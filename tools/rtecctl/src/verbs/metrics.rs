@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.prom")]
     textfile: Option<PathBuf>,
     /// Write the file again and again, as 15s
-    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = crate::duration::duration)]
+    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = rtec_files::options::duration)]
     every: Option<Duration>,
     /// Serve them at this address, as 127.0.0.1:9837, or at a Unix socket, as /run/rtec-metrics/socket
     #[arg(long, value_name = "ADDRESS", conflicts_with = "textfile")]

@@ -127,6 +127,34 @@ fn can_be_written(file: &Path) -> Result<(), String> {
 mod tests {
     use super::{can_be_written, is_drawing};
 
+    /// No option of any verb reads a time by a rule of its own.
+    #[test]
+    fn every_option_takes_both_forms() {
+        let command = crate::help::command();
+        let mut found = Vec::new();
+        for line in [
+            "demo --duration",
+            "park --to-zero --patience",
+            "ledger export --out l --last",
+            "card probe --watch --every",
+            "card probe --watch --for",
+            "top --every",
+            "status --watch --every",
+            "metrics --textfile m.prom --every",
+            "selftest latency --duration",
+            "characterise record --out r --duration",
+            "characterise record --out r --period",
+            "reconcile x --live r --model m --period",
+        ] {
+            for time in ["2", "2s"] {
+                let words = ["rtecctl"].into_iter().chain(line.split(' ')).chain([time]);
+                let asked = command.clone().try_get_matches_from(words);
+                found.extend(asked.err().map(|e| format!("{line} {time}: {e}")));
+            }
+        }
+        assert_eq!(found, [""; 0]);
+    }
+
     #[test]
     fn a_drawing_is_not_written_under_the_name_of_another_kind() {
         let said = |name: &str| is_drawing(std::path::Path::new(name));

@@ -20,7 +20,7 @@ pub(crate) struct Args {
     #[arg(long, group = "moves")]
     inverters_off: bool,
     /// Give up after this time without a count taken out, as 30s or 5min; corrections stay on then
-    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = crate::duration::duration)]
+    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = rtec_files::options::duration)]
     patience: Duration,
     #[command(flatten)]
     daemon: DaemonArgs,

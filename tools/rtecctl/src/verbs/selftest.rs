@@ -70,7 +70,7 @@ struct CardTest<'a> {
 }
 
 fn duration(text: &str) -> Result<Duration, String> {
-    let time = crate::duration::duration(text)?;
+    let time = rtec_files::options::duration(text)?;
     if time < Duration::from_millis(100) { Err("at least 100ms".into()) } else { Ok(time) }
 }
 

@@ -17,7 +17,7 @@ pub(crate) struct Args {
     #[arg(long)]
     watch: bool,
     /// With --watch: another time between two looks, as 1s
-    #[arg(long, value_name = "TIME", requires = "watch", value_parser = crate::duration::duration)]
+    #[arg(long, value_name = "TIME", requires = "watch", value_parser = rtec_files::options::duration)]
     every: Option<Duration>,
     #[command(flatten)]
     daemon: DaemonArgs,

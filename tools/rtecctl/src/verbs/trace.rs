@@ -38,7 +38,8 @@ struct FromPosition {
     /// The record: a header, a time column `t_s` (or `t_ms`, `t_us`, `t_ns`) and a position column
     input: PathBuf,
     /// What one count is worth, in µm
-    #[arg(long, value_name = "UM", value_parser = number(|n| n.is_finite() && n > 0.0, "expected a number above 0"))]
+    #[arg(long, value_name = "UM",
+          value_parser = number(|n| n.is_finite() && n > 0.0, "expected a number above 0"))]
     count_um: f64,
     /// The trace to write (.csv or .vcd)
     #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]

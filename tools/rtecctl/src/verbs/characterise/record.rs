@@ -131,7 +131,7 @@ fn usage(found: String, expected: &str) -> InputError {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    crate::duration::duration(text).map(|t| t.as_secs_f64())
+    rtec_files::options::duration(text).map(|t| t.as_secs_f64())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
