@@ -159,8 +159,7 @@ pub fn read(file: &Path, options: &DxfOptions) -> Result<(Contour, Unit), InputE
     reader.twice(&pieces)?;
     let (short, mut pieces): (Vec<Piece>, Vec<Piece>) =
         pieces.into_iter().partition(|piece| reader.is_speck(&piece.segment));
-    let curves = short_pieces::joined(&short, options.tolerance_mm, &mut cleaned);
-    for piece in curves {
+    for piece in short_pieces::joined(&short, options.tolerance_mm, &mut cleaned) {
         reader.is_fit(&piece.segment, &piece.entity, piece.line)?;
         pieces.push(piece);
     }
@@ -233,11 +232,10 @@ impl Cleaned {
     /// A sentence about hidden entities.
     fn not_shown(&self) -> String {
         let layers: Vec<&str> = self.hidden_on.iter().take(8).map(String::as_str).collect();
-        let entities =
-            if self.hidden == 1 { "1 entity".to_owned() } else { format!("{} entities", self.hidden) };
+        let entities = if self.hidden == 1 { "entity" } else { "entities" };
+        let (n, layers) = (self.hidden, layers.join(", "));
         format!(
-            "{entities} not shown (invisible, or its layer off, frozen or not plotted): layer {}",
-            layers.join(", ")
+            "{n} {entities} not shown (invisible, or its layer off, frozen or not plotted): layer {layers}"
         )
     }
 
@@ -250,37 +248,23 @@ impl Cleaned {
             format!("took {curves} as straight: within {flat} mm of the chord, a hundredth of the tolerance")
         };
         let aids: Vec<String> = self.aids.iter().map(|(kind, n)| several(*n, kind)).collect();
+        let n = self.vertices;
+        let specks = several(self.specks, "piece");
+        let no_sweeps = several(self.no_sweeps, "arc");
+        let circles = several(self.circles, "ellipse");
+        let frames = several(self.frames, "polyline");
+        let whole = "(a whole circle is one from 0 to 360 degrees)";
+        let round = format!("round within {flat} mm, a hundredth of the tolerance");
         let sentences = [
-            (
-                self.vertices,
-                format!("left out {} {vertices} within {within} mm of the one before", self.vertices),
-            ),
-            (self.specks, format!("left out {} no longer than {within} mm", several(self.specks, "piece"))),
-            (
-                self.no_sweeps,
-                format!(
-                    "left out {} from an angle to the same angle (a whole circle is one from 0 to 360 degrees)",
-                    several(self.no_sweeps, "arc")
-                ),
-            ),
+            (n, format!("left out {n} {vertices} within {within} mm of the one before")),
+            (self.specks, format!("left out {specks} no longer than {within} mm")),
+            (self.no_sweeps, format!("left out {no_sweeps} from an angle to the same angle {whole}")),
             (self.arcs, straight(self.arcs, "arc")),
             (self.curves, straight(self.curves, "curve")),
-            (
-                self.circles,
-                format!(
-                    "took {} as a circle: round within {flat} mm, a hundredth of the tolerance",
-                    several(self.circles, "ellipse")
-                ),
-            ),
+            (self.circles, format!("took {circles} as a circle: {round}")),
             (self.hidden, format!("left out {}", self.not_shown())),
             (aids.len(), format!("passed over {}: no contour", aids.join(", "))),
-            (
-                self.frames,
-                format!(
-                    "of {} the fitted curve was taken, not its control points",
-                    several(self.frames, "polyline")
-                ),
-            ),
+            (self.frames, format!("of {frames} the fitted curve was taken, not its control points")),
         ];
         let told = sentences.into_iter().filter(|(n, _)| *n > 0);
         told.map(|(_, text)| format!("{}: {text}", file.display())).collect()
@@ -314,8 +298,7 @@ impl PointGrid {
     fn of(points: impl Iterator<Item = Zx>, tolerance: f64) -> Self {
         let mut places = Self { cell: tolerance.max(1e-9), cells: HashMap::new() };
         for (n, p) in points.enumerate() {
-            let at = places.at(p);
-            places.cells.entry(at).or_default().push(n);
+            places.cells.entry(places.at(p)).or_default().push(n);
         }
         places
     }
@@ -327,17 +310,14 @@ impl PointGrid {
     /// The indices of the points around a place.
     /// They include all within the tolerance, and some more.
     fn around(&self, p: Zx) -> impl Iterator<Item = usize> {
+        self.cells_around(p).flatten().copied()
+    }
+
+    fn cells_around(&self, p: Zx) -> impl Iterator<Item = &Vec<usize>> {
         let [z, x] = self.at(p);
         let cells =
             (-1..=1).flat_map(move |i| (-1..=1).map(move |j| [z.saturating_add(i), x.saturating_add(j)]));
-        cells.filter_map(|cell| self.cells.get(&cell)).flatten().copied()
-    }
-
-    /// The number of those points.
-    fn crowd(&self, p: Zx) -> usize {
-        let [z, x] = self.at(p);
-        let cells = (-1..=1).flat_map(|i| (-1..=1).map(move |j| [z.saturating_add(i), x.saturating_add(j)]));
-        cells.filter_map(|cell| self.cells.get(&cell)).map(Vec::len).sum()
+        cells.filter_map(|cell| self.cells.get(&cell))
     }
 }
 
@@ -402,7 +382,8 @@ impl Reader<'_> {
                 let (segment, ratio) = (self.ellipse(entity, mirror), axis_ratio(entity));
                 // The longer axis is the major one (DXF, group code 40). A smaller ratio than this is a line.
                 // An ellipse that is a line within the tolerance is accepted as that, whatever its ratio.
-                if !(0.0..=1.0 + 1e-9).contains(&ratio) || ratio < 1e-6 && self.is_too_flat(&segment) {
+                let is_line = || self.is_speck(&segment) || self.is_line(&segment);
+                if !(0.0..=1.0 + 1e-9).contains(&ratio) || ratio < 1e-6 && !is_line() {
                     let what = format!("with an axis ratio of {ratio:e}");
                     return refuse(kind, &what, "a minor axis of 0.000001 to 1 times the major one");
                 }
@@ -434,15 +415,13 @@ impl Reader<'_> {
                 let heights: Vec<f64> = entity.rows([10, 20, 30]).iter().map(|p| p[2]).collect();
                 (flat(&heights), self.smooth(spline, cleaned))
             }
-            "CIRCLE"
-                if TAU * entity.number(40).unwrap_or(0.0).abs() * self.unit.0
-                    <= self.options.tolerance_mm =>
-            {
+            "CIRCLE" => {
+                let length_mm = TAU * entity.number(40).unwrap_or(0.0).abs() * self.unit.0;
+                if length_mm > self.options.tolerance_mm || length_mm.is_nan() {
+                    return refuse(kind, "in the contour", "the half profile above the axis: an arc of it");
+                }
                 cleaned.specks += 1;
                 return Ok(());
-            }
-            "CIRCLE" => {
-                return refuse(kind, "in the contour", "the half profile above the axis: an arc of it");
             }
             _ => return refuse(kind, "in the contour", "lines, arcs, ellipses, splines and polylines"),
         };
@@ -464,12 +443,17 @@ impl Reader<'_> {
 
     /// Checks that a piece can be part of a contour.
     fn is_fit(&self, segment: &Segment, entity: &str, line: usize) -> Result<(), InputError> {
-        match self.unfit(segment) {
-            Some((what, expected)) => {
-                Err(InputError::at(self.file, line, 0, format!("{entity} {what}"), expected))
-            }
-            None => Ok(()),
-        }
+        let chords = segment.polyline();
+        let (what, expected) = if !chords.iter().all(|p| p.z.is_finite() && p.x.is_finite()) {
+            ("with a coordinate that is no number", "finite coordinates")
+        } else if chords.iter().any(|p| p.z.abs().max(p.x.abs()) > FARTHEST_MM) {
+            ("more than 100 m from the origin", "a part that a machine could hold")
+        } else if chords.iter().any(|p| p.x < -self.options.tolerance_mm) {
+            ("below the axis", "the half profile at Y ≥ 0")
+        } else {
+            return Ok(());
+        };
+        Err(InputError::at(self.file, line, 0, format!("{entity} {what}"), expected))
     }
 
     /// `mirror` is −1 for an arc that is seen from below.
@@ -496,26 +480,6 @@ impl Reader<'_> {
             ratio: mirror * axis_ratio(ellipse),
             start_rad: start,
             sweep_rad: if sweep == 0.0 { TAU } else { sweep },
-        }
-    }
-
-    /// Whether an ellipse of a tiny ratio is invalid.
-    /// It is valid as a line or a speck.
-    fn is_too_flat(&self, segment: &Segment) -> bool {
-        !self.is_speck(segment) && !self.is_line(segment)
-    }
-
-    /// The reason why a piece cannot be part of a contour: found, expected.
-    fn unfit(&self, segment: &Segment) -> Option<(&'static str, &'static str)> {
-        let chords = segment.polyline();
-        if !chords.iter().all(|p| p.z.is_finite() && p.x.is_finite()) {
-            Some(("with a coordinate that is no number", "finite coordinates"))
-        } else if chords.iter().any(|p| p.z.abs().max(p.x.abs()) > FARTHEST_MM) {
-            Some(("more than 100 m from the origin", "a part that a machine could hold"))
-        } else if chords.iter().any(|p| p.x < -self.options.tolerance_mm) {
-            Some(("below the axis", "the half profile at Y ≥ 0"))
-        } else {
-            None
         }
     }
 
@@ -669,15 +633,13 @@ impl Reader<'_> {
             };
             // Searches around the place with the fewest neighbours, because many pieces may meet in one point
             // or cross.
-            let crowds = [starts.crowd(a0), starts.crowd(a1), middles.crowd(middle)];
-            let first = match crowds.iter().min() {
-                Some(least) if *least == crowds[2] => {
-                    middles.around(middle).filter(|j| *j < i).filter(same).min()
-                }
-                least => {
-                    let end = if least == Some(&crowds[0]) { a0 } else { a1 };
-                    starts.around(end).map(|end| end / 2).filter(|j| *j < i).filter(same).min()
-                }
+            let crowd = |grid: &PointGrid, p: Zx| grid.cells_around(p).map(Vec::len).sum::<usize>();
+            let [c0, c1, of_middles] = [crowd(&starts, a0), crowd(&starts, a1), crowd(&middles, middle)];
+            let first = if of_middles <= c0.min(c1) {
+                middles.around(middle).filter(|j| *j < i).filter(same).min()
+            } else {
+                let end = if c0 <= c1 { a0 } else { a1 };
+                starts.around(end).map(|end| end / 2).filter(|j| *j < i).filter(same).min()
             };
             if let Some(j) = first {
                 let found = format!("{}, a duplicate of {}", a.entity, pieces[j].entity);

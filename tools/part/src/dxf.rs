@@ -63,29 +63,8 @@ const DECIMALS: [RangeInclusive<i32>; 5] = [10..=59, 110..=149, 210..=239, 460..
 const FROZEN: i64 = 1;
 
 /// The names of `$INSUNITS`, by number.
-const UNITS: [&str; 21] = [
-    "unitless",
-    "inches",
-    "feet",
-    "miles",
-    "mm",
-    "cm",
-    "m",
-    "km",
-    "microinches",
-    "mils",
-    "yards",
-    "ångströms",
-    "nm",
-    "µm",
-    "dm",
-    "dam",
-    "hm",
-    "Gm",
-    "astronomical units",
-    "light years",
-    "parsecs",
-];
+const UNITS: &str = "unitless,inches,feet,miles,mm,cm,m,km,microinches,mils,yards,ångströms,nm,µm,dm,dam,hm,Gm,\
+                     astronomical units,light years,parsecs";
 
 fn is_decimal(code: i32) -> bool {
     DECIMALS.iter().any(|range| range.contains(&code))
@@ -143,8 +122,8 @@ impl Entity {
 impl Drawing {
     /// The unit's name.
     pub(crate) fn unit_name(&self) -> String {
-        let known = usize::try_from(self.units).ok().and_then(|n| UNITS.get(n));
-        known.map_or_else(|| format!("number {}", self.units), |name| (*name).to_owned())
+        let known = usize::try_from(self.units).ok().and_then(|n| UNITS.split(',').nth(n));
+        known.map_or_else(|| format!("number {}", self.units), str::to_owned)
     }
 
     /// Reads a drawing.
@@ -302,9 +281,7 @@ fn of_text(file: &Path, bytes: &[u8]) -> Result<Vec<Group>, InputError> {
             if is_words(number) { unescaped(value.trim_end_matches('\r')) } else { value.trim().to_owned() };
         groups.push(Group { code: number, value, line: i + 1 });
     }
-    for group in &groups {
-        check(file, group)?;
-    }
+    groups.iter().try_for_each(|group| check(file, group))?;
     Ok(groups)
 }
 
@@ -339,9 +316,7 @@ fn unescaped(text: &str) -> String {
                 out.push(letter);
                 out.push_str(&part[4..]);
             }
-            None => {
-                let _ = write!(out, "\\U+{part}");
-            }
+            None => out.extend(["\\U+", part]),
         }
     }
     out
