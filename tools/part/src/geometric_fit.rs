@@ -1,6 +1,7 @@
 //! Fits circles and lines to probed points.
 //! The fits are geometric least squares, the two-step fit of NISTIR 4854 and a robust one.
 
+use rtec_model::record::mean;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -70,6 +71,12 @@ impl std::ops::Mul<f64> for Zx {
     type Output = Self;
     fn mul(self, factor: f64) -> Self {
         Self::new(self.z * factor, self.x * factor)
+    }
+}
+
+impl std::iter::Sum for Zx {
+    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
+        all.fold(Self::new(0.0, 0.0), |sum, p| sum + p)
     }
 }
 
@@ -172,17 +179,15 @@ pub fn least_squares(
     points: &[Zx],
     weights: Option<&[f64]>,
 ) -> Result<FittedShape, FitError> {
-    let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
-    let counted = (0..points.len()).filter(|&i| weight(i) > 0.0).count();
+    let weighted: Vec<(Zx, f64)> =
+        points.iter().enumerate().map(|(i, p)| (*p, weights.map_or(1.0, |w| w[i]))).collect();
+    let counted = weighted.iter().filter(|(_, w)| *w > 0.0).count();
     if counted < shape.parameters() {
         return Err(FitError::TooFew { found: counted, needed: shape.parameters() });
     }
-    let total: f64 = (0..points.len()).map(weight).sum();
-    let centroid =
-        points.iter().enumerate().fold(Zx::new(0.0, 0.0), |s, (i, &p)| s + p * weight(i)) * (1.0 / total);
-    let moment = |f: fn(Zx) -> f64| -> f64 {
-        points.iter().enumerate().map(|(i, &p)| weight(i) * f(p - centroid)).sum::<f64>()
-    };
+    let total: f64 = weighted.iter().map(|(_, w)| w).sum();
+    let centroid = weighted.iter().map(|(p, w)| *p * *w).sum::<Zx>() * (1.0 / total);
+    let moment = |f: fn(Zx) -> f64| weighted.iter().map(|(p, w)| w * f(*p - centroid)).sum::<f64>();
     let (zz, zx, xx) = (moment(|p| p.z * p.z), moment(|p| p.z * p.x), moment(|p| p.x * p.x));
     let spread = zz + xx;
     if !spread.is_finite() || spread <= 0.0 {
@@ -208,37 +213,28 @@ pub fn least_squares(
             let cubic_z = moment(|p| p.z * (p.z * p.z + p.x * p.x));
             let cubic_x = moment(|p| p.x * (p.z * p.z + p.x * p.x));
             let start = Zx::new(cubic_z * xx - cubic_x * zx, cubic_x * zz - cubic_z * zx) * (0.5 / det);
-            circle_from(points, &weight, total, centroid, start)
+            circle_from(&weighted, total, centroid, start)
         }
     }
 }
 
 /// Levenberg-Marquardt on the centre.
 /// The best radius for a centre is the mean distance, so the radius is eliminated.
-fn circle_from(
-    points: &[Zx],
-    weight: &impl Fn(usize) -> f64,
-    total: f64,
-    centroid: Zx,
-    start: Zx,
-) -> Result<FittedShape, FitError> {
-    let radius_at = |c: Zx| -> f64 {
-        points.iter().enumerate().map(|(i, &p)| weight(i) * (p - centroid - c).norm()).sum::<f64>() / total
-    };
+fn circle_from(points: &[(Zx, f64)], total: f64, centroid: Zx, start: Zx) -> Result<FittedShape, FitError> {
+    let radius_at = |c: Zx| points.iter().map(|(p, w)| w * (*p - centroid - c).norm()).sum::<f64>() / total;
     let cost_at = |c: Zx, r: f64| -> f64 {
-        points.iter().enumerate().map(|(i, &p)| weight(i) * ((p - centroid - c).norm() - r).powi(2)).sum()
+        points.iter().map(|(p, w)| w * ((*p - centroid - c).norm() - r).powi(2)).sum()
     };
     let (mut c, mut r) = (start, radius_at(start));
     let mut cost = cost_at(c, r);
     let mut damping = 1e-6;
     for _ in 0..MAX_ITERATIONS {
         let unit = |p: Zx| (p - centroid - c).unit().unwrap_or(Zx::new(0.0, 0.0));
-        let mean = points.iter().enumerate().fold(Zx::new(0.0, 0.0), |s, (i, &p)| s + unit(p) * weight(i))
-            * (1.0 / total);
+        let mean = points.iter().map(|(p, w)| unit(*p) * *w).sum::<Zx>() * (1.0 / total);
         let (mut a, mut b, mut d, mut gz, mut gx) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for (i, &p) in points.iter().enumerate() {
+        for &(p, w) in points {
             // d(distance - mean distance)/d(centre) = -(u - mean u)
-            let (j, w) = (unit(p) - mean, weight(i));
+            let j = unit(p) - mean;
             let residual = (p - centroid - c).norm() - r;
             a += w * j.z * j.z;
             b += w * j.z * j.x;
@@ -281,7 +277,7 @@ pub fn sd(values: &[f64], keep: impl Fn(usize) -> bool) -> f64 {
     if kept.len() < 2 {
         return 0.0;
     }
-    let mean = kept.iter().sum::<f64>() / kept.len() as f64;
+    let mean = mean(&kept);
     (kept.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (kept.len() - 1) as f64).sqrt()
 }
 
@@ -331,7 +327,7 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
 /// The mean of the unit vectors of `n` points, their moments and their determinant.
 /// `None` if the points do not determine a circle.
 fn spread_of(units: &[Zx], n: f64) -> Option<(Zx, [f64; 3], f64)> {
-    let mean = units.iter().fold(Zx::new(0.0, 0.0), |s, &u| s + u) * (1.0 / n);
+    let mean = units.iter().copied().sum::<Zx>() * (1.0 / n);
     let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
     for j in units.iter().map(|u| *u - mean) {
         (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
@@ -419,7 +415,8 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStepFit, FitError> 
     }
     let plain = least_squares(shape, points, None)?;
     let first = deviations_um(&plain, points);
-    let ends = ends(&plain, points);
+    let order = sequence(&plain, points);
+    let ends = [order[0], order[points.len() - 1]];
     let worst = (0..points.len())
         .filter(|i| !ends.contains(i))
         .max_by(|&a, &b| first[a].abs().total_cmp(&first[b].abs()))
@@ -486,8 +483,7 @@ impl Sums {
 /// three of a hundred features. `least_um` is the smallest standard deviation of a point. The indices ascend.
 pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<usize> {
     let (n, off_um) = (points.len(), deviations_um(robust, points));
-    let mean =
-        points.iter().fold(Zx::new(0.0, 0.0), |s, p| s + robust.normal_at(*p)) * (1.0 / n.max(1) as f64);
+    let mean = points.iter().map(|p| robust.normal_at(*p)).sum::<Zx>() * (1.0 / n.max(1) as f64);
     // Change of the surface at each point per small change of the shape.
     let (parameters, slopes): (usize, Vec<[f64; 2]>) = match *robust {
         FittedShape::Circle { .. } => {
@@ -540,12 +536,6 @@ pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
         order.rotate_left(widest);
     }
     order
-}
-
-fn ends(fitted: &FittedShape, points: &[Zx]) -> [usize; 2] {
-    let order = sequence(fitted, points);
-    // `two_step` has refused an empty set of points already; 0 is then used for both ends.
-    [order.first().copied().unwrap_or(0), order.last().copied().unwrap_or(0)]
 }
 
 /// A robust fit (MM-estimate).

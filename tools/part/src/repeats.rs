@@ -73,9 +73,8 @@ pub(crate) fn find(fitted: &FittedShape, points: &[Zx], parameters: usize) -> Op
         groups.iter().flat_map(|group| group.iter().map(|k| (deviations[*k] - mean(group)).powi(2))).sum();
     let between: f64 = groups.iter().map(|group| mean(group).powi(2)).sum();
     let (places, free) = (groups.len(), groups.len().checked_sub(parameters).filter(|n| *n > 0));
-    let centre = |group: &Vec<usize>| {
-        group.iter().fold(Zx::new(0.0, 0.0), |sum, k| sum + points[*k]) * (1.0 / group.len() as f64)
-    };
+    let centre =
+        |group: &Vec<usize>| group.iter().map(|k| points[*k]).sum::<Zx>() * (1.0 / group.len() as f64);
     Some(RepeatedTouches {
         places,
         sd_within_um: (within / (points.len() - places) as f64).sqrt(),
