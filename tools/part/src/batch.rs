@@ -4,10 +4,10 @@
 
 use crate::error_cor_file::{MOST_RAD, MOST_UM, PointError, turned_near};
 use crate::error_determination::is_times;
+use crate::geometric_fit::sd;
 use crate::written_step::{left_in_mean, written_step_mm};
-use rtec_files::InputError;
-use rtec_files::{Columns, Sheet};
-use rtec_model::record::span;
+use rtec_files::{Columns, InputError, Sheet};
+use rtec_model::record::{mean, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -260,11 +260,8 @@ fn judge(
     let (means, trends, steps) = (holm(&means), holm(&trends), holm(&steps));
     for (i, p) in places.iter_mut().enumerate() {
         (p.p_value, p.trend_p_value) = (means[i], trends[i]);
-        p.step = p
-            .step
-            .take()
-            .map(|s| BatchStep { p_value: steps[i], ..s })
-            .filter(|s| s.p_value < judgement.alpha);
+        let step = p.step.take().map(|s| BatchStep { p_value: steps[i], ..s });
+        p.step = step.filter(|s| s.p_value < judgement.alpha);
         let drift_um = (p.trend_um_per_part * (p.parts - 1) as f64).abs();
         p.finding = if p.step.as_ref().is_some_and(|s| s.um.abs() > judgement.least_um) {
             BatchFinding::Step
@@ -323,14 +320,10 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
         (Some(given), _) => given,
         (None, _) => worked_out(sheet.numbers("nominal_mm")?)?,
     };
+    let degrees = format!("angles in rad, within ±{MOST_RAD}; are these degrees?");
     for (name, column, most, expected) in [
         ("error", Some(&errors), MOST_UM, format!("errors within ±{MOST_UM} µm: more is another part")),
-        (
-            "angle",
-            angles.as_ref(),
-            MOST_RAD,
-            format!("angles in rad, within ±{MOST_RAD}; are these degrees?"),
-        ),
+        ("angle", angles.as_ref(), MOST_RAD, degrees),
     ] {
         if let Some((row, v)) = column.and_then(|c| c.iter().enumerate().find(|(_, v)| v.abs() > most)) {
             return Err(sheet.finding(row, format!("a larger {name}, {v}"), expected));
@@ -398,10 +391,6 @@ fn two_sided(t: f64, freedom: usize) -> f64 {
     }
 }
 
-fn mean_of(errors_um: &[f64]) -> f64 {
-    errors_um.iter().sum::<f64>() / errors_um.len() as f64
-}
-
 /// A straight line along the batch.
 struct Line {
     middle: f64,
@@ -426,6 +415,11 @@ impl Line {
     fn left(&self, (k, um): (usize, f64)) -> f64 {
         um - self.mean - self.slope * (k as f64 - self.middle)
     }
+
+    /// Residual sum of squares.
+    fn squares(&self, points: &[(usize, f64)]) -> f64 {
+        points.iter().map(|point| self.left(*point).powi(2)).sum()
+    }
 }
 
 /// Probability of a false outlier in a batch.
@@ -436,22 +430,15 @@ const MOST_WILD: f64 = 0.25;
 /// A state is another tool, or a worn one.
 const STATE_SHARE: f64 = 0.5;
 
-/// A reading and how far it is from the others.
-struct Farthest {
-    /// Index among the readings.
-    at: usize,
-    /// Probability of such a largest distance by chance.
-    p_value: f64,
-}
-
 /// The reading with the largest distance from the others, in standard errors.
+/// Returns its index among the readings, and the probability of such a distance by chance.
 /// The distance is that from a straight line through them, or from their mean if not `sloped`.
 /// `least_um` is the smallest standard deviation of a reading.
-fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64) -> Option<Farthest> {
+fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64) -> Option<(usize, f64)> {
     let (n, line) = (rest.len() as f64, Line::through(rest));
     let line = if sloped { line } else { Line { slope: 0.0, ..line } };
     let freedom = rest.len().checked_sub(if sloped { 3 } else { 2 }).filter(|f| *f > 1)?;
-    let squares: f64 = rest.iter().map(|point| line.left(*point).powi(2)).sum();
+    let squares = line.squares(rest);
     // Reduction of the sum of squares when a reading is left out.
     let taken = |point: &(usize, f64)| {
         let along = if sloped { (point.0 as f64 - line.middle).powi(2) / line.square } else { 0.0 };
@@ -459,7 +446,7 @@ fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64
     };
     let (at, own) = rest.iter().map(taken).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let variance = ((squares - own).max(0.0) / freedom as f64).max(least_um(at).powi(2));
-    Some(Farthest { at, p_value: n * two_sided((own / variance).sqrt(), freedom) })
+    Some((at, n * two_sided((own / variance).sqrt(), freedom)))
 }
 
 /// Indices of readings far from the others.
@@ -480,9 +467,9 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
             step.map_or(0.0, |mm| 1e3 * mm / 12f64.sqrt())
         };
         let models = [true, false].into_iter().filter_map(|sloped| farthest(&rest, sloped, least_um));
-        let Some(next) = models.min_by(|a, b| a.p_value.total_cmp(&b.p_value)) else { break };
-        out.push(rest.remove(next.at).0);
-        if next.p_value < CHANCE / (2 * places) as f64 {
+        let Some((at, p_value)) = models.min_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+        out.push(rest.remove(at).0);
+        if p_value < CHANCE / (2 * places) as f64 {
             found = out.len();
         }
     }
@@ -514,7 +501,7 @@ fn step(points: &[(usize, f64)], step_um: f64, part: impl Fn(usize) -> String) -
         let mean = mean(points);
         points.iter().map(|(_, um)| (um - mean).powi(2)).sum::<f64>()
     };
-    let about_line: f64 = points.iter().map(|point| line.left(*point).powi(2)).sum();
+    let about_line = line.squares(points);
     let about = |k: usize| squares(&points[..k]) + squares(&points[k..]);
     let places = SIDE..(n + 1).checked_sub(SIDE)?;
     let sought = places.len() as f64;
@@ -534,18 +521,16 @@ fn step(points: &[(usize, f64)], step_um: f64, part: impl Fn(usize) -> String) -
 fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let kept = series.kept();
     let (e, n): (Vec<f64>, usize) = (kept.iter().map(|(_, um)| *um).collect(), kept.len());
-    let mean = mean_of(&e);
-    let sd = crate::geometric_fit::sd(&e, |_| true);
-    let of_mean = sd / (n as f64).sqrt();
+    let (mean_um, sd_um) = (mean(&e), sd(&e, |_| true));
+    let of_mean = sd_um / (n as f64).sqrt();
     let half = StudentsT::new(0.0, 1.0, (n - 1) as f64).map_or(0.0, |d| d.inverse_cdf(0.975)) * of_mean;
     let line = Line::through(&kept);
-    let (slope, square) = (line.slope, line.square);
-    let rest: f64 = kept.iter().map(|point| line.left(*point).powi(2)).sum();
-    let sd_about = (rest / (n.saturating_sub(2).max(1)) as f64).sqrt();
-    let slope_error = sd_about / square.sqrt();
+    let slope = line.slope;
+    let sd_about = (line.squares(&kept) / (n.saturating_sub(2).max(1)) as f64).sqrt();
+    let slope_error = sd_about / line.square.sqrt();
     let with_every_reading = (n < series.errors_um.len()).then(|| WithEveryReading {
-        mean_um: mean_of(&series.errors_um),
-        sd_um: crate::geometric_fit::sd(&series.errors_um, |_| true),
+        mean_um: mean(&series.errors_um),
+        sd_um: sd(&series.errors_um, |_| true),
     });
     let seen_on_machine_um = series.angle_rad.zip(seen).and_then(|(angle, seen)| {
         let at = |e: &&PointError| (e.angle_rad - turned_near(angle, e.angle_rad)).abs();
@@ -555,10 +540,10 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
         feature: series.feature.clone(),
         angle_rad: series.angle_rad,
         parts: n,
-        mean_um: mean,
-        sd_um: sd,
-        interval_um: Some([mean - half, mean + half]),
-        p_value: two_sided(mean / of_mean, n - 1),
+        mean_um,
+        sd_um,
+        interval_um: Some([mean_um - half, mean_um + half]),
+        p_value: two_sided(mean_um / of_mean, n - 1),
         trend_um_per_part: slope,
         trend_standard_error_um: slope_error,
         sd_about_trend_um: sd_about,
@@ -593,11 +578,9 @@ fn offer(p: &PlaceStatistics) -> Option<String> {
         BatchFinding::Systematic if p.angle_rad.is_some() => {
             format!("{name}{at}: add {mean:+.1} µm ({low:+.1} to {high:+.1}) to the correction table")
         }
-        BatchFinding::Systematic => {
-            format!(
-                "{name}: {mean:+.1} µm ({low:+.1} to {high:+.1}) on every part: a tool or work offset of the table"
-            )
-        }
+        BatchFinding::Systematic => format!(
+            "{name}: {mean:+.1} µm ({low:+.1} to {high:+.1}) on every part: a tool or work offset of the table"
+        ),
         BatchFinding::NotObservable => format!(
             "{name}{at}: {mean:+.1} µm ({low:+.1} to {high:+.1}) not observable by probing on the machine, which saw \
              {:+.1} µm: tool and probe trace the same machine error; it belongs in the machine's model",
