@@ -69,11 +69,7 @@ impl Spline {
         let (low, high) = (self.knots[p], self.knots[n]);
         let u = low + (high - low) * t.clamp(0.0, 1.0);
         // The last span that begins at or before u; at the very end, the last span that is not empty.
-        let before = if u < high {
-            self.knots[..n].partition_point(|k| *k <= u)
-        } else {
-            self.knots[..n].partition_point(|k| *k < u)
-        };
+        let before = self.knots[..n].partition_point(|k| *k < u || u < high && *k <= u);
         let k = before.max(p + 1) - 1;
         let mut d: Vec<(f64, f64, f64)> = (0..=p)
             .map(|j| {
@@ -382,7 +378,6 @@ pub fn nose_of(contour: &Contour) -> Option<(Zx, f64)> {
 impl Contour {
     /// A contour from consecutive segments, each with the name of its entity.
     pub fn new(mut chain: Vec<(Segment, String)>, closed: bool) -> Self {
-        let end = |c: &[(Segment, String)]| (c[0].0.at(0.0), c[c.len() - 1].0.at(1.0));
         if !chain.is_empty() {
             let turn = |chain: &mut Vec<(Segment, String)>| {
                 chain.reverse();
@@ -399,7 +394,7 @@ impl Contour {
                 let first = (0..chain.len()).max_by(|&a, &b| key(&chain[a].0).total_cmp(&key(&chain[b].0)));
                 chain.rotate_left(first.unwrap_or(0));
             } else {
-                let (a, b) = end(&chain);
+                let (a, b) = (chain[0].0.at(0.0), chain[chain.len() - 1].0.at(1.0));
                 if (b.z, -b.x) > (a.z, -a.x) {
                     turn(&mut chain);
                 }
@@ -427,12 +422,8 @@ impl Contour {
                 along_mm += (w[1] - w[0]).norm();
             }
         }
-        let mut corners: Vec<Zx> = chords.iter().flat_map(|(_, c)| c.iter().copied()).collect();
-        if let (false, Some(&first), Some(&last)) = (closed, corners.first(), corners.last()) {
-            corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
-        }
-        let outline = (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]);
-        let (surface, outline) = (EdgeTree::new(edges), EdgeTree::new(outline.collect()));
+        let outline = outline(chords.iter().flat_map(|(_, c)| c.iter().copied()), closed);
+        let (surface, outline) = (EdgeTree::new(edges), EdgeTree::new(outline));
         Self { features, closed, material_left, chords, surface, starts, outline, cleaned: Vec::new() }
     }
 
@@ -496,18 +487,17 @@ impl Contour {
     }
 }
 
-/// Twice the area that the chain encloses, positive counter-clockwise.
-/// An open chain is closed along the axis.
-fn signed_area(chain: &[(Segment, String)], closed: bool) -> f64 {
-    let mut corners: Vec<Zx> = chain.iter().flat_map(|(s, _)| s.polyline()).collect();
+/// The edges through these corners; an open outline is closed along the axis.
+fn outline(corners: impl Iterator<Item = Zx>, closed: bool) -> Vec<[Zx; 2]> {
+    let mut corners: Vec<Zx> = corners.collect();
     if let (false, Some(&first), Some(&last)) = (closed, corners.first(), corners.last()) {
-        corners.push(Zx::new(last.z, 0.0));
-        corners.push(Zx::new(first.z, 0.0));
+        corners.extend([Zx::new(last.z, 0.0), Zx::new(first.z, 0.0)]);
     }
-    (0..corners.len())
-        .map(|i| {
-            let (p, q) = (corners[i], corners[(i + 1) % corners.len()]);
-            p.z * q.x - q.z * p.x
-        })
-        .sum()
+    (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]).collect()
+}
+
+/// Twice the area that the chain encloses, positive counter-clockwise.
+fn signed_area(chain: &[(Segment, String)], closed: bool) -> f64 {
+    let edges = outline(chain.iter().flat_map(|(s, _)| s.polyline()), closed);
+    edges.iter().map(|[p, q]| p.z * q.x - q.z * p.x).sum()
 }

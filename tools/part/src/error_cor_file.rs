@@ -201,10 +201,8 @@ fn rows(text: &str) -> Vec<Row> {
         |word: &str| word.matches(',').count() == 1 && !word.starts_with(',') && !word.ends_with(',');
     let is_decimal = contents().flat_map(|(_, line)| line.split(parts)).any(has_one_comma)
         && contents().all(|(_, line)| {
-            line.contains(parts)
-                && line
-                    .split(parts)
-                    .all(|word| !word.contains('.') && (!word.contains(',') || has_one_comma(word)))
+            let fits = |word: &str| !word.contains('.') && (!word.contains(',') || has_one_comma(word));
+            line.contains(parts) && line.split(parts).all(fits)
         });
     let row = |(line, content): (usize, &str)| {
         let words = content.split(|c| parts(c) || c == ',' && !is_decimal).filter(|w| !w.is_empty());
@@ -243,13 +241,8 @@ fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
         let [angle_rad, error_um, along_mm, z, x] = row.numbers(file, expected)?;
         row.checked(file, angle_rad, error_um)?;
         if [along_mm, z, x].iter().any(|v| v.abs() > MOST_MM) {
-            return Err(InputError::at(
-                file,
-                row.line,
-                1,
-                row.text(),
-                format!("places within ±{MOST_MM} mm"),
-            ));
+            let expected = format!("places within ±{MOST_MM} mm");
+            return Err(InputError::at(file, row.line, 1, row.text(), expected));
         }
         if errors.last().is_some_and(|e| e.along_mm >= along_mm) {
             let found = format!("place {along_mm} after a larger or equal one");
@@ -280,11 +273,10 @@ fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
 pub fn read_arc(file: &Path) -> Result<Vec<PointError>, InputError> {
     match FeatureErrors::read(file)? {
         FeatureErrors::Arc(errors) => Ok(errors),
-        FeatureErrors::Line(_) => Err(InputError::whole(
-            file,
-            "errors of a straight feature",
-            "those of an arc: angle in rad and error in µm",
-        )),
+        FeatureErrors::Line(_) => {
+            let expected = format!("those of an arc: {ARC}");
+            Err(InputError::whole(file, "errors of a straight feature", expected))
+        }
     }
 }
 

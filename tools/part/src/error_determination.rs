@@ -99,20 +99,18 @@ fn nominal(
         }
         (true, _) => {
             if args.feature.is_none() {
-                say(InputMessage::Note(
-                    "the points lie on a straight line: taken as a cylinder, face or taper".to_owned(),
-                ));
+                let taken = "the points lie on a straight line: taken as a cylinder, face or taper";
+                say(InputMessage::Note(taken.to_owned()));
             }
             Ok(NominalShape::Line { taper_deg: args.taper_deg })
         }
         (false, Some(radius_mm)) if radius_mm.is_finite() && radius_mm > 0.0 => {
             Ok(NominalShape::Circle { radius_mm })
         }
-        (false, _) => Err(usage(
-            "--radius-mm",
-            "no positive radius",
-            "the arc's nominal radius in mm; or --feature line",
-        )),
+        (false, _) => {
+            let expected = "the arc's nominal radius in mm; or --feature line";
+            Err(usage("--radius-mm", "no positive radius", expected))
+        }
     }
 }
 
@@ -149,9 +147,8 @@ fn read(
                 return Err(usage("--origin-mm", found, "Z,X: two numbers in mm, as 300,100"));
             }
             None => {
-                let placed = |e: &&Effect| {
-                    e.description().needs.iter().any(|n| matches!(n, RequiredInput::Position(_)))
-                };
+                let needs_place = |n: &RequiredInput| matches!(n, RequiredInput::Position(_));
+                let placed = |e: &&Effect| e.description().needs.iter().any(needs_place);
                 if let Some(effect) = machine.effects().find(placed) {
                     say(InputMessage::Warning(format!(
                         "no --origin-mm: the part's zero is taken as the machine's zero, and {} reads the machine's position",

@@ -8,12 +8,11 @@ use crate::path::{PathPoint, touches};
 use crate::repeats::{self, RepeatedTouches};
 use crate::svg::Svg;
 use crate::written_step::written_step_mm;
-use rtec_files::InputError;
-use rtec_files::{Columns, Sheet};
+use rtec_files::{Columns, InputError, Sheet};
 use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
-use rtec_model::record::Axis;
+use rtec_model::record::{Axis, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::f64::consts::TAU;
@@ -220,10 +219,8 @@ impl ProbedPoints {
     pub fn correct_geometric_thermal(&mut self, machine: &Machine, origin: Zx) -> Result<(), InputError> {
         let sensors: Vec<String> = self.sheet.names().iter().filter(|n| is_sensor(n)).cloned().collect();
         let temperatures = sensors.iter().map(|n| self.sheet.numbers(n)).collect::<Result<Vec<_>, _>>()?;
-        let sensors = sensors
-            .into_iter()
-            .map(|n| n.strip_prefix(TEMPERATURE).map_or(n.clone(), str::to_owned))
-            .collect();
+        let bare = |n: String| n.strip_prefix(TEMPERATURE).map_or(n.clone(), str::to_owned);
+        let sensors = sensors.into_iter().map(bare).collect();
         let times = self.sheet.optional("t_s")?;
         let axes = ["z", "x"].into_iter().filter_map(Axis::new).collect();
         let layout = StateLayout { axes, sensors, channels: Vec::new() };
@@ -293,10 +290,8 @@ impl ProbedPoints {
         if self.tip_centre.len() != expected.len() {
             let away = self.tip_centre.iter().zip(expected).position(|(p, e)| (*p - *e).norm() > window_mm);
             let point = away.unwrap_or(self.tip_centre.len().min(expected.len())) + 1;
-            let found = format!(
-                "{} trips, the first that is not in its place is point {point}",
-                self.tip_centre.len()
-            );
+            let trips = self.tip_centre.len();
+            let found = format!("{trips} trips, the first that is not in its place is point {point}");
             let expected = format!("{} trips: one was missed or doubled", expected.len());
             return Err(InputError::whole(self.sheet.file(), found, expected));
         }
@@ -315,13 +310,12 @@ impl ProbedPoints {
     fn otherwise(&self, expected: &[Zx], window_mm: f64) -> Option<&'static str> {
         const INCH: f64 = 25.4;
         type Slip = fn(Zx) -> Zx;
+        let inches =
+            "with 25.4 times the places expected every trip is; are they in inches (--path-units inch)?";
         let slips: [(&str, Slip); 4] = [
             ("with z_mm and x_mm exchanged every trip is", |p| Zx::new(p.x, p.z)),
             ("with half of x_mm every trip is; are these diameters?", |p| Zx::new(p.z, p.x / 2.0)),
-            (
-                "with 25.4 times the places expected every trip is; are they in inches (--path-units inch)?",
-                |p| p * (1.0 / INCH),
-            ),
+            (inches, |p| p * (1.0 / INCH)),
             ("with 25.4 times the points every trip is; are they in inches?", |p| p * INCH),
         ];
         let fits = |slip: Slip| {
@@ -389,16 +383,13 @@ impl ProbedPoints {
             let rejected = match repeats {
                 None => geometric_fit::beyond_noise(&robust.fitted, points, least_um),
                 // Touches of one place share its form: each place counts once.
-                Some(repeats) => geometric_fit::robust(shape, &repeats.means).map_or_else(
-                    |_| Vec::new(),
-                    |robust| {
-                        repeats.touches(&geometric_fit::beyond_noise(
-                            &robust.fitted,
-                            &repeats.means,
-                            least_um,
-                        ))
-                    },
-                ),
+                Some(repeats) => match geometric_fit::robust(shape, &repeats.means) {
+                    Ok(of_places) => {
+                        let places = geometric_fit::beyond_noise(&of_places.fitted, &repeats.means, least_um);
+                        repeats.touches(&places)
+                    }
+                    Err(_) => Vec::new(),
+                },
             };
             TwoStepFit::without(shape, points, rejected)
         })
@@ -455,7 +446,7 @@ impl ProbedPoints {
         if shape == FitShape::Circle {
             unwrap_angles(&mut errors, &sequence(&two.fitted, points));
         }
-        let extreme = |f: fn(f64, f64) -> f64| two.errors_um.iter().copied().reduce(f).unwrap_or(0.0);
+        let [least_um, most_um] = span(&two.errors_um);
         let inclination_deg = inclination_deg(&surface);
         let (nominal_mm, taper_deg) = match nominal {
             NominalShape::Circle { radius_mm } => (Some(radius_mm), None),
@@ -495,7 +486,7 @@ impl ProbedPoints {
             sd_before_um: two.sd_before_um,
             sd_after_um: two.sd_after_um,
             rejected: two.rejected,
-            form_um: extreme(f64::max) - extreme(f64::min),
+            form_um: most_um - least_um,
             robust: RobustSummary {
                 centre_mm: robust_centre,
                 radius_mm: robust_radius,
@@ -555,9 +546,9 @@ impl ProbedPoints {
             let along = (*p - start).dot(unit);
             let beside = (*p - start - unit * along).norm();
             if beside > OFF_WAY_MM || along < -OFF_WAY_MM || along > whole.norm() + PAST_MM {
+                let before = whole.norm() - along;
                 let found = format!(
-                    "a point {beside:.1} mm beside the way of its touch, {:.1} mm before its end",
-                    whole.norm() - along
+                    "a point {beside:.1} mm beside the way of its touch, {before:.1} mm before its end"
                 );
                 let expected =
                     "a trip on the way: is it the path of these points, in the unit of --path-units?";
@@ -770,10 +761,9 @@ impl ErrorReport {
         let outline: Vec<Zx> = match self.outline {
             FittedShape::Circle { centre, radius_mm } => {
                 let angle = |k: usize| self.errors[order[k]].angle_rad;
-                let sweep = (angle(order.len() - 1) - angle(0)).rem_euclid(std::f64::consts::TAU);
-                (0..=180)
-                    .map(|k| centre + Zx::at_angle(angle(0) + sweep * f64::from(k) / 180.0) * radius_mm)
-                    .collect()
+                let sweep = (angle(order.len() - 1) - angle(0)).rem_euclid(TAU);
+                let at = |k| centre + Zx::at_angle(angle(0) + sweep * f64::from(k) / 180.0) * radius_mm;
+                (0..=180).map(at).collect()
             }
             FittedShape::Line { .. } => order.iter().map(|&i| places[i]).collect(),
         };
@@ -802,14 +792,12 @@ impl ErrorReport {
         svg.text(at(1.0) + Zx::new(MAGNIFICATION * 0.02 + size, -0.3 * size), size, "20 µm, errors ×250");
         let sds = format!("SD {:.1} µm, after the second fit {:.1} µm", self.sd_before_um, self.sd_after_um);
         svg.text(at(2.2), size, &sds);
-        let mut legend = vec![
+        let legend = [
             ("outline", "nominal outline"),
             ("whisker", "error, magnified"),
             ("kept", "point of the second fit"),
+            ("dropped", "point left out of the second fit"),
         ];
-        if w.rejected.contains(&true) {
-            legend.push(("dropped", "point left out of the second fit"));
-        }
-        svg.finish("Part errors", &legend)
+        svg.finish("Part errors", &legend[..if w.rejected.contains(&true) { 4 } else { 3 }])
     }
 }

@@ -6,8 +6,7 @@ use crate::error_cor_file::MOST_MM;
 use crate::geometric_fit::Zx;
 use crate::svg::Svg;
 use crate::unit::Unit;
-use rtec_files::InputError;
-use rtec_files::Sheet;
+use rtec_files::{InputError, Sheet};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -175,11 +174,8 @@ impl ProbingPlan {
                     let found = format!("({z}, {x}), which is not on the contour");
                     let exchanged = Zx::new(x, z);
                     let near = |q: SurfacePlace| (q.at - exchanged).norm() <= off_mm;
-                    let hint = if contour.nearest(exchanged).is_some_and(near) {
-                        ": with z_mm and x_mm exchanged it is"
-                    } else {
-                        ""
-                    };
+                    let is_exchanged = contour.nearest(exchanged).is_some_and(near);
+                    let hint = if is_exchanged { ": with z_mm and x_mm exchanged it is" } else { "" };
                     return Err(sheet.finding(row, found, format!("a point within {off_mm} mm of it{hint}")));
                 }
             }
@@ -318,11 +314,8 @@ impl ProbingPlan {
     /// Names and contents of the plan's files: path, expected trips, drawing.
     pub fn files(&self, contour: &Contour, unit: Unit) -> [(&'static str, String); 3] {
         let expected = self.expected();
-        let trips: Vec<PathPoint> = expected
-            .iter()
-            .enumerate()
-            .map(|(i, &at)| PathPoint { role: PathRole::Touch(i + 1), at })
-            .collect();
+        let touch = |(i, at): (usize, &Zx)| PathPoint { role: PathRole::Touch(i + 1), at: *at };
+        let trips: Vec<PathPoint> = expected.iter().enumerate().map(touch).collect();
         [
             ("pathfin.cdl", pathfin(&self.records(), unit)),
             ("probpath.cdl", pathfin(&trips, unit)),

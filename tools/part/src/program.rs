@@ -4,9 +4,8 @@
 use crate::geometric_fit::Zx;
 use crate::path::{PathPoint, PathRole};
 use crate::unit::Unit;
-use rtec_files::InputError;
-use rtec_files::date;
 use rtec_files::toml::Document;
+use rtec_files::{InputError, date};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -81,12 +80,9 @@ pub struct Parameter {
     pub meaning: &'static str,
 }
 
-const fn parameter(
-    number: u32,
-    name: &'static str,
-    default: &'static str,
-    meaning: &'static str,
-) -> Parameter {
+type Text = &'static str;
+
+const fn parameter(number: u32, name: Text, default: Text, meaning: Text) -> Parameter {
     Parameter { number, name, default, meaning }
 }
 
@@ -273,15 +269,8 @@ impl ProbingProgram<'_> {
                 let symbol = &rest[at..=at];
                 let digits: String = rest[at + 1..].chars().take_while(char::is_ascii_digit).collect();
                 let column = line.len() - rest.len() + at + 1;
-                let unknown = |name: String| {
-                    InputError::at(
-                        template,
-                        i + 1,
-                        column,
-                        name,
-                        "a parameter $n or a value @n that is known",
-                    )
-                };
+                let known = "a parameter $n or a value @n that is known";
+                let unknown = |name: String| InputError::at(template, i + 1, column, name, known);
                 let number: u32 = digits.parse().map_err(|_| unknown(format!("'{symbol}{digits}'")))?;
                 match (symbol, number) {
                     ("$", MOVES) => {
@@ -379,22 +368,17 @@ impl ProbingProgram<'_> {
                 put(format!("{} {}", d.rapid, x(r.at)), "THEN ALONG X ONLY");
                 continue;
             }
-            match r.role {
-                PathRole::Start => {
-                    put(format!("{} {both}", d.rapid), &format!("APPROACH POINT {}", point + 1));
-                }
+            let feed = format!(" F{}", self.parameters.get(12));
+            let (code, feed, comment) = match r.role {
+                PathRole::Start => (&d.rapid, "", format!("APPROACH POINT {}", point + 1)),
                 PathRole::Touch(n) => {
                     point = n;
-                    put(
-                        format!("{} {both} F{}", d.touch, self.parameters.get(12)),
-                        &format!("TOUCH POINT {n}"),
-                    );
+                    (&d.touch, feed.as_str(), format!("TOUCH POINT {n}"))
                 }
-                PathRole::Finish => {
-                    put(format!("{} {both}", d.retract), &format!("RETRACT FROM POINT {point}"));
-                }
-                PathRole::Bypass => put(format!("{} {both}", d.rapid), "BY-PASS"),
-            }
+                PathRole::Finish => (&d.retract, "", format!("RETRACT FROM POINT {point}")),
+                PathRole::Bypass => (&d.rapid, "", "BY-PASS".to_owned()),
+            };
+            put(format!("{code} {both}{feed}"), &comment);
         }
         text.truncate(text.trim_end().len());
         text

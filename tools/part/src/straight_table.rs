@@ -68,11 +68,8 @@ impl StraightTable {
             let (a, b) = (&pair[0], &pair[1]);
             places.extend((0..steps).map(|k| {
                 let part = k as f64 / steps as f64;
-                (
-                    a.angle_rad,
-                    a.place + (b.place - a.place) * part,
-                    a.error_um + part * (b.error_um - a.error_um),
-                )
+                let error_um = a.error_um + part * (b.error_um - a.error_um);
+                (a.angle_rad, a.place + (b.place - a.place) * part, error_um)
             }));
         }
         places.extend(self.errors.last().map(|e| (e.angle_rad, e.place, e.error_um)));

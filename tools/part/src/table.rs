@@ -177,13 +177,11 @@ impl FinishTable {
             angles.extend((0..steps).map(|k| a + (b - a) * k as f64 / steps as f64));
         }
         angles.extend(self.errors.last().map(|e| e.angle_rad));
-        angles
-            .into_iter()
-            .map(|angle_rad| {
-                let (error_um, part_mm) = (self.error_um(angle_rad), self.cut.part_at(angle_rad));
-                FinishCorrectionRow::new(&self.axes, angle_rad, error_um, part_mm, self.cut.origin)
-            })
-            .collect()
+        let row = |angle_rad: f64| {
+            let (error_um, part_mm) = (self.error_um(angle_rad), self.cut.part_at(angle_rad));
+            FinishCorrectionRow::new(&self.axes, angle_rad, error_um, part_mm, self.cut.origin)
+        };
+        angles.into_iter().map(row).collect()
     }
 
     /// The same compensation as end points of straight moves for the NC program.
@@ -204,10 +202,8 @@ impl FinishTable {
             let fits = |to: f64| self.chord_off_mm([from, to], [at, corner(to)]) <= off_mm * SAMPLED;
             // Moves are not longer than on the plain arc, even if a hollow of the errors allows it, so that
             // the feed stays even.
-            let (mut short, mut long) = (from, last.angle_rad.min(from + plain_rad));
-            if fits(long) {
-                short = long;
-            }
+            let mut long = last.angle_rad.min(from + plain_rad);
+            let mut short = if fits(long) { long } else { from };
             while long - short > 1e-6 * plain_rad {
                 let middle = f64::midpoint(short, long);
                 if fits(middle) { short = middle } else { long = middle }
