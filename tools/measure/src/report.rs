@@ -3,9 +3,8 @@
 
 mod evaluation_reports;
 
-pub(crate) use evaluation_reports::short;
 pub(crate) use evaluation_reports::{
-    ballbar, diagonals, drift, history, plate, positioning, repeatability, straightness,
+    ballbar, diagonals, drift, history, plate, positioning, repeatability, short, straightness,
 };
 
 use crate::iso230::Conditions;
@@ -25,17 +24,6 @@ struct Table {
 }
 
 impl Table {
-    /// A table of these rows.
-    fn new<C: IntoIterator<Item: Into<String>>>(
-        title: &str,
-        head: &[&str],
-        rows: impl IntoIterator<Item = C>,
-    ) -> Self {
-        let head = head.iter().map(|h| (*h).to_owned()).collect();
-        let cells = |row: C| row.into_iter().map(Into::into).collect();
-        Self { title: title.to_owned(), head, rows: rows.into_iter().map(cells).collect() }
-    }
-
     fn numeric(&self, column: usize) -> bool {
         self.head.get(column).is_some_and(|h| h.starts_with('#'))
     }
@@ -187,10 +175,24 @@ impl Report {
         Self { title, facts, by, days, is_signed: !runs.is_empty(), ..Self::default() }
     }
 
-    fn table(&mut self, table: Table) {
-        if !table.rows.is_empty() {
-            self.sections.push(Section::Table(table));
+    /// Adds a table of these rows, if there are any.
+    fn table<C: IntoIterator<Item: Into<String>>>(
+        &mut self,
+        title: &str,
+        head: &[&str],
+        rows: impl IntoIterator<Item = C>,
+    ) {
+        let head = head.iter().map(|h| (*h).to_owned()).collect();
+        let cells = |row: C| row.into_iter().map(Into::into).collect();
+        let rows: Vec<Vec<String>> = rows.into_iter().map(cells).collect();
+        if !rows.is_empty() {
+            self.sections.push(Section::Table(Table { title: title.to_owned(), head, rows }));
         }
+    }
+
+    /// Adds the warnings about one part of a report.
+    fn warn_of(&mut self, part: &str, warnings: &[String]) {
+        self.warnings.extend(warnings.iter().map(|w| format!("{part}: {w}")));
     }
 
     fn plot(&mut self, picture: impl Into<PlotSpec>) -> Result<(), PlotError> {
@@ -202,16 +204,17 @@ impl Report {
 
     /// Its plots, as SVG documents.
     pub fn plots(&self) -> impl Iterator<Item = &str> {
-        self.sections.iter().filter_map(|s| match s {
-            Section::Plot { svg, .. } => Some(svg.as_str()),
-            Section::Table(_) => None,
-        })
+        self.drawn().map(|(svg, _)| svg)
     }
 
     /// Its plots as data, in the order of [`Report::plots`].
     pub fn pictures(&self) -> impl Iterator<Item = &PlotSpec> {
+        self.drawn().map(|(_, picture)| picture)
+    }
+
+    fn drawn(&self) -> impl Iterator<Item = (&str, &PlotSpec)> {
         self.sections.iter().filter_map(|s| match s {
-            Section::Plot { picture, .. } => Some(picture),
+            Section::Plot { svg, picture } => Some((svg.as_str(), picture)),
             Section::Table(_) => None,
         })
     }
@@ -274,9 +277,7 @@ impl Report {
         }
         for s in &self.sections {
             match s {
-                Section::Plot { svg, .. } => {
-                    let _ = write!(h, "<figure>{svg}</figure>");
-                }
+                Section::Plot { svg, .. } => h.extend(["<figure>", svg, "</figure>"]),
                 Section::Table(t) => table_html(&mut h, t),
             }
         }
@@ -288,12 +289,8 @@ impl Report {
             let instrument = all(&["instrument kind", "instrument name", "instrument serial"]);
             h.push_str(&signed_line(&instrument, &all(&["operator"]), &self.days.join(", ")));
         }
-        let _ = writeln!(
-            h,
-            "<p><small>{}, {}</small></p></body></html>",
-            rtec_files::format_stamp::by(),
-            self.by
-        );
+        let stamp = rtec_files::format_stamp::by();
+        let _ = writeln!(h, "<p><small>{stamp}, {}</small></p></body></html>", self.by);
         h
     }
 }
@@ -347,8 +344,8 @@ mod tests {
     fn text_and_page_hold_the_same_cells() {
         let mut report = Report { title: "Axis <y>".into(), ..Report::default() };
         let rows = [["A", "12.30"], ["mean B", "-1.05"]];
-        report.table(Table::new("Figures", &["figure", "#value (µm)"], rows));
-        report.table(Table::new::<[&str; 1]>("nothing in it", &["a"], []));
+        report.table("Figures", &["figure", "#value (µm)"], rows);
+        report.table::<[&str; 1]>("nothing in it", &["a"], []);
         assert_eq!(
             report.text(),
             "Axis <y>\n\nFigures\n  figure  value (µm)\n  A            12.30\n  mean B       -1.05\n"

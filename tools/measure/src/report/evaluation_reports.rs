@@ -1,6 +1,6 @@
 //! The reports of the evaluations, each in its standard's order.
 
-use super::{Report, ReportedRecord, Table};
+use super::{Report, ReportedRecord};
 use crate::ballbar::{Ballbar, Contour};
 use crate::export::number;
 use crate::history::{Figure, History};
@@ -27,23 +27,21 @@ fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
     of.map_or_else(|| "–".to_owned(), words)
 }
 
-/// Symbol of ISO 230-2 as the standard writes it, and its meaning.
-fn meaning(symbol: &str) -> (&'static str, &'static str) {
-    match symbol {
-        "A" => ("A", "accuracy of positioning, both ways"),
-        "A_up" => ("A↑", "accuracy of positioning upwards"),
-        "A_down" => ("A↓", "accuracy of positioning downwards"),
-        "E" => ("E", "systematic deviation, both ways"),
-        "E_up" => ("E↑", "systematic deviation upwards"),
-        "E_down" => ("E↓", "systematic deviation downwards"),
-        "M" => ("M", "range of the mean deviation"),
-        "R" => ("R", "repeatability, both ways"),
-        "R_up" => ("R↑", "repeatability upwards"),
-        "R_down" => ("R↓", "repeatability downwards"),
-        "B" => ("B", "reversal, the largest"),
-        _ => ("mean B", "reversal, the mean (up minus down)"),
-    }
-}
+/// The figures of ISO 230-2 in the standard's order: symbol as the standard writes it, and meaning.
+const MEANINGS: [(&str, &str); 12] = [
+    ("A", "accuracy of positioning, both ways"),
+    ("A↑", "accuracy of positioning upwards"),
+    ("A↓", "accuracy of positioning downwards"),
+    ("E", "systematic deviation, both ways"),
+    ("E↑", "systematic deviation upwards"),
+    ("E↓", "systematic deviation downwards"),
+    ("M", "range of the mean deviation"),
+    ("R", "repeatability, both ways"),
+    ("R↑", "repeatability upwards"),
+    ("R↓", "repeatability downwards"),
+    ("B", "reversal, the largest"),
+    ("mean B", "reversal, the mean (up minus down)"),
+];
 
 /// Positioning: figures with their uncertainty, targets, contributors.
 pub(crate) fn positioning(
@@ -61,7 +59,7 @@ pub(crate) fn positioning(
     let title = format!("{what} {} ({}ISO 230-2)", axes.join(", "), if tilts > 0 { "as " } else { "" });
     let mut report = Report::new(&title, records, conditions);
     for p in all {
-        report.warnings.extend(p.warnings.iter().map(|w| format!("{}: {w}", p.response)));
+        report.warn_of(&p.response, &p.warnings);
         add_positioning(&mut report, p)?;
     }
     Ok(report)
@@ -80,8 +78,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     }
     let without = p.changes_by().map(|change| format!("#without the {change} ({unit})"));
     head.extend(without.as_deref());
-    let row = |(symbol, v): (&str, Option<f64>)| {
-        let (short, words) = meaning(symbol);
+    let row = |((symbol, v), (short, words)): ((&str, Option<f64>), (&str, &str))| {
         // The figure of a tilt is not one of positioning.
         let words = if p.unit == "urad" { words.replace(" of positioning", "") } else { words.to_owned() };
         let mut row = vec![short.to_owned(), words, um(v)];
@@ -96,7 +93,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         }
         row
     };
-    report.table(Table::new(&title, &head, p.figures().map(row)));
+    report.table(&title, &head, p.figures().into_iter().zip(MEANINGS).map(row));
     report.plot(p.chart())?;
     let title = format!("{}: targets, values in {unit}", p.response);
     let head = ["#i", "#position (mm)", "#n↑", "#n↓", "#mean ↑", "#s ↑", "#mean ↓", "#s ↓", "#B", "#R"];
@@ -106,12 +103,12 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
         let start = [(i + 1).to_string(), format!("{:.3}", t.position_mm)];
         start.into_iter().chain(counts).chain(figures)
     };
-    report.table(Table::new(&title, &head, p.targets.iter().enumerate().map(row)));
+    report.table(&title, &head, p.targets.iter().enumerate().map(row));
     if let Some(u) = &p.uncertainty {
         let by = "by the GUM; meant as in ISO/TR 230-9, not compared with its text";
         let title = format!("Uncertainty over {:.0} mm ({by})", u.length_mm);
         let rows = u.contributors.iter().map(|c| [c.name.clone(), um(c.u_um)]);
-        report.table(Table::new(&title, &["contributor", "#U, k = 2 (µm)"], rows));
+        report.table(&title, &["contributor", "#U, k = 2 (µm)"], rows);
     }
     Ok(())
 }
@@ -126,7 +123,7 @@ pub(crate) fn straightness(
     let title = format!("Straightness {} (ISO 230-1)", symbols.join(", "));
     let mut report = Report::new(&title, std::slice::from_ref(record), conditions);
     for s in all {
-        report.warnings.extend(s.warnings.iter().map(|w| format!("{}: {w}", s.symbol)));
+        report.warn_of(&s.symbol, &s.warnings);
         let Straightness { symbol, across, axis, travel_mm, places, .. } = s;
         let count = places.len();
         let title =
@@ -141,14 +138,14 @@ pub(crate) fn straightness(
             ("its standard error", Some(s.slope_standard_error_urad), "µrad"),
         ];
         let rows = figures.map(|(words, value, unit)| [words.to_owned(), um(value), unit.to_owned()]);
-        report.table(Table::new(&title, &["figure", "#value", "unit"], rows));
+        report.table(&title, &["figure", "#value", "unit"], rows);
         report.plot(s.chart())?;
         let head = ["#i", "#position (mm)", "#readings", "#up ↑ (µm)", "#down ↓ (µm)", "#mean (µm)"];
         let rows = s.places.iter().enumerate().map(|(i, p)| {
             let start = [(i + 1).to_string(), format!("{:.3}", p.position_mm), p.readings.to_string()];
             start.into_iter().chain([p.up_um, p.down_um, Some(p.mean_um)].map(um))
         });
-        report.table(Table::new(&format!("{}: places, about the line", s.symbol), &head, rows));
+        report.table(&format!("{}: places, about the line", s.symbol), &head, rows);
     }
     Ok(report)
 }
@@ -158,7 +155,7 @@ fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f6
     let title = format!("Uncertainty budget{of} (GUM alone; no standard's budget)");
     let contributors = b.contributors.iter().map(|c| [c.name.clone(), um(c.u_um)]);
     let rows = contributors.chain(figures.iter().map(|(words, u)| [(*words).to_owned(), um(*u)]));
-    report.table(Table::new(&title, &["contributor or figure", "#U, k = 2 (µm)"], rows));
+    report.table(&title, &["contributor or figure", "#U, k = 2 (µm)"], rows);
 }
 
 /// Circular tests: contours, and causes of their deviations.
@@ -171,7 +168,7 @@ pub(crate) fn ballbar(
     let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
     let mut report = Report::new(&title, records, conditions);
     for b in planes {
-        report.warnings.extend(b.warnings.iter().map(|w| format!("{}: {w}", b.plane)));
+        report.warn_of(&b.plane, &b.warnings);
         let radius = b.radius_mm.map(|r| format!(", radius {} mm", short(r))).unwrap_or_default();
         let figures = [
             ("G ccw", "circular deviation, counter-clockwise", b.g_ccw),
@@ -184,7 +181,7 @@ pub(crate) fn ballbar(
         ];
         let rows = figures.map(|(symbol, words, v)| [symbol.to_owned(), words.to_owned(), um(v)]);
         let title = format!("Plane {}{radius}", b.plane);
-        report.table(Table::new(&title, &["symbol", "figure", "#value (µm)"], rows));
+        report.table(&title, &["symbol", "figure", "#value (µm)"], rows);
         diagnosis(&mut report, b);
         for plot in circles(b) {
             report.plot(PlotSpec::Polar(plot))?;
@@ -202,7 +199,7 @@ pub(crate) fn ballbar(
             let start = [c.record.clone(), c.direction.to_owned(), feed, format!("{:.0}", c.turned_deg)];
             start.into_iter().chain(figures)
         });
-        report.table(Table::new(&title, &head, rows));
+        report.table(&title, &head, rows);
         if let Some(u) = &b.uncertainty {
             let figures = [
                 ("together, of G and H: a difference of two readings", Some(u.difference_um)),
@@ -244,9 +241,8 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         add(&format!("form that repeats {axis}"), &format!("form.{axis}.um"), Some(c.um), "µm", 2);
         add("it repeats every", &format!("form.{axis}.period_mm"), Some(c.period_mm), "mm", 3);
     }
-    if let Some((a, c)) = b.plane.split_once('-') {
-        add(&format!("centre {a}"), &format!("centre_um.{a}"), d.centre_um[0], "µm", 2);
-        add(&format!("centre {c}"), &format!("centre_um.{c}"), d.centre_um[1], "µm", 2);
+    for (axis, um) in b.plane.split_once('-').into_iter().flat_map(|(a, c)| [a, c]).zip(d.centre_um) {
+        add(&format!("centre {axis}"), &format!("centre_um.{axis}"), um, "µm", 2);
     }
     add("mean radius", "radius_um", d.radius_um, "µm", 2);
     add("not explained, the same both ways (RMS)", "", d.unexplained_um, "µm", 2);
@@ -256,7 +252,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         let shown = interval(Some(&n.interval_95), 2);
         rows.push([cause, number(n.um, 2), "µm".to_owned(), shown, um(Some(n.um))]);
     }
-    report.table(Table::new(&format!("What makes it, plane {}", b.plane), &head, rows));
+    report.table(&format!("What makes it, plane {}", b.plane), &head, rows);
     let of = "range of the radius that each makes, share of their sum";
     let title = format!("Contributions in plane {}, ranked: {of}", b.plane);
     let rows = d.contributions.iter().enumerate().map(|(i, c)| {
@@ -266,7 +262,7 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
         };
         [rank, c.cause.clone(), um(c.um), share]
     });
-    report.table(Table::new(&title, &["#rank", "cause", "#makes (µm)", "#share (%)"], rows));
+    report.table(&title, &["#rank", "cause", "#makes (µm)", "#share (%)"], rows);
 }
 
 /// One plot per feed.
@@ -318,14 +314,8 @@ pub(crate) fn drift(
     }
     let head = "response|unit|#time (min)|#d60|#dt|#last hour|#end − start|#per h|#most per h";
     let head: Vec<&str> = head.split('|').collect();
-    let unit = |d: &Drift| {
-        match d.unit.as_str() {
-            "um" => "µm",
-            "urad" => "µrad",
-            other => other,
-        }
-        .to_owned()
-    };
+    // The units are um, urad and arcsec.
+    let unit = |d: &Drift| d.unit.strip_prefix('u').map_or_else(|| d.unit.clone(), |of| format!("µ{of}"));
     let cells = |f: &Figures| {
         let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h].map(um);
         std::iter::once(format!("{:.0}", f.t_min)).chain(own).chain([um(f.max_rate_per_h)])
@@ -334,7 +324,7 @@ pub(crate) fn drift(
                  mean of the last hundredth of the rows minus that of the first; per h: slope of the straight line through all rows; \
                  most per h: largest change from one reading to another an hour later, up or down (– in less than an hour)";
     let row = |d: &Drift, f: &Figures| [d.response.clone(), unit(d)].into_iter().chain(cells(f));
-    report.table(Table::new(title, &head, all.iter().map(|d| row(d, &d.whole))));
+    report.table(title, &head, all.iter().map(|d| row(d, &d.whole)));
     for chart in charts {
         report.plot(chart)?;
     }
@@ -342,7 +332,7 @@ pub(crate) fn drift(
         let at = p.at_mm.map(|mm| format!(", read at {mm:.1} mm")).unwrap_or_default();
         let title = format!("Phase from {:.0} min: {}{at}", p.from_min, p.what);
         let rows = all.iter().filter_map(|d| Some(row(d, &d.phases.get(i)?.figures)));
-        report.table(Table::new(&title, &head, rows));
+        report.table(&title, &head, rows);
         let gammas: Vec<String> = all.iter().map(|d| format!("#γ {}", d.response)).collect();
         let mut head = vec!["sensor", "#range (K)", "#end − start (K)", "#K/h"];
         head.extend(gammas.iter().map(String::as_str));
@@ -357,7 +347,7 @@ pub(crate) fn drift(
             });
             std::iter::once(sensor.clone()).chain(own).chain(gammas)
         });
-        report.table(Table::new(&format!("Sensors in that phase ({})", p.what), &head, rows));
+        report.table(&format!("Sensors in that phase ({})", p.what), &head, rows);
     }
     for (d, u) in all.iter().filter_map(|d| Some((d, d.uncertainty.as_ref()?))) {
         let figures =
@@ -398,14 +388,14 @@ pub(crate) fn diagonals(
         rows.push([format!("squareness.{pair}"), with(*v, error), "µrad".to_owned(), String::new()]);
     }
     let rows = rows.into_iter().map(|row| row.into_iter().take(columns));
-    report.table(Table::new("The diagonals together", &head[..columns], rows));
+    report.table("The diagonals together", &head[..columns], rows);
     let head = ["diagonal", "axes", "#length (mm)", "#A", "#E", "#M", "#R", "#B", "#mean B", "#end to end"];
     let row = |x: &Diagonal| {
         let p = &x.along;
         let own = [p.A, p.E, p.M, p.R, p.B, p.B_mean, Some(x.slope_um)].map(um);
         [x.sense.clone(), x.axes.join(" "), format!("{:.1}", p.travel_mm)].into_iter().chain(own)
     };
-    report.table(Table::new("Each diagonal, values in µm", &head, d.diagonals.iter().map(row)));
+    report.table("Each diagonal, values in µm", &head, d.diagonals.iter().map(row));
     let mut chart =
         Chart::new("Mean deviation along each diagonal", "distance along it (mm)", "deviation (µm)");
     for x in &d.diagonals {
@@ -454,7 +444,7 @@ pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Resu
         angle("angle of the quadrupole from x", j.quadrupole_deg, je.quadrupole_deg),
         left("left over after these (RMS length)", p.joint.rms_um),
     ];
-    report.table(Table::new(&format!("{} holes, measured against nominal", p.holes), &head, rows));
+    report.table(&format!("{} holes, measured against nominal", p.holes), &head, rows);
     let title = "One after another, as owners of drilled plates publish it: one scale and rotation, then a radial quadrupole";
     let rotation = "rotation from x towards y, mean of rows along x and y";
     let rows = [
@@ -469,7 +459,7 @@ pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Resu
     ];
     let by_diameter = p.rms_um_by_diameter.iter();
     let by_diameter = by_diameter.map(|(d, v)| left(&format!("left over, holes of {d} mm"), *v));
-    report.table(Table::new(title, &head, rows.into_iter().chain(by_diameter)));
+    report.table(title, &head, rows.into_iter().chain(by_diameter));
     report.plot(PlotSpec::Vectors(p.plot(record)))?;
     Ok(report)
 }
@@ -511,7 +501,7 @@ pub(crate) fn history(h: &History) -> Result<Report, PlotError> {
             f.reaches.clone().unwrap_or_default(),
         ])
     };
-    report.table(Table::new("Figures over time", &head, h.figures.iter().filter_map(row)));
+    report.table("Figures over time", &head, h.figures.iter().filter_map(row));
     for f in &h.figures {
         let (points, unit) = (f.over_days(), f.written_unit());
         let from = f.points.first().map_or("", |p| p.date.as_str());
@@ -548,7 +538,7 @@ pub(crate) fn repeatability(
         let start = [axis.clone(), of.returns.to_string()].into_iter();
         start.chain(figures).chain([um(of.s_about_trend_um)])
     });
-    report.table(Table::new("Repeatability per axis", &head, rows));
+    report.table("Repeatability per axis", &head, rows);
     let mut chart = Chart::new("Returning to one position", "return (number)", "error (µm)");
     for c in record.responses() {
         let points = c.data.iter().enumerate().map(|(i, e)| (i as f64 + 1.0, *e)).collect();
