@@ -271,7 +271,7 @@ impl Chart {
             };
             series_style::words(&area, name, (x, y + 8), &style)?;
         }
-        let width_of_bar = if self.x_names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
+        let half = if self.x_names.is_empty() { (x1 - x0) / 400.0 } else { 0.35 };
         for (i, s) in self.series.iter().enumerate() {
             let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
             let pixel = |p: &(f64, f64)| chart.plotting_area().map_coordinate(p);
@@ -290,17 +290,10 @@ impl Chart {
                 }
                 (Style::Dots, _) => {
                     for p in points {
-                        series_style::marker(
-                            &area,
-                            place,
-                            chart.plotting_area().map_coordinate(&p),
-                            2,
-                            colour,
-                        )?;
+                        series_style::marker(&area, place, pixel(&p), 2, colour)?;
                     }
                 }
                 (Style::Bars, _) => {
-                    let half = width_of_bar;
                     let bar =
                         |(x, y)| Rectangle::new([(x - half, 0.0), (x + half, y)], colour.mix(0.8).filled());
                     chart.draw_series(points.map(bar))?;
@@ -342,13 +335,11 @@ impl Chart {
         for (i, s) in self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty()) {
             let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
             match s.style {
-                Style::Line => {
-                    series_style::sample(area, place, [0, 20], y, colour)?;
-                }
+                Style::Line => series_style::sample(area, place, [0, 20], y, colour)?,
                 Style::Dots => series_style::marker(area, place, (10, y), 3, colour)?,
-                Style::Bars => area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], colour.filled()))?,
-                Style::Band => {
-                    area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], colour.mix(0.25).filled()))?;
+                Style::Bars | Style::Band => {
+                    let filled = colour.mix(if s.style == Style::Bars { 1.0 } else { 0.25 }).filled();
+                    area.draw(&Rectangle::new([(2, y - 4), (18, y + 4)], filled))?;
                 }
             }
             series_style::words(area, &s.label, (26, y), &style)?;
