@@ -16,8 +16,7 @@ use crate::gauge_resolution::step_of;
 use crate::iso230::{Budget, FittedCircle, error_axes, lacks};
 use rtec_files::Result;
 use rtec_model::ballbar_circle::{Circle, rates, turn_rad};
-use rtec_model::effect::Dictionary;
-use rtec_model::effect::sign;
+use rtec_model::effect::{Dictionary, Effect, sign};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, median, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -525,7 +524,7 @@ fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<FittedCircle> {
 }
 
 /// The dictionary's effect of this built-in name, at zero.
-pub(crate) fn law(dictionary: &Dictionary, name: &str, axes: &[&Axis]) -> Option<rtec_model::effect::Effect> {
+pub(crate) fn law(dictionary: &Dictionary, name: &str, axes: &[&Axis]) -> Option<Effect> {
     let full = axes.iter().fold(name.to_owned(), |n, a| format!("{n}.{a}"));
     dictionary.effect(&full).ok()
 }

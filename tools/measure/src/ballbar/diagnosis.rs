@@ -248,23 +248,17 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
         let mut fit = Fit::of_laws(&finer, [&axes[0], &axes[1]], settled_mm, &mut Vec::new())?;
         fit.memory();
         let left = fit.left();
-        let taken: Vec<Vec<f64>> = traces
-            .iter()
-            .zip(&finer)
-            .zip(&fit.start)
-            .map(|((read, now), start)| {
-                let q = read.step_um;
-                let predicted = |row: usize| now.radial[row] - left[start + row];
-                let off = |row: usize| read.radial[row] - predicted(row);
-                let rows = 0..read.radial.len();
-                let square = rows.clone().map(|row| off(row) * off(row)).sum::<f64>() / rows.len() as f64;
-                let variance = (square - q * q / 12.0).max(0.0);
-                let error = |row| rounding_error(q, predicted(row) - read.radial[0], variance);
-                rows.map(|row| if q > 0.0 { error(row) } else { 0.0 }).collect()
-            })
-            .collect();
-        for ((read, now), taken) in traces.iter().zip(&mut finer).zip(&taken) {
-            now.radial = read.radial.iter().zip(taken).map(|(read, error)| read - error).collect();
+        let start = fit.start;
+        for ((read, now), start) in traces.iter().zip(&mut finer).zip(&start) {
+            let q = read.step_um;
+            let predicted = |row: usize| now.radial[row] - left[start + row];
+            let off = |row: usize| read.radial[row] - predicted(row);
+            let rows = 0..read.radial.len();
+            let square = rows.clone().map(|row| off(row) * off(row)).sum::<f64>() / rows.len() as f64;
+            let variance = (square - q * q / 12.0).max(0.0);
+            let error = |row| rounding_error(q, predicted(row) - read.radial[0], variance);
+            let without = |row| read.radial[row] - if q > 0.0 { error(row) } else { 0.0 };
+            now.radial = rows.map(without).collect();
         }
     }
     Ok(Some(finer))
@@ -277,10 +271,15 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
         let no_circle =
             "no radius_mm and plane in the sidecar: no squareness, scale, reversal or servo mismatch";
         warnings.push(no_circle.to_owned());
-        return Ok(plain(&traces[0]));
+        let [radius, a, b] = circle_of(&traces[0]);
+        return Ok(Diagnosis {
+            centre_um: [Some(a), Some(b)],
+            radius_um: Some(radius),
+            scatter_um: traces[0].scatter_um(&traces[0].radial),
+            ..Diagnosis::default()
+        });
     };
-    let planned = [circle.plane[0].clone(), circle.plane[1].clone()];
-    let axes = [&planned[0], &planned[1]];
+    let axes = circle.plane.each_ref();
     let mut told = Vec::new();
     let mut fit = Fit::of_laws(traces, axes, settled_mm, warnings)?;
     fit.search(axes, &mut told);
@@ -293,20 +292,17 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
         fit.search(axes, &mut told);
     }
     if !fit.structure.both_ways {
-        warnings.push(
-            "one sense of turning: reversals and spikes look as maps and bends do, and are not given; squareness and scale have wider \
-             intervals for it; measure both ways"
-                .to_owned(),
-        );
+        let text = "one sense of turning: reversals and spikes look as maps and bends do, and are not given; squareness and scale \
+                    have wider intervals for it; measure both ways";
+        warnings.push(text.to_owned());
     }
     let mut shown = fit.shown();
     fit.average(axes, &told, &mut shown);
     let found = fit.answer(axes, &told, &shown);
     let lost = fit.not_told(&told, &shown);
     if !lost.is_empty() {
-        let lost = lost.join(", ");
-        warnings
-            .push(format!("these runs do not tell {lost} apart: full circles both ways in one record do"));
+        let (lost, cure) = (lost.join(", "), "full circles both ways in one record do");
+        warnings.push(format!("these runs do not tell {lost} apart: {cure}"));
     }
     if let Some(um) = found.unexplained_um {
         warnings.push(format!(
@@ -314,17 +310,6 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
         ));
     }
     Ok(found)
-}
-
-/// Diagnosis without radius or plane.
-fn plain(trace: &Trace) -> Diagnosis {
-    let [radius, a, b] = circle_of(trace);
-    Diagnosis {
-        centre_um: [Some(a), Some(b)],
-        radius_um: Some(radius),
-        scatter_um: trace.scatter_um(&trace.radial),
-        ..Diagnosis::default()
-    }
 }
 
 /// Mean radius and centre of a record's least-squares circles, µm.
@@ -598,8 +583,7 @@ impl<'t> Fit<'t> {
     fn drop_alike(&self, name: &str, there: bool) -> bool {
         let Some(i) = self.terms.iter().position(|t| t.name == name).filter(|_| there) else {
             // Without a feed only both directions separate squareness from lag.
-            let senses: Vec<f64> = self.traces.iter().flat_map(|t| &t.contours).map(|c| c.1).collect();
-            return senses.iter().any(|s| *s > 0.0) && senses.iter().any(|s| *s < 0.0);
+            return self.structure.both_ways;
         };
         let j = self.jacobian();
         let own = j.column(i).into_owned();
@@ -890,13 +874,10 @@ impl<'t> Fit<'t> {
         };
         // With one direction reversals shift the set-up: use the least-squares circle.
         let set_up = ["radius.0", "centre.0.0", "centre.1.0"];
-        let [radius_um, centre_a, centre_b] = [0, 1, 2].map(|k| {
-            if self.structure.both_ways {
-                Some(get(set_up[k])? + circle_of(k))
-            } else {
-                Some(self.circle[0][k])
-            }
-        });
+        let both_ways = self.structure.both_ways;
+        let of =
+            |k: usize| if both_ways { Some(get(set_up[k])? + circle_of(k)) } else { Some(self.circle[0][k]) };
+        let [radius_um, centre_a, centre_b] = [0, 1, 2].map(of);
         let stands = |name: &str| {
             let hidden = |what: &str| {
                 name.starts_with(what)
@@ -908,7 +889,7 @@ impl<'t> Fit<'t> {
             ["radius_um".to_owned(), format!("centre_um.{}", axes[0]), format!("centre_um.{}", axes[1])];
         // Name for users, and what the value is counted from.
         let rename = |name: &str| match set_up.iter().position(|s| *s == name) {
-            Some(k) if self.structure.both_ways => Some((set_up_names[k].clone(), circle_of(k))),
+            Some(k) if both_ways => Some((set_up_names[k].clone(), circle_of(k))),
             _ if name.starts_with("radius.") || name.starts_with("centre.") || name == TOGETHER => None,
             _ => {
                 let is_form = |rest: &&str| rest.split('.').next().is_some_and(|a| form.contains_key(a));

@@ -118,12 +118,8 @@ impl Structure {
         if self.arc {
             // On an arc no order is independent: each may be as large as all fitted orders together.
             let power: f64 = amplitude.iter().zip(variance).map(|(a, v)| a * a - v).sum::<f64>().max(0.0);
-            let freedom = amplitude.len().clamp(1, TELLING.len()) as f64;
-            return Some(StructureVariance {
-                variance: [power; 5],
-                freedom: [freedom; 5],
-                rms_um: (power / 2.0).sqrt(),
-            });
+            let freedom = [amplitude.len().clamp(1, TELLING.len()) as f64; 5];
+            return Some(StructureVariance { variance: [power; 5], freedom, rms_um: (power / 2.0).sqrt() });
         }
         let at = |k: usize, sine: usize| 2 * (k - TAKEN - 1) + sine;
         let mean = |which: &[(usize, usize)]| {
