@@ -26,6 +26,7 @@ pub use positioning::{
 };
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
+use positioning::dot;
 use rtec_files::InputError;
 use rtec_model::record::{Axis, Record, Role, mean};
 use serde::Serialize;
@@ -63,7 +64,7 @@ pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64])
 /// `None` if x does not vary.
 pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let (mx, my) = (mean(x), mean(y));
     let xx: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
     if x.len() < 3 || xx <= 0.0 {
         return None;
@@ -322,21 +323,21 @@ impl ReturnStep {
         }
         let um = mean(&e[at..]) - mean(&e[..at]);
         let s = (left / freedom).sqrt();
-        let error = s * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
+        let standard_error_um = s * (1.0 / at as f64 + 1.0 / (n - at) as f64).sqrt();
         let t = StudentsT::new(0.0, 1.0, freedom).ok()?;
-        let p_value = if s > 0.0 { (tried * 2.0 * t.cdf(-(um / error).abs())).min(1.0) } else { 0.0 };
-        // A bend, as of heat, leaves residuals alike on both sides of a step.
+        let size = (um / standard_error_um).abs();
+        let p_value = if s > 0.0 { (tried * 2.0 * t.cdf(-size)).min(1.0) } else { 0.0 };
         let residual: Vec<f64> =
             (0..n).map(|i| e[i] - if i < at { mean(&e[..at]) } else { mean(&e[at..]) }).collect();
-        let is_rest = left <= 0.0 || !is_alike(pairs(&residual) / left, n);
-        (p_value < CHANCE && um != 0.0 && is_rest).then_some(Self {
+        let found = Self {
             row: at + 1,
             um,
-            standard_error_um: error,
+            standard_error_um,
             p_value,
             s_about_step_um: s,
             drift_um_per_return: None,
-        })
+        };
+        (p_value < CHANCE && um != 0.0 && is_rest(&residual, left)).then_some(found)
     }
 
     /// A step in returns that drift as well.
@@ -351,7 +352,6 @@ impl ReturnStep {
             let slope = (0..n).map(|i| (i as f64 - middle) * (y(i) - mean)).sum::<f64>() / xx;
             (slope, (0..n).map(|i| y(i) - mean - slope * (i as f64 - middle)).collect())
         };
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (line, of_returns) = from_line(&|i| e[i]);
         let at_row = |k: usize| {
             let (slope, of_step) = from_line(&|i| f64::from(i >= k));
@@ -366,39 +366,34 @@ impl ReturnStep {
             count * (other / left.max(f64::MIN_POSITIVE)).ln() > parameters * count.ln()
         };
         let s = (left.max(0.0) / freedom).sqrt();
-        let error = s / square.sqrt();
+        let standard_error_um = s / square.sqrt();
         let law = StudentsT::new(0.0, 1.0, freedom).ok()?;
         let chance =
             |size: f64, error: f64| if error > 0.0 { 2.0 * law.cdf(-(size / error).abs()) } else { 0.0 };
         // Each mean has its own error, but the common slope is known from both sides.
         let within: f64 = [at as f64, count - at as f64].map(|m| m * (m * m - 1.0) / 12.0).iter().sum();
-        let p_value = (tried * chance(um, error)).min(1.0);
+        let p_value = (tried * chance(um, standard_error_um)).min(1.0);
         let (_, of_step) = from_line(&|i| f64::from(i >= at));
         let residual: Vec<f64> = of_returns.iter().zip(&of_step).map(|(v, h)| v - um * h).collect();
-        // A bend leaves residuals alike on both sides.
-        let is_rest = left <= 0.0 || !is_alike(pairs(&residual) / left, n);
         // A step comes between two returns; heat takes more than two.
         let pair = |k: usize| f64::midpoint(e[k], e[k + 1]);
         let is_sudden = (pair(at) - pair(at - 2) - 2.0 * slope) / um > AT_ONCE;
-        let is_both = is_rest
+        let is_both = is_rest(&residual, left)
             && is_sudden
             && gains(about_line, 2.0)
             && gains(about_step, 1.0)
             && chance(slope, s / within.sqrt()) < CHANCE;
-        (is_both && p_value < CHANCE).then_some(Self {
-            row: at + 1,
-            um,
-            standard_error_um: error,
-            p_value,
-            s_about_step_um: s,
-            drift_um_per_return: Some(slope),
-        })
+        let (row, drift_um_per_return) = (at + 1, Some(slope));
+        let found = Self { row, um, standard_error_um, p_value, s_about_step_um: s, drift_um_per_return };
+        (is_both && p_value < CHANCE).then_some(found)
     }
 }
 
-/// Sum of the squared differences of neighbours.
-fn pairs(v: &[f64]) -> f64 {
-    v.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum()
+/// Whether these residuals, of sum of squares `left`, are not alike from one to the next.
+/// A bend leaves residuals alike on both sides of a step.
+fn is_rest(residual: &[f64], left: f64) -> bool {
+    let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+    left <= 0.0 || !is_alike(pairs / left, residual.len())
 }
 
 /// Whether neighbours are more alike than chance makes them (1 %).

@@ -84,6 +84,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
         let all = if first == 3 { "all four body diagonals" } else { "both diagonals of a face" };
         warnings.push(format!("no squareness: it takes {all} of one box"));
     }
+    let scale_error = |d: &Diagonal| Some(d.slope_standard_error_um? / d.along.travel_mm * 1000.0);
     let scales: Vec<f64> = all.iter().map(|d| d.slope_um / d.along.travel_mm * 1000.0).collect();
     for d in &all {
         warnings.extend(d.assumed.iter().map(|a| format!("{}: {a}", d.sense)));
@@ -103,9 +104,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
         b_d: largest(|p| p.B),
         squareness_urad,
         squareness_standard_error_urad,
-        scale_standard_error_ppm: together(
-            all.iter().map(|d| Some(d.slope_standard_error_um? / d.along.travel_mm * 1000.0)),
-        ),
+        scale_standard_error_ppm: together(all.iter().map(scale_error)),
         scale_ppm: scales.iter().sum::<f64>() / scales.len().max(1) as f64,
         diagonals: all,
         warnings,

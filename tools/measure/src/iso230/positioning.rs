@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 
 mod change;
 
+pub(super) use change::dot;
 use change::{Change, UNCHANGED};
 pub use change::{Step, Trend};
 
@@ -148,15 +149,8 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
         let Some(position) = record.position(axis) else { continue };
         let direction = direction_of(record, axis)?;
         swapped(record, column, position)?;
-        let mut run = AxisRun {
-            record,
-            axis,
-            column,
-            position,
-            direction,
-            error: column.data.clone(),
-            notes: Vec::new(),
-        };
+        let (error, notes) = (column.data.clone(), Vec::new());
+        let mut run = AxisRun { record, axis, column, position, direction, error, notes };
         if column.unit == "arcsec" {
             run.error.iter_mut().for_each(|v| *v *= URAD_PER_ARCSEC);
         } else if matches!(column.role, Role::Error(_)) {
@@ -183,9 +177,8 @@ fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64]> {
     if zeros > 0 && (ups == 0) != (downs == 0) && 4 * zeros > direction.len() {
         let (seen, lost) = if ups > 0 { (1, "downwards") } else { (-1, "upwards") };
         let rows = ups + downs;
-        let found = format!(
-            "a {role} of only 0 ({zeros} rows) and {seen:+} ({rows} rows): 0 looks as if it stood for {lost}"
-        );
+        let only = format!("a {role} of only 0 ({zeros} rows) and {seen:+} ({rows} rows)");
+        let found = format!("{only}: 0 looks as if it stood for {lost}");
         return Err(lacks(record, &found, "+1 for an approach upwards and -1 for one downwards"));
     }
     if ups + downs == 0 {
@@ -236,13 +229,12 @@ impl AxisRun<'_> {
             self.notes.push(note.to_owned());
         }
         let mut words = Vec::new();
-        for (body, what, sign) in
-            [(&conditions.scale, "scale", 1.0), (&conditions.workpiece, "workpiece", -1.0)]
-        {
+        let bodies = [(&conditions.scale, "scale", 1.0), (&conditions.workpiece, "workpiece", -1.0)];
+        for (body, what, sign) in bodies {
             let Some(Expansion { sensor, ppm_per_k }) = body else { continue };
-            let degc = self.record.temperature(sensor).ok_or_else(|| {
-                no_temperature(self.record, sensor, what, "the sensor that the conditions name")
-            })?;
+            let expected = "the sensor that the conditions name";
+            let error = || no_temperature(self.record, sensor, what, expected);
+            let degc = self.record.temperature(sensor).ok_or_else(error)?;
             for ((e, p), t) in self.error.iter_mut().zip(self.position).zip(degc) {
                 *e -= sign * ppm_per_k * (t - REFERENCE_DEGC) * p / 1000.0;
             }
@@ -378,48 +370,31 @@ impl AxisRun<'_> {
         let mut note = |is_so: bool, text: String| self.notes.extend(Some(text).filter(|_| is_so));
         let count = |of: &dyn Fn([usize; 2]) -> bool| list.iter().filter(|t| of(t.approaches)).count();
         let interval = span / (n.max(2) - 1) as f64;
-        note(
-            span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM,
-            format!(
-                "targets {interval:.0} mm apart: ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more than 2 m"
-            ),
-        );
+        let asked =
+            format!("ISO 230-2 asks for at most {LONG_INTERVAL_MM:.0} mm on an axis of more than 2 m");
+        let is_wide = span > LONG_AXIS_MM && interval > LONG_INTERVAL_MM;
+        note(is_wide, format!("targets {interval:.0} mm apart: {asked}"));
         let only = "E, B and M only, no A and R (ISO 230-2, 5.3.3)";
         note(long, format!("more than 2 m with one approach from each side: {only}"));
         let wanted = fewest_targets(span);
-        note(
-            !long && n < wanted,
-            format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}"),
-        );
+        let text = format!("{n} targets on {span:.0} mm: ISO 230-2 asks for at least {wanted}");
+        note(!long && n < wanted, text);
         let few = count(&|sides| sides.iter().any(|n| *n > 0 && *n < FEWEST));
-        note(
-            !long && few > 0,
-            format!("{few} targets with fewer than the five approaches ISO 230-2 asks for"),
-        );
+        let text = format!("{few} targets with fewer than the five approaches ISO 230-2 asks for");
+        note(!long && few > 0, text);
         let steps: Vec<f64> = list.windows(2).map(|w| w[1].position_mm - w[0].position_mm).collect();
         let is_even = n > 2 && spread(&steps).is_some_and(|all| all < 1e-3 * span / n as f64);
         let what = "an error of that period does not show";
         note(is_even, format!("targets at equal distances of {interval:.4} mm: {what}"));
         let alone = count(&|sides| sides.contains(&1));
-        note(
-            !long && alone > 0,
-            format!(
-                "{alone} targets approached once only from a side: those approaches are in no figure, as they have no s"
-            ),
-        );
-        note(
-            scatter_mm > 2.0 * ALIKE * span,
-            format!(
-                "the positions of one target differ by up to {scatter_mm:.3} mm: read instead of commanded? The figures are of their means"
-            ),
-        );
+        let why = "those approaches are in no figure, as they have no s";
+        note(!long && alone > 0, format!("{alone} targets approached once only from a side: {why}"));
+        let why = "read instead of commanded? The figures are of their means";
+        let text = format!("the positions of one target differ by up to {scatter_mm:.3} mm: {why}");
+        note(scatter_mm > 2.0 * ALIKE * span, text);
         let odd = count(&|[up, down]| (up == 0) != (down == 0));
-        note(
-            odd > 0 && odd < n,
-            format!(
-                "{odd} targets approached from one side only (the ends of the travel?): not in B, R and M"
-            ),
-        );
+        let what = "approached from one side only (the ends of the travel?)";
+        note(odd > 0 && odd < n, format!("{odd} targets {what}: not in B, R and M"));
     }
 }
 

@@ -137,9 +137,8 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
     ];
     if one_sided > 0 && one_sided < places.len() {
         // Places from one side only contain half of the reversal as form.
-        let text =
-            format!("{one_sided} places from one side only: half of the reversal is in the form there");
-        warnings.push(text);
+        let why = "half of the reversal is in the form there";
+        warnings.push(format!("{one_sided} places from one side only: {why}"));
     }
     for (p, off) in places.iter_mut().zip(off) {
         let line_um = p.mean_um - off;

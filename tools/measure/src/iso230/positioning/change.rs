@@ -4,17 +4,13 @@
 //! warm-up, each optionally growing along the axis, or a parabola. A step has a size and a row.
 
 use super::{AxisRun, Target, largest, mean_of, repeatability, targets};
-use crate::iso230::is_alike;
+use crate::iso230::{CHANCE, STEP_SIDE, is_alike};
 use rtec_model::record::Role;
 use serde::{Serialize, Serializer};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-/// A change is reported below this probability of chance.
-const CHANCE: f64 = 0.01;
 /// Time constants of a warm-up that are tried, as shares of the run.
 const WARM_UPS: [f64; 6] = [0.05, 0.1, 0.2, 0.4, 0.8, 1.6];
-/// Fewest rows on either side of a step; fewer are bad approaches.
-const STEP_SIDE: usize = 2;
 
 /// Figures that are also given without a drift or a step.
 pub(super) const UNCHANGED: [&str; 5] = ["R", "R_up", "R_down", "B", "B_mean"];
@@ -126,7 +122,13 @@ impl Fitted {
     }
 }
 
-fn dot(u: &[f64], v: &[f64]) -> f64 {
+/// What columns times these factors leave of `y`.
+fn beyond(y: &[f64], columns: &[Vec<f64>], factors: &[f64]) -> Vec<f64> {
+    let explained = |row: usize| columns.iter().zip(factors).map(|(c, f)| c[row] * f).sum::<f64>();
+    y.iter().enumerate().map(|(row, v)| v - explained(row)).collect()
+}
+
+pub(in crate::iso230) fn dot(u: &[f64], v: &[f64]) -> f64 {
     u.iter().zip(v).map(|(u, v)| u * v).sum()
 }
 
@@ -170,8 +172,7 @@ impl Repeats {
             let factors = vec![(bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant];
             (factors, bb / determinant)
         };
-        let explained = |row: usize| columns.iter().zip(&factors).map(|(c, f)| c[row] * f).sum::<f64>();
-        let residual: Vec<f64> = (0..self.rows).map(|row| y[row] - explained(row)).collect();
+        let residual = beyond(y, &columns, &factors);
         let left: f64 = residual.iter().map(|r| r * r).sum();
         let is_alike = self.is_alike(&residual);
         Some(Fitted { shape, factors, left, unit_variance, is_alike })
@@ -259,9 +260,7 @@ impl AxisRun<'_> {
         if p_value >= CHANCE || before <= 0.0 {
             return None;
         }
-        let explained =
-            |row: usize| best.shape.columns.iter().zip(&best.factors).map(|(c, f)| c[row] * f).sum::<f64>();
-        let reduced: Vec<f64> = (0..n).map(|row| self.error[row] - explained(row)).collect();
+        let reduced = beyond(&self.error, &best.shape.columns, &best.factors);
         // The parameters reduced the degrees of freedom.
         let lost = ((used - repeats.groups.len()) as f64 / freedom).sqrt();
         let about = |t: &Target| repeatability(t.reversal, [t.s_up, t.s_down].map(|s| Some(s? * lost)));
@@ -276,12 +275,10 @@ impl AxisRun<'_> {
         let figures = UNCHANGED.into_iter().zip(values).zip(with);
         // With approaches from both sides R includes R_up and R_down.
         let figures = figures.filter(|((symbol, _), _)| !symbol.starts_with("R_") || both_ways.is_none());
-        let without: Vec<String> = figures
-            .filter_map(|((s, without), with)| {
-                Some(format!("{s} {:.2} instead of {:.2} {unit}", without?, with?))
-            })
-            .collect();
-        let without = without.join(", ");
+        let words = |((s, without), with): ((&str, Option<f64>), Option<f64>)| {
+            Some(format!("{s} {:.2} instead of {:.2} {unit}", without?, with?))
+        };
+        let without = figures.filter_map(words).collect::<Vec<_>>().join(", ");
         let size = if best.shape.bends { best.factors[0] + best.factors[1] } else { best.factors[0] };
         Some(match best.shape.step_at {
             None => {
