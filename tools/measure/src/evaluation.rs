@@ -275,13 +275,11 @@ fn with_every_row(document: &mut Value, all: &Value, report: &mut Report) {
         (!is_same_figure(with, without)).then_some((name, with, without))
     };
     let differing: Vec<(String, f64, f64)> = every.into_iter().filter_map(differs).collect();
-    let written =
-        differing.iter().map(|(n, with, without)| (n, format!("{with:.3}"), format!("{without:.3}")));
-    let words: Vec<String> = written
-        .filter(|(_, with, without)| with != without)
-        .take(MOST_BESIDE)
-        .map(|(name, with, without)| format!("{name} {with} instead of {without}"))
-        .collect();
+    let words = |(name, with, without): &(String, f64, f64)| {
+        let [with, without] = [with, without].map(|v| format!("{v:.3}"));
+        (with != without).then(|| format!("{name} {with} instead of {without}"))
+    };
+    let words: Vec<String> = differing.iter().filter_map(words).take(MOST_BESIDE).collect();
     if words.is_empty() {
         return;
     }
@@ -395,9 +393,7 @@ fn by(
             let charts = iso230::drift_charts(record);
             let mut report =
                 drawn(file, report::drift(&all, &ReportedRecord::of(record), charts, conditions))?;
-            if let Some(gap) = gaps(record) {
-                report.warn(&gap);
-            }
+            gaps(record).iter().for_each(|gap| report.warn(gap));
             (figures(file, "axes", &all)?, report)
         }
         Standard::Iso230_6 => {

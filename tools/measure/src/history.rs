@@ -181,14 +181,8 @@ pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Fig
                     let limit = limits.for_figure(&name);
                     let figure = found.entry(name.clone());
                     let figure = figure.or_insert(Figure { name, unit, sensor, limit, ..Figure::default() });
-                    let date = record.date.clone().unwrap_or_default();
-                    figure.points.push(FigureValue {
-                        date,
-                        record: path.clone(),
-                        value,
-                        with_every_row,
-                        day,
-                    });
+                    let (date, record) = (record.date.clone().unwrap_or_default(), path.clone());
+                    figure.points.push(FigureValue { date, record, value, with_every_row, day });
                 }
             }
         }

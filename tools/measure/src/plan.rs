@@ -54,20 +54,22 @@ const BARS_MM: [f64; 3] = [150.0, 100.0, 50.0];
 /// No axis, a repeated or invalid name, a travel, speed or bar that is not a number above zero, a circle
 /// larger than an axis.
 pub fn check(axes: &[PlanAxis], max_rpm: f64, ballbar_mm: Option<f64>) -> Result<()> {
+    const FORM: &str = "AXIS=TRAVEL in mm, as x=500";
     let usage =
         |found: String, expected: &str| InputError::whole(Path::new("characterise plan"), found, expected);
     if axes.is_empty() {
-        return Err(usage("no axis".to_owned(), "AXIS=TRAVEL in mm, as x=500"));
+        return Err(usage("no axis".to_owned(), FORM));
     }
     for (i, PlanAxis { name, travel_mm }) in axes.iter().enumerate() {
-        if Axis::new(name).is_none() || !(travel_mm.is_finite() && *travel_mm > 0.0) {
-            return Err(usage(format!("--axes {name}={travel_mm}"), "AXIS=TRAVEL in mm, as x=500"));
-        }
-        if Axis::new(name).is_some_and(|a| a.is_rotary()) {
-            return Err(usage(format!("--axes {name}={travel_mm}: a rotary axis"), LINEAR));
+        let given = format!("--axes {name}={travel_mm}");
+        let Some(axis) = Axis::new(name).filter(|_| travel_mm.is_finite() && *travel_mm > 0.0) else {
+            return Err(usage(given, FORM));
+        };
+        if axis.is_rotary() {
+            return Err(usage(given + ": a rotary axis", LINEAR));
         }
         if axes[..i].iter().any(|a| a.name == *name) {
-            return Err(usage(format!("--axes {name}={travel_mm}: {name} a second time"), "each axis once"));
+            return Err(usage(format!("{given}: {name} a second time"), "each axis once"));
         }
     }
     let given = [("--max-rpm", Some(max_rpm)), ("--ballbar-mm", ballbar_mm)];
@@ -145,30 +147,27 @@ fn words(of: &[&str]) -> Vec<String> {
 
 /// Circles in every plane, at three feeds, both directions (the patent's table 1).
 fn contouring(axes: &[PlanAxis], radius_mm: f64) -> Vec<PlannedRun> {
+    let evaluate =
+        "ballbar, all records of the plane together: circularity, reversal, squareness, servo mismatch";
+    let circle = |a: &str, b: &str, feed: f64, turn: &str| PlannedRun {
+        number: 0,
+        record: format!("ballbar_{a}{b}_{feed:.0}_{turn}"),
+        kind: "ballbar",
+        state: "cold, spindle at rest",
+        mount: format!(
+            "ballbar of {radius_mm} mm between spindle and table in plane {a}-{b}; the record states radius_mm = {radius_mm:?} and \
+             plane = [\"{a}\", \"{b}\"]"
+        ),
+        run: format!("full circle {turn} at {feed:.0} mm/min, half a turn of run-in before and after"),
+        columns: words(&["time", "angle", "error.r", TEMPERATURES]),
+        evaluate: evaluate.to_owned(),
+        minutes: 2.0 * std::f64::consts::TAU * radius_mm / feed + 2.0,
+    };
     let mut steps = Vec::new();
     for (i, a) in axes.iter().enumerate() {
         for b in &axes[i + 1..] {
             for feed in FEEDS_MM_PER_MIN {
-                for turn in ["ccw", "cw"] {
-                    let plane = format!("{}-{}", a.name, b.name);
-                    steps.push(PlannedRun {
-                        number: 0,
-                        record: format!("ballbar_{}{}_{feed:.0}_{turn}", a.name, b.name),
-                        kind: "ballbar",
-                        state: "cold, spindle at rest",
-                        mount: format!(
-                            "ballbar of {radius_mm} mm between spindle and table in plane {plane}; the record states \
-                             radius_mm = {radius_mm:?} and plane = [\"{}\", \"{}\"]",
-                            a.name, b.name
-                        ),
-                        run: format!(
-                            "full circle {turn} at {feed:.0} mm/min, half a turn of run-in before and after"
-                        ),
-                        columns: words(&["time", "angle", "error.r", TEMPERATURES]),
-                        evaluate: "ballbar, all records of the plane together: circularity, reversal, squareness, servo mismatch".to_owned(),
-                        minutes: 2.0 * std::f64::consts::TAU * radius_mm / feed + 2.0,
-                    });
-                }
+                steps.extend(["ccw", "cw"].map(|turn| circle(&a.name, &b.name, feed, turn)));
             }
         }
     }
@@ -378,28 +377,23 @@ fn spindle(axes: &[PlanAxis], errors: &[String], max_rpm: f64) -> Vec<PlannedRun
         ("cool_down", "as the run before left it", cooling(), 180.0),
     ];
     // The two gauges of X show the tilt of the spindle about B, those of Y the tilt about A.
-    let tilts = [("x", "angle_error.s.b"), ("y", "angle_error.s.a")]
-        .into_iter()
-        .filter(|(axis, _)| axes.iter().any(|a| a.name == *axis))
-        .map(|(_, role)| role.to_owned());
+    let tilts = [("x", "angle_error.s.b"), ("y", "angle_error.s.a")].into_iter();
+    let tilts = tilts.filter(|(axis, _)| axes.iter().any(|a| a.name == *axis)).map(|t| t.1.to_owned());
     let causes = words(&["time", "spindle_speed", "coolant"]);
     let columns = [causes, errors.to_vec(), tilts.collect(), words(&[TEMPERATURES])].concat();
-    let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| {
-        PlannedRun {
+    let mount = "mandrel in the spindle, five gauges on the table: two radial pairs 100 mm apart and one axial; errors are \
+                 those of the gauges at the nose; angle_error.s.b is the X gauge at the higher Z minus that at the lower, \
+                 angle_error.s.a the Y gauge at the lower Z minus that at the higher: 10 µrad for each µm over 100 mm";
+    let step = |(record, state, run, minutes): (&str, &'static str, String, f64)| PlannedRun {
         number: 0,
         record: record.to_owned(),
         kind: "drift",
         state,
-        mount:
-            "mandrel in the spindle, five gauges on the table: two radial pairs 100 mm apart and one axial; errors are \
-             those of the gauges at the nose; angle_error.s.b is the X gauge at the higher Z minus that at the lower, angle_error.s.a the \
-             Y gauge at the lower Z minus that at the higher: 10 µrad for each µm over 100 mm"
-                .to_owned(),
+        mount: mount.to_owned(),
         run,
         columns: columns.clone(),
         evaluate: "iso230-3; model fit, one run held out".to_owned(),
         minutes,
-    }
     };
     runs.into_iter().map(step).collect()
 }

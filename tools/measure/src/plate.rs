@@ -5,6 +5,7 @@
 //! a disc, the first fit takes part of the quadrupole. [`AffineFit`] fits all linear terms at once and does not.
 
 use crate::plot::Vectors;
+use nalgebra::{DMatrix, DVector};
 use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record, Role, mean};
 use serde::Serialize;
@@ -121,8 +122,8 @@ fn angle_error_deg(size: f64, error: f64) -> Option<f64> {
 impl PlateErrors {
     /// From the covariances of the similarity and of the quadrupole of this `size`.
     fn of(
-        fit: &nalgebra::DMatrix<f64>,
-        quadrupole: &nalgebra::DMatrix<f64>,
+        fit: &DMatrix<f64>,
+        quadrupole: &DMatrix<f64>,
         scale: f64,
         size: f64,
         joint: &AffineTerms<Option<f64>>,
@@ -141,7 +142,7 @@ impl PlateErrors {
 
 impl AffineFit {
     /// From offsets, µm, and the slopes x on x, y on y, x on y and y on x, µm/mm.
-    fn of(fit: &nalgebra::DVector<f64>, covariance: &nalgebra::DMatrix<f64>, rms_um: f64) -> Self {
+    fn of(fit: &DVector<f64>, covariance: &DMatrix<f64>, rms_um: f64) -> Self {
         let error = |of: &[(usize, f64)]| {
             let terms =
                 of.iter().flat_map(|(i, a)| of.iter().map(move |(j, b)| a * b * covariance[(*i, *j)]));
@@ -188,7 +189,7 @@ pub enum Norm {
 }
 
 /// Values of a fit, residuals, and covariance of the values.
-type Solved = (nalgebra::DVector<f64>, nalgebra::DVector<f64>, nalgebra::DMatrix<f64>);
+type Solved = (DVector<f64>, DVector<f64>, DMatrix<f64>);
 
 /// Fits two rows per hole; `of` gives the entries of a hole in a column.
 fn solve(
@@ -196,19 +197,16 @@ fn solve(
     norm: Norm,
     columns: usize,
     of: &dyn Fn(usize, usize) -> [f64; 2],
-    to: &nalgebra::DVector<f64>,
+    to: &DVector<f64>,
 ) -> Result<Solved> {
     let n = to.len() / 2;
     let a: Vec<Vec<f64>> =
         (0..columns).map(|j| (0..2 * n).map(|row| of(row / 2, j)[row % 2]).collect()).collect();
     let squares = rtec_least_squares::solve(&a, to.as_slice())
         .map_err(|_| InputError::whole(&record.path, "holes that do not span a plane", "a plate of holes"))?;
-    let mut fit = nalgebra::DVector::from_column_slice(&squares.values);
-    let rest = |fit: &nalgebra::DVector<f64>| {
-        nalgebra::DVector::from_fn(2 * n, |i, _| {
-            to[i] - a.iter().zip(fit).map(|(a, f)| a[i] * f).sum::<f64>()
-        })
-    };
+    let mut fit = DVector::from_column_slice(&squares.values);
+    let fitted = |fit: &DVector<f64>, i: usize| a.iter().zip(fit).map(|(a, f)| a[i] * f).sum::<f64>();
+    let rest = |fit: &DVector<f64>| DVector::from_fn(2 * n, |i, _| to[i] - fitted(fit, i));
     let mut left = rest(&fit);
     if norm == Norm::Fourth {
         // Newton's step for Σ r⁴ is a third of the way to the fit with weights r².
@@ -218,7 +216,7 @@ fn solve(
             let columns: Vec<Vec<f64>> = a.iter().map(|c| weighted(c)).collect();
             // Holes without residual have no weight, and nothing can improve.
             let Ok(by_lengths) = rtec_least_squares::solve(&columns, &weighted(to.as_slice())) else { break };
-            fit += (nalgebra::DVector::from_vec(by_lengths.values) - &fit) / 3.0;
+            fit += (DVector::from_vec(by_lengths.values) - &fit) / 3.0;
             left = rest(&fit);
         }
     }
@@ -251,13 +249,12 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
         return Err(InputError::whole(&record.path, found, "holes that span a plane"));
     }
     // measured = a·x − b·y + cx, b·x + a·y + cy: linear in (cx, cy, a, b)
-    let solve = |columns: usize, of: &dyn Fn(usize, usize) -> [f64; 2], to: &nalgebra::DVector<f64>| {
+    let solve = |columns: usize, of: &dyn Fn(usize, usize) -> [f64; 2], to: &DVector<f64>| {
         solve(record, norm, columns, of, to)
     };
-    let reached =
-        |p: &[f64], e: &[f64]| -> Vec<f64> { p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect() };
+    let reached = |p: &[f64], e: &[f64]| p.iter().zip(e).map(|(p, e)| p + e / 1000.0).collect::<Vec<f64>>();
     let (mx, my) = (reached(x, ex), reached(y, ey));
-    let measured = nalgebra::DVector::from_fn(2 * n, |row, _| [&mx, &my][row % 2][row / 2]);
+    let measured = DVector::from_fn(2 * n, |row, _| [&mx, &my][row % 2][row / 2]);
     let similarity = |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], y[i]], [-y[i], x[i]]][j];
     let (fit, left, covariance) = solve(4, &similarity, &measured)?;
     // residual = fitted position · m · cos 2(θ − φ), along the radius: linear in (m·cos 2φ, m·sin 2φ)
@@ -270,10 +267,10 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
     let (quad, left_quad, of_quad) = solve(2, &radial, &left)?;
     let affine =
         |i: usize, j: usize| [[1.0, 0.0], [0.0, 1.0], [x[i], 0.0], [0.0, y[i]], [y[i], 0.0], [0.0, x[i]]][j];
-    let errors = nalgebra::DVector::from_fn(2 * n, |row, _| [ex, ey][row % 2][row / 2]);
+    let errors = DVector::from_fn(2 * n, |row, _| [ex, ey][row % 2][row / 2]);
     // Errors in µm over positions in mm: 1 µm/mm is 1000 ppm or 1000 µrad.
     let (fit_all, left_all, of_all) = solve(6, &affine, &errors)?;
-    let rms_of = |left: &nalgebra::DVector<f64>, rows: &[usize]| {
+    let rms_of = |left: &DVector<f64>, rows: &[usize]| {
         let sum: f64 = rows.iter().map(|i| left[2 * i].powi(2) + left[2 * i + 1].powi(2)).sum();
         1000.0 * (sum / rows.len() as f64).sqrt()
     };

@@ -23,6 +23,8 @@ use rtec_files::Result;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
 
+const KEYS: &str = "header line footer value position_unit value_unit position_decimals value_decimals max_points \
+                    first_index zero_at_reference decimal_comma line_end";
 const UNITS: [(&str, f64); 3] = [("mm", 1.0), ("um", 1e-3), ("inch", 25.4)];
 const ONCE: [&str; 5] = ["axis", "points", "step", "first", "last"];
 const EACH: [&str; 5] = ["n", "position", "forward", "reverse", "mean"];
@@ -87,6 +89,12 @@ fn template(entry: Entry<'_>, known: &[&'static str]) -> Result<Vec<Piece>> {
     Ok(pieces)
 }
 
+/// The value of the word that an entry states.
+fn choice<T: Copy>(entry: Entry<'_>, words: &[(&str, T)], expected: &str) -> Result<T> {
+    let found = words.iter().find(|(word, _)| entry.as_str() == Some(word));
+    found.map(|(_, value)| *value).ok_or_else(|| entry.mismatch(expected))
+}
+
 fn has(pieces: &[Piece], name: &str) -> bool {
     pieces.iter().any(|p| matches!(p, Piece::Place(n) if *n == name))
 }
@@ -99,21 +107,7 @@ impl UserFormat {
     pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self> {
         let document = Document::parse(file, text)?;
         let root = document.root();
-        root.only(&[
-            "header",
-            "line",
-            "footer",
-            "value",
-            "position_unit",
-            "value_unit",
-            "position_decimals",
-            "value_decimals",
-            "max_points",
-            "first_index",
-            "zero_at_reference",
-            "decimal_comma",
-            "line_end",
-        ])?;
+        root.only(&KEYS.split(' ').collect::<Vec<_>>())?;
         let once = |key: &str| root.get(key).map_or(Ok(Vec::new()), |entry| template(entry, &ONCE));
         let line_entry =
             root.required("line", "what a point's line is, as line = \"{position} {forward} {reverse}\"")?;
@@ -127,11 +121,7 @@ impl UserFormat {
             let expected = format!("{key} = \"mm\", \"um\" or \"inch\"");
             match (root.get(key), default) {
                 (None, Some(mm)) => Ok(mm),
-                (None, None) => root.required(key, &expected).map(|_| 1.0),
-                (Some(entry), _) => {
-                    let found = UNITS.iter().find(|(name, _)| entry.as_str() == Some(name));
-                    found.map(|(_, mm)| *mm).ok_or_else(|| entry.mismatch(expected))
-                }
+                _ => choice(root.required(key, &expected)?, &UNITS, &expected),
             }
         };
         let decimals = |key: &str| -> Result<usize> {
@@ -143,23 +133,17 @@ impl UserFormat {
         let flag = |key: &str| root.get(key).map_or(Ok(false), |e| e.bool("true or false"));
         let expected =
             "value = \"error\" (reached minus commanded), \"correction\" (its negative) or \"reached\"";
-        let value = root.required("value", expected)?;
-        let value = match value.as_str() {
-            Some("error") => Value::Error,
-            Some("correction") => Value::Correction,
-            Some("reached") => Value::Reached,
-            _ => return Err(value.mismatch(expected)),
-        };
+        let values =
+            [("error", Value::Error), ("correction", Value::Correction), ("reached", Value::Reached)];
+        let value = choice(root.required("value", expected)?, &values, expected)?;
         let most = root.required("max_points", "max_points, the most points that the controller takes")?;
         let expected = "a whole number from 2 to 100000";
         let Some(count) = Some(most.integer::<usize>(expected)?).filter(|n| (2..=100_000).contains(n)) else {
             return Err(most.mismatch(expected));
         };
-        let line_end = match root.get("line_end").map(|entry| (entry, entry.as_str())) {
-            None | Some((_, Some("lf"))) => "\n",
-            Some((_, Some("crlf"))) => "\r\n",
-            Some((entry, _)) => return Err(entry.mismatch("line_end = \"lf\" or \"crlf\"")),
-        };
+        let ends = [("lf", "\n"), ("crlf", "\r\n")];
+        let expected = "line_end = \"lf\" or \"crlf\"";
+        let line_end = root.get("line_end").map_or(Ok("\n"), |entry| choice(entry, &ends, expected))?;
         let zero = flag("zero_at_reference")?;
         if zero && value == Value::Reached {
             let entry = root.required("zero_at_reference", "zero_at_reference")?;
