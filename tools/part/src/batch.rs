@@ -277,14 +277,12 @@ fn judge(
             BatchFinding::Nothing
         };
     }
-    let offer_table = places
-        .iter()
-        .filter(|p| p.finding == BatchFinding::Systematic)
-        .filter_map(|p| {
-            let error = PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None };
-            Some(ProposedCorrection { feature: p.feature.clone(), error })
-        })
-        .collect();
+    let proposed = |p: &PlaceStatistics| {
+        let error = PointError { angle_rad: p.angle_rad?, error_um: p.mean_um, along_mm: None };
+        Some(ProposedCorrection { feature: p.feature.clone(), error })
+    };
+    let systematic = places.iter().filter(|p| p.finding == BatchFinding::Systematic);
+    let offer_table = systematic.filter_map(proposed).collect();
     let offers = places.iter().filter_map(offer).collect();
     Ok(Batch { places, offer_table, offers, step_um: is_coarse.then_some(step_um), written: sheet.written() })
 }
@@ -308,10 +306,8 @@ fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
         (Some(given), Some(nominal)) if sheet.names().iter().any(|n| n == "measured_mm") => {
             let errors = worked_out(nominal)?;
             if let Some(row) = (0..given.len()).find(|&k| (given[k] - errors[k]).abs() > ROUNDING_UM) {
-                let found = format!(
-                    "an error_um of {} beside measured minus nominal of {:.3} µm",
-                    given[row], errors[row]
-                );
+                let (given, own) = (given[row], errors[row]);
+                let found = format!("an error_um of {given} beside measured minus nominal of {own:.3} µm");
                 let expected = "the same error, measured minus nominal; or one of the two alone";
                 return Err(sheet.finding(row, found, expected));
             }

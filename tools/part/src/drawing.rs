@@ -669,11 +669,8 @@ impl Reader<'_> {
         };
         if let Some(k) = (0..ends.len()).find(|&k| met(k) > 1) {
             let (i, at) = ends[k];
-            let found = format!(
-                "a branch at {}: more than two entities meet ({} is one)",
-                self.words(at),
-                rest[i].entity
-            );
+            let (at, one) = (self.words(at), &rest[i].entity);
+            let found = format!("a branch at {at}: more than two entities meet ({one} is one)");
             return Err(InputError::at(self.file, rest[i].line, 0, found, "one contour without branches"));
         }
         let free: Vec<usize> = (0..ends.len()).filter(|&k| met(k) == 0).collect();
@@ -740,14 +737,10 @@ impl Reader<'_> {
         let (off, a, b) = least;
         let (first, second) = (&rest[ends[a].0], &rest[ends[b].0]);
         let what = if self.overlap(first, second) { "an overlap" } else { "a gap" };
-        let found = format!(
-            "an open contour: {what} of {:.4} units between {} at {} and {} at {}",
-            off / self.unit.0,
-            first.entity,
-            self.words(ends[a].1),
-            second.entity,
-            self.words(ends[b].1)
-        );
+        let [at, other] =
+            [(first, a), (second, b)].map(|(p, k)| format!("{} at {}", p.entity, self.words(ends[k].1)));
+        let found =
+            format!("an open contour: {what} of {:.4} units between {at} and {other}", off / self.unit.0);
         InputError::at(self.file, second.line.max(first.line), 0, found, "entities that meet end to end")
     }
 

@@ -18,12 +18,9 @@ pub(crate) struct EdgeTree {
 const NOTHING: [Zx; 2] =
     [Zx::new(f64::INFINITY, f64::INFINITY), Zx::new(f64::NEG_INFINITY, f64::NEG_INFINITY)];
 
-fn around(one: [Zx; 2], other: [Zx; 2]) -> [Zx; 2] {
-    let (low, high) = ((one[0], other[0]), (one[1], other[1]));
-    [
-        Zx::new(low.0.z.min(low.1.z), low.0.x.min(low.1.x)),
-        Zx::new(high.0.z.max(high.1.z), high.0.x.max(high.1.x)),
-    ]
+/// The box around two boxes.
+pub(crate) fn around([a, b]: [Zx; 2], [c, d]: [Zx; 2]) -> [Zx; 2] {
+    [Zx::new(a.z.min(c.z), a.x.min(c.x)), Zx::new(b.z.max(d.z), b.x.max(d.x))]
 }
 
 /// Distance from a point to a box, 0 within it.

@@ -437,10 +437,7 @@ impl ProbedPoints {
             .map(|(&p, &error_um)| PointError {
                 angle_rad: two.fitted.normal_at(p).angle_rad(),
                 error_um,
-                along_mm: match two.fitted {
-                    FittedShape::Line { through, normal } => Some((p - through).dot(normal.along())),
-                    FittedShape::Circle { .. } => None,
-                },
+                along_mm: (shape == FitShape::Line).then(|| two.fitted.place(p)),
             })
             .collect();
         if shape == FitShape::Circle {
@@ -607,10 +604,10 @@ const ALONG: f64 = 0.9;
 /// Turns a line's normal, and the deviations along it, outward.
 fn face(outward: Zx, fitted: &mut FittedShape, errors_um: &mut [f64]) {
     if matches!(*fitted, FittedShape::Line { normal, .. } if normal.dot(outward) < 0.0) {
-        *fitted = fitted.turned();
-        for e in errors_um {
-            *e = -*e;
+        if let FittedShape::Line { normal, .. } = fitted {
+            *normal = *normal * -1.0;
         }
+        errors_um.iter_mut().for_each(|e| *e = -*e);
     }
 }
 
@@ -743,19 +740,16 @@ impl ErrorReport {
     }
 
     pub(crate) fn whiskers(&self) -> Whiskers {
-        let feet: Vec<(Zx, Zx)> = self
-            .errors
-            .iter()
-            .map(|e| match self.outline {
-                FittedShape::Circle { centre, radius_mm } => {
-                    let n = Zx::at_angle(e.angle_rad);
-                    (centre + n * radius_mm, n)
-                }
-                FittedShape::Line { through, normal } => {
-                    (through + normal.along() * e.along_mm.unwrap_or(0.0), normal)
-                }
-            })
-            .collect();
+        let foot = |e: &PointError| match self.outline {
+            FittedShape::Circle { centre, radius_mm } => {
+                let n = Zx::at_angle(e.angle_rad);
+                (centre + n * radius_mm, n)
+            }
+            FittedShape::Line { through, normal } => {
+                (through + normal.along() * e.along_mm.unwrap_or(0.0), normal)
+            }
+        };
+        let feet: Vec<(Zx, Zx)> = self.errors.iter().map(foot).collect();
         let places: Vec<Zx> = feet.iter().map(|f| f.0).collect();
         let order = sequence(&self.outline, &places);
         let outline: Vec<Zx> = match self.outline {
@@ -767,10 +761,8 @@ impl ErrorReport {
             }
             FittedShape::Line { .. } => order.iter().map(|&i| places[i]).collect(),
         };
-        let bars = order
-            .iter()
-            .map(|&i| (feet[i].0, feet[i].0 + feet[i].1 * (self.errors[i].error_um * 1e-3 * MAGNIFICATION)))
-            .collect();
+        let head = |i: usize| feet[i].0 + feet[i].1 * (self.errors[i].error_um * 1e-3 * MAGNIFICATION);
+        let bars = order.iter().map(|&i| (feet[i].0, head(i))).collect();
         let rejected = order.iter().map(|i| self.rejected.contains(i)).collect();
         let size_mm = (outline[outline.len() - 1] - outline[0]).norm();
         Whiskers { outline, bars, rejected, size_mm }
@@ -785,7 +777,7 @@ impl ErrorReport {
             svg.polyline(&[foot, head], "whisker");
             svg.dot(head, 0.006 * w.size_mm, if w.rejected[i] { "dropped" } else { "kept" });
         }
-        let (low, high) = svg.frame();
+        let [low, high] = svg.frame();
         let (line, size) = (0.045 * (high - low).norm(), 0.0225 * (high - low).norm());
         let at = |row: f64| Zx::new(low.z, low.x - line * row);
         svg.polyline(&[at(1.0), at(1.0) + Zx::new(MAGNIFICATION * 0.02, 0.0)], "whisker");

@@ -136,12 +136,11 @@ impl FittedShape {
         }
     }
 
-    /// The same line with its normal reversed; a circle is unchanged.
-    #[must_use]
-    pub fn turned(self) -> Self {
-        match self {
-            Self::Line { through, normal } => Self::Line { through, normal: normal * -1.0 },
-            circle @ Self::Circle { .. } => circle,
+    /// Place of a point along the shape: angle on a circle, rad; distance along a line, mm.
+    pub(crate) fn place(&self, p: Zx) -> f64 {
+        match *self {
+            Self::Circle { centre, .. } => (p - centre).angle_rad(),
+            Self::Line { through, normal } => (p - through).dot(normal.along()),
         }
     }
 }
@@ -299,8 +298,7 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     let n = points.len() as f64;
     match *fitted {
         FittedShape::Circle { centre, .. } => {
-            let unit = |p: Zx| (p - centre).unit();
-            let units: Vec<Zx> = points.iter().filter_map(|&p| unit(p)).collect();
+            let units: Vec<Zx> = points.iter().filter_map(|p| (*p - centre).unit()).collect();
             let (mean, [a, b, d], det) = spread_of(&units, n)?;
             let (zz, zx, xx) = (d / det, -b / det, a / det);
             // The radius is the mean distance, so it varies with the centre along the points' mean direction.
@@ -311,10 +309,10 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
                 inclination_rad: None,
             })
         }
-        FittedShape::Line { through, normal } => {
-            let along = |p: Zx| (p - through).dot(normal.along());
-            let mean = points.iter().map(|&p| along(p)).sum::<f64>() / n;
-            let spread = points.iter().map(|&p| (along(p) - mean).powi(2)).sum::<f64>();
+        FittedShape::Line { .. } => {
+            let along: Vec<f64> = points.iter().map(|p| fitted.place(*p)).collect();
+            let mean = mean(&along);
+            let spread = along.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
             (spread > 0.0).then(|| StandardErrors {
                 centre_um: [sd_um / n.sqrt(); 2],
                 size_um: sd_um / n.sqrt(),
@@ -423,9 +421,8 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStepFit, FitError> 
         .unwrap_or(0);
     // Deviations below a picometre are rounding.
     let threshold_um = (0.5 * sd(&first, |_| true)).max(1e-6);
-    let mut rejected: Vec<usize> = (0..points.len())
-        .filter(|i| !ends.contains(i) && first[*i] * first[worst].signum() > threshold_um)
-        .collect();
+    let is_far = |i: &usize| !ends.contains(i) && first[*i] * first[worst].signum() > threshold_um;
+    let mut rejected: Vec<usize> = (0..points.len()).filter(is_far).collect();
     if points.len() - rejected.len() < needed {
         // Too few points would remain, so only the worst are dropped.
         rejected.sort_by(|&a, &b| first[b].abs().total_cmp(&first[a].abs()));
@@ -490,10 +487,7 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
             let normal = |p: &Zx| robust.normal_at(*p) - mean;
             (3, points.iter().map(|p| [normal(p).z, normal(p).x]).collect())
         }
-        FittedShape::Line { through, normal } => {
-            let along = |p: &Zx| (*p - through).dot(normal.along());
-            (2, points.iter().map(|p| [along(p), 0.0]).collect())
-        }
+        FittedShape::Line { .. } => (2, points.iter().map(|p| [robust.place(*p), 0.0]).collect()),
     };
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|a, b| off_um[*a].abs().total_cmp(&off_um[*b].abs()));
@@ -519,12 +513,7 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
 /// Indices of the points in sequence along a shape.
 /// On a circle the sequence starts after the widest gap.
 pub fn sequence(fitted: &FittedShape, points: &[Zx]) -> Vec<usize> {
-    let key: Vec<f64> = match *fitted {
-        FittedShape::Circle { centre, .. } => points.iter().map(|&p| (p - centre).angle_rad()).collect(),
-        FittedShape::Line { through, normal } => {
-            points.iter().map(|&p| (p - through).dot(normal.along())).collect()
-        }
-    };
+    let key: Vec<f64> = points.iter().map(|p| fitted.place(*p)).collect();
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| key[a].total_cmp(&key[b]));
     if let (FittedShape::Circle { .. }, Some(&last)) = (fitted, order.last()) {
@@ -605,13 +594,11 @@ pub fn robust(shape: FitShape, points: &[Zx]) -> Result<RobustFit, FitError> {
     let mut weights = vec![1.0; n];
     for _ in 0..MAX_ITERATIONS {
         let errors = deviations_um(&fitted, points);
-        let next: Vec<f64> = errors
-            .iter()
-            .map(|e| {
-                let u = e / (BIWEIGHT * scale_um);
-                if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
-            })
-            .collect();
+        let weight = |e: &f64| {
+            let u = e / (BIWEIGHT * scale_um);
+            if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
+        };
+        let next: Vec<f64> = errors.iter().map(weight).collect();
         let change = next.iter().zip(&weights).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         weights = next;
         fitted = least_squares(shape, points, Some(&weights))?;

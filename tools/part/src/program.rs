@@ -52,20 +52,19 @@ pub struct Controller {
     pub template: String,
 }
 
+macro_rules! built_in {
+    ($name:literal) => {
+        (
+            $name,
+            include_str!(concat!("../dialects/", $name, "/dialect.toml")),
+            include_str!(concat!("../dialects/", $name, "/template.prb")),
+        )
+    };
+}
+
 /// The built-in dialects: name, dialect, template.
-pub const BUILT_IN: [(&str, &str, &str); 3] = [
-    (
-        "report",
-        include_str!("../dialects/report/dialect.toml"),
-        include_str!("../dialects/report/template.prb"),
-    ),
-    (
-        "linuxcnc",
-        include_str!("../dialects/linuxcnc/dialect.toml"),
-        include_str!("../dialects/linuxcnc/template.prb"),
-    ),
-    ("fanuc", include_str!("../dialects/fanuc/dialect.toml"), include_str!("../dialects/fanuc/template.prb")),
-];
+pub const BUILT_IN: [(&str, &str, &str); 3] =
+    [built_in!("report"), built_in!("linuxcnc"), built_in!("fanuc")];
 
 /// One program parameter: the `n` of its `$n`, its name, its default, its meaning.
 #[derive(Debug, Clone, Copy)]

@@ -1,6 +1,7 @@
 //! Drawings of the turning plane as self-contained SVG.
 //! Z is to the right, X up, in mm.
 
+use crate::edge_tree::around;
 use crate::geometric_fit::Zx;
 use rtec_files::message_text::escaped;
 use std::fmt::Write as _;
@@ -9,15 +10,13 @@ use std::fmt::Write as _;
 #[derive(Debug, Default)]
 pub struct Svg {
     body: String,
-    low: Option<Zx>,
-    high: Option<Zx>,
+    /// Lower and upper corner.
+    frame: Option<[Zx; 2]>,
 }
 
 impl Svg {
     fn reach(&mut self, p: Zx) {
-        let (low, high) = (self.low.unwrap_or(p), self.high.unwrap_or(p));
-        self.low = Some(Zx::new(low.z.min(p.z), low.x.min(p.x)));
-        self.high = Some(Zx::new(high.z.max(p.z), high.x.max(p.x)));
+        self.frame = Some(around(self.frame.unwrap_or([p; 2]), [p; 2]));
     }
 
     /// A line through points; `class` is a class of the style.
@@ -53,15 +52,14 @@ impl Svg {
     }
 
     /// Lower and upper corner of the drawn content.
-    pub fn frame(&self) -> (Zx, Zx) {
-        let origin = Zx::new(0.0, 0.0);
-        (self.low.unwrap_or(origin), self.high.unwrap_or(origin))
+    pub fn frame(&self) -> [Zx; 2] {
+        self.frame.unwrap_or([Zx::new(0.0, 0.0); 2])
     }
 
     /// The whole SVG document, with a title and a legend.
     /// The legend gives the meaning of lines and dots by their style.
     pub fn finish(&self, title: &str, legend: &[(&str, &str)]) -> String {
-        let (low, high) = self.frame();
+        let [low, high] = self.frame();
         let size = (0.025 * (high - low).norm()).max(0.3);
         let margin = 4.0 * size;
         let (left, top) = (low.z - margin, -(high.x + margin + 1.5 * size));

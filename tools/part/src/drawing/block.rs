@@ -98,14 +98,8 @@ impl AffineMap {
         let axes = |turn: f64| [p * turn.cos() + q * turn.sin(), q * turn.cos() - p * turn.sin()];
         let longer = if axes(turn)[0].norm() < axes(turn)[1].norm() { turn + FRAC_PI_2 } else { turn };
         let [major, minor] = axes(longer);
-        let ratio = cross(major, minor) / major.dot(major);
-        Segment::Ellipse {
-            centre: self.point(centre),
-            major,
-            ratio,
-            start_rad: start_rad - longer,
-            sweep_rad,
-        }
+        let (ratio, centre) = (cross(major, minor) / major.dot(major), self.point(centre));
+        Segment::Ellipse { centre, major, ratio, start_rad: start_rad - longer, sweep_rad }
     }
 }
 
@@ -152,10 +146,8 @@ pub(super) fn placed<'d>(
         let refuse =
             |found: String, expected: &str| Err(InputError::at(file, entity.line, 0, found, expected));
         let Some(block) = drawing.blocks.iter().find(|b| b.name.eq_ignore_ascii_case(name)) else {
-            return refuse(
-                format!("INSERT of the block '{name}'"),
-                "a block of the drawing's BLOCKS section",
-            );
+            let found = format!("INSERT of the block '{name}'");
+            return refuse(found, "a block of the drawing's BLOCKS section");
         };
         let count = |code: i32| entity.number(code).map_or(1, |n| (n as usize).clamp(1, MOST));
         let copies = count(70).saturating_mul(count(71));
