@@ -1,7 +1,7 @@
 //! The reports of the evaluations, each in its standard's order.
 
 use super::{Report, ReportedRecord};
-use crate::ballbar::{Ballbar, Contour};
+use crate::ballbar::{Ballbar, ByAxis, Contour};
 use crate::export::number;
 use crate::history::{Figure, History};
 use crate::iso230::{
@@ -11,6 +11,9 @@ use crate::plate::Plate;
 use crate::plot::{Chart, Colour, PlotError, PlotSpec, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
+
+/// A report with its plots, or the plot that failed.
+type Drawn = Result<Report, PlotError>;
 
 /// µm (or µrad) with two decimals, or one from 100 up; `None` is a dash.
 fn um(v: impl Into<Option<f64>>) -> String {
@@ -44,11 +47,7 @@ const MEANINGS: [(&str, &str); 12] = [
 ];
 
 /// Positioning: figures with their uncertainty, targets, contributors.
-pub(crate) fn positioning(
-    all: &[Positioning],
-    records: &[Record],
-    conditions: &Conditions,
-) -> Result<Report, PlotError> {
+pub(crate) fn positioning(all: &[Positioning], records: &[Record], conditions: &Conditions) -> Drawn {
     let axes: Vec<&str> = all.iter().map(|p| p.axis.as_str()).collect();
     let tilts = all.iter().filter(|p| p.unit == "urad").count();
     let what = match tilts {
@@ -114,11 +113,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
 }
 
 /// Straightness of one axis's motion, across it.
-pub(crate) fn straightness(
-    all: &[Straightness],
-    record: &Record,
-    conditions: &Conditions,
-) -> Result<Report, PlotError> {
+pub(crate) fn straightness(all: &[Straightness], record: &Record, conditions: &Conditions) -> Drawn {
     let symbols: Vec<&str> = all.iter().map(|s| s.symbol.as_str()).collect();
     let title = format!("Straightness {} (ISO 230-1)", symbols.join(", "));
     let mut report = Report::new(&title, std::slice::from_ref(record), conditions);
@@ -159,11 +154,7 @@ fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f6
 }
 
 /// Circular tests: contours, and causes of their deviations.
-pub(crate) fn ballbar(
-    planes: &[Ballbar],
-    records: &[Record],
-    conditions: &Conditions,
-) -> Result<Report, PlotError> {
+pub(crate) fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) -> Drawn {
     let names: Vec<&str> = planes.iter().map(|b| b.plane.as_str()).collect();
     let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
     let mut report = Report::new(&title, records, conditions);
@@ -305,7 +296,7 @@ pub(crate) fn drift(
     run: &ReportedRecord,
     charts: Vec<Chart>,
     conditions: &Conditions,
-) -> Result<Report, PlotError> {
+) -> Drawn {
     let mut report = Report::of_runs("Thermal effects (ISO 230-3)", std::slice::from_ref(run), conditions);
     if let Some(short) = all.iter().map(|d| d.whole.t_min).reduce(f64::min).filter(|t| *t < 59.5) {
         report.warnings.push(format!(
@@ -358,11 +349,7 @@ pub(crate) fn drift(
 }
 
 /// Diagonals: the box's figures, then each diagonal's.
-pub(crate) fn diagonals(
-    d: &Diagonals,
-    records: &[Record],
-    conditions: &Conditions,
-) -> Result<Report, PlotError> {
+pub(crate) fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> Drawn {
     let title = format!("Positioning on {} diagonals (ISO 230-6)", d.kind);
     let mut report = Report::new(&title, records, conditions);
     report.warnings.clone_from(&d.warnings);
@@ -412,7 +399,7 @@ pub(crate) fn diagonals(
 }
 
 /// A plate of holes.
-pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Result<Report, PlotError> {
+pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Drawn {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     // A scale within its uncertainty implies no temperature of the plate.
     if p.is_scale_beyond_chance() {
@@ -466,7 +453,7 @@ pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Resu
 
 /// One machine's figures over time.
 /// A table, and each figure with its limit and trend.
-pub(crate) fn history(h: &History) -> Result<Report, PlotError> {
+pub(crate) fn history(h: &History) -> Drawn {
     let title = format!("History of {}", h.machine);
     let mut report = Report { by: "history", ..Report::new(&title, &[], &Conditions::default()) };
     for f in h.beyond() {
@@ -525,11 +512,7 @@ pub(crate) fn history(h: &History) -> Result<Report, PlotError> {
 }
 
 /// Returning to one position: standard deviation and range.
-pub(crate) fn repeatability(
-    axes: &BTreeMap<String, Returns>,
-    record: &Record,
-    conditions: &Conditions,
-) -> Result<Report, PlotError> {
+pub(crate) fn repeatability(axes: &ByAxis<Returns>, record: &Record, conditions: &Conditions) -> Drawn {
     let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
     let head = "axis|#returns|#standard deviation s (µm)|#4 s (µm)|#range (µm)|#trend (µm a return)|#s about it (µm)";
     let head: Vec<&str> = head.split('|').collect();
