@@ -297,10 +297,7 @@ fn sensors<'r>(records: impl Iterator<Item = &'r Record>) -> BTreeMap<String, St
 /// Slope of a straight line, its standard error, and the correlation.
 /// `None` if x hardly varies.
 fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
-    let n = x.len() as f64;
-    let (mx, my) = (mean(x), mean(y));
-    let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
-    let (xx, xy, yy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
+    let [xx, xy, yy] = iso230::moments(x, y);
     let [low, high] = span(x);
     if x.len() < FEWEST || high - low < LEAST_RANGE_K {
         return None;
@@ -308,7 +305,7 @@ fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     let slope = xy / xx;
     let left = (yy - slope * xy).max(0.0);
     let gamma = if yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 };
-    Some((slope, (left / (n - 2.0) / xx).sqrt(), gamma))
+    Some((slope, (left / (x.len() as f64 - 2.0) / xx).sqrt(), gamma))
 }
 
 fn judged(mut figure: Figure) -> Figure {
@@ -340,9 +337,8 @@ impl History {
             f.points.iter().filter_map(|p| {
                 let (with, unit) = (p.with_every_row?, f.written_unit());
                 let (name, of, value) = (&f.name, &p.record, p.value);
-                Some(format!(
-                    "{of}: {name} is {value:.2} {unit}; with every row it would be {with:.2} {unit}"
-                ))
+                let now = format!("{of}: {name} is {value:.2} {unit}");
+                Some(format!("{now}; with every row it would be {with:.2} {unit}"))
             })
         })
     }

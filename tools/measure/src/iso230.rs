@@ -63,16 +63,13 @@ pub(crate) fn places(position: &[f64], direction: Option<&[f64]>, error: &[f64])
 /// Least-squares line y = a + b·x with its residual standard deviation.
 /// `None` if x does not vary.
 pub(crate) fn line(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
-    let n = x.len() as f64;
-    let (mx, my) = (mean(x), mean(y));
-    let xx: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
+    let [xx, xy, _] = moments(x, y);
     if x.len() < 3 || xx <= 0.0 {
         return None;
     }
-    let xy: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
-    let (b, a) = (xy / xx, my - xy / xx * mx);
+    let (b, a) = (xy / xx, mean(y) - xy / xx * mean(x));
     let left: f64 = x.iter().zip(y).map(|(x, y)| (y - a - b * x).powi(2)).sum();
-    Some((a, b, (left / (n - 2.0)).sqrt()))
+    Some((a, b, (left / (x.len() as f64 - 2.0)).sqrt()))
 }
 
 /// The circle through places, by least squares of squared distances (Kåsa).
@@ -194,11 +191,16 @@ fn no_temperature(record: &Record, sensor: &str, of: &str, expected: &str) -> In
     lacks(record, &format!("no temperature {sensor} for the {of} (the record has: {has})"), expected)
 }
 
-/// Correlation coefficient; 0 if one of the two does not vary.
-pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
+/// Sums of products about the means: x·x, x·y and y·y.
+pub(crate) fn moments(x: &[f64], y: &[f64]) -> [f64; 3] {
     let (mx, my) = (mean(x), mean(y));
     let sum = |of: fn(f64, f64) -> f64| x.iter().zip(y).map(|(a, b)| of(a - mx, b - my)).sum::<f64>();
-    let (xx, yy, xy) = (sum(|a, _| a * a), sum(|_, b| b * b), sum(|a, b| a * b));
+    [sum(|a, _| a * a), sum(|a, b| a * b), sum(|_, b| b * b)]
+}
+
+/// Correlation coefficient; 0 if one of the two does not vary.
+pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
+    let [xx, xy, yy] = moments(x, y);
     if xx > 0.0 && yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 

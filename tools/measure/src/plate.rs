@@ -4,10 +4,11 @@
 //! quadrupole to the residual; only that fit is comparable with theirs. If the holes do not fill a square or
 //! a disc, the first fit takes part of the quadrupole. [`AffineFit`] fits all linear terms at once and does not.
 
+use crate::iso230::moments;
 use crate::plot::Vectors;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::{InputError, Result};
-use rtec_model::record::{Axis, Record, Role, mean};
+use rtec_model::record::{Axis, Record, Role};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -337,9 +338,7 @@ impl Plate {
 const ON_A_LINE: f64 = 1e-3;
 
 fn spans_a_plane(x: &[f64], y: &[f64]) -> bool {
-    let (mx, my) = (mean(x), mean(y));
-    let sum = |of: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| of(x - mx, y - my)).sum::<f64>();
-    let (xx, yy, xy) = (sum(&|x, _| x * x), sum(&|_, y| y * y), sum(&|x, y| x * y));
+    let [xx, xy, yy] = moments(x, y);
     let (half, apart) = (f64::midpoint(xx, yy), ((xx - yy) / 2.0).hypot(xy));
     half - apart > ON_A_LINE.powi(2) * (half + apart)
 }

@@ -2,9 +2,9 @@
 //! Axes move together along the diagonals of a box. Each diagonal has the figures of ISO 230-2; their
 //! differences give squareness.
 
-use super::{Options, Positioning, error_axes, lacks, positioning_with};
+use super::{Options, Positioning, error_axes, lacks, moments, positioning_with};
 use rtec_files::Result;
-use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
+use rtec_model::record::{Axis, Column, Record, Role, RunKind, mean, span};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -238,16 +238,13 @@ fn together(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
 /// Slope of the mean error over the targets, µm/mm, and its standard error.
 /// The error needs more than two targets.
 fn slope(p: &Positioning) -> (f64, Option<f64>) {
-    let points: Vec<(f64, f64)> = p.means().collect();
-    let n = points.len() as f64;
-    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
-    let xy: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
-    let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
+    let (x, y): (Vec<f64>, Vec<f64>) = p.means().unzip();
+    let [xx, xy, _] = moments(&x, &y);
     if xx <= 0.0 {
         return (0.0, None);
     }
-    let slope = xy / xx;
-    let left: f64 = points.iter().map(|p| (p.1 - my - slope * (p.0 - mx)).powi(2)).sum();
+    let (slope, mx, my, n) = (xy / xx, mean(&x), mean(&y), x.len() as f64);
+    let left: f64 = x.iter().zip(&y).map(|(x, y)| (y - my - slope * (x - mx)).powi(2)).sum();
     (slope, (n > 2.0).then(|| (left / (n - 2.0) / xx).sqrt()))
 }
 
