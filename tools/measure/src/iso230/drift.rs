@@ -14,7 +14,7 @@ use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
 use serde::Serialize;
-use spans::{HeatSource, Span, Spans, TURNS_RPM};
+use spans::{HeatSource, Span, Spans};
 use std::collections::BTreeMap;
 
 /// Thermal drift of one response over the whole test, and phase by phase.
@@ -129,14 +129,9 @@ pub(crate) fn state_budget(all: &mut [Drift], conditions: &Conditions) {
 impl Drift {
     /// A drift without phases, from the figures of the whole test.
     fn of(column: &Column, whole: Figures, scatter: &Scatter) -> Self {
-        Self {
-            response: column.role.to_string(),
-            unit: column.unit.clone(),
-            scatter: scatter.of_a_reading(),
-            whole,
-            phases: Vec::new(),
-            uncertainty: None,
-        }
+        let (response, unit) = (column.role.to_string(), column.unit.clone());
+        let scatter = scatter.of_a_reading();
+        Self { response, unit, scatter, whole, phases: Vec::new(), uncertainty: None }
     }
 }
 
@@ -150,7 +145,7 @@ fn is_move(from_mm: f64, to_mm: f64) -> bool {
     (from_mm - to_mm).abs() > 0.01
 }
 
-fn states(record: &Record) -> Vec<HeatSource> {
+fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
     let rpm = record.data(&Role::SpindleSpeed);
     let positions = record.axes(Role::Position);
     let axes: Vec<_> = positions.filter_map(|a| Some((a.as_str(), record.position(a)?))).collect();
@@ -158,22 +153,10 @@ fn states(record: &Record) -> Vec<HeatSource> {
         let other = |i: Option<usize>| i.and_then(|i| p.get(i)).is_some_and(|q| is_move(*q, p[row]));
         other(row.checked_sub(1)) || other(Some(row + 1))
     };
-    (0..record.rows())
-        .map(|row| {
-            if rpm.is_some_and(|r| r[row].abs() > TURNS_RPM) {
-                return HeatSource::Spindle;
-            }
-            let moving: Vec<&str> = axes.iter().filter(|(_, p)| moves(p, row)).map(|(a, _)| *a).collect();
-            if moving.is_empty() { HeatSource::Rest } else { HeatSource::Moves(moving.join(", ")) }
-        })
-        .collect()
-}
-
-fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
-    let rpm = record.data(&Role::SpindleSpeed);
     let mut spans = Spans::default();
-    for (row, state) in states(record).into_iter().enumerate() {
-        spans.see(state, t[row], rpm.map_or(0.0, |r| r[row]));
+    for (row, t) in t.iter().enumerate() {
+        let moving: Vec<&str> = axes.iter().filter(|(_, p)| moves(p, row)).map(|(a, _)| *a).collect();
+        spans.see(&moving, *t, rpm.map_or(0.0, |r| r[row]));
     }
     spans.phases()
 }

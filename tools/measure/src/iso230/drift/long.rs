@@ -3,7 +3,7 @@
 
 use super::figures::{FirstPass, Row, SecondPass};
 use super::scatter::Scatter;
-use super::spans::{HeatSource, Span, Spans, TURNS_RPM};
+use super::spans::{Span, Spans};
 use super::{Drift, Figures, Phase, charts_of, displaced};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
@@ -75,14 +75,13 @@ impl LongDrift {
         };
         let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
         let (mut errors, mut degc): (Vec<Outline>, Vec<Outline>) = (Vec::new(), Vec::new());
-        let (mut moves, mut usual) = (MotionDetector::default(), Usual::default());
+        let (mut before, mut usual) = (Vec::new(), Usual::default());
         while let Some(record) = pieces.next_record(PIECE_ROWS)? {
-            let Some(t) = record.data(&Role::Time).filter(|_| !moves.see(&record)) else { return Ok(None) };
+            let is_still = !moves(&record, &mut before);
+            let Some(t) = record.data(&Role::Time).filter(|_| is_still) else { return Ok(None) };
             let rpm = record.data(&Role::SpindleSpeed);
             for (row, t) in t.iter().enumerate() {
-                let rpm = rpm.map_or(0.0, |r| r[row]);
-                let state = if rpm.abs() > TURNS_RPM { HeatSource::Spindle } else { HeatSource::Rest };
-                spans.see(state, *t, rpm);
+                spans.see(&[], *t, rpm.map_or(0.0, |r| r[row]));
             }
             errors.resize_with(displaced(&record.columns).count(), Outline::default);
             for (outline, c) in errors.iter_mut().zip(displaced(&record.columns)) {
@@ -233,24 +232,16 @@ impl LongDrift {
     }
 }
 
-/// Whether an axis moves from one row to the next.
-#[derive(Default)]
-struct MotionDetector {
-    before: Vec<f64>,
-}
-
-impl MotionDetector {
-    fn see(&mut self, record: &Record) -> bool {
-        let axes: Vec<&[f64]> = record.axes(Role::Position).filter_map(|a| record.position(a)).collect();
-        let from = |n: usize, p: &[f64]| self.before.get(n).copied().unwrap_or(p[0]);
-        let steps = |(n, p): (usize, &&[f64])| {
-            let before = std::iter::once(from(n, p)).chain(p.iter().copied());
-            before.zip(*p).any(|(q, p)| super::is_move(q, *p))
-        };
-        let moves = axes.iter().enumerate().any(steps);
-        self.before = axes.iter().map(|p| p[p.len() - 1]).collect();
-        moves
-    }
+/// Whether an axis moves from one row to the next; `before` are the positions of the last row.
+fn moves(record: &Record, before: &mut Vec<f64>) -> bool {
+    let axes: Vec<&[f64]> = record.axes(Role::Position).filter_map(|a| record.position(a)).collect();
+    let steps = |(n, p): (usize, &&[f64])| {
+        let from = before.get(n).copied().unwrap_or(p[0]);
+        std::iter::once(&from).chain(*p).zip(*p).any(|(q, p)| super::is_move(*q, *p))
+    };
+    let moves = axes.iter().enumerate().any(steps);
+    *before = axes.iter().map(|p| p[p.len() - 1]).collect();
+    moves
 }
 
 /// Most blocks of a line: several per pixel column.

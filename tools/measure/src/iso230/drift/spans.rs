@@ -7,7 +7,7 @@ use std::ops::Range;
 /// Shortest phase, s, or a twentieth of the test if that is less.
 const SHORTEST_S: f64 = 900.0;
 /// The spindle turns from this speed on, rpm.
-pub(super) const TURNS_RPM: f64 = 0.5;
+const TURNS_RPM: f64 = 0.5;
 
 /// The source of heat at a row.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,19 +38,21 @@ pub(super) struct Spans {
 }
 
 impl Spans {
-    /// Adds the next row.
-    pub(super) fn see(&mut self, state: HeatSource, t_s: f64, rpm: f64) {
+    /// Adds the next row, in which these axes move.
+    pub(super) fn see(&mut self, moving: &[&str], t_s: f64, rpm: f64) {
+        let state = match moving {
+            _ if rpm.abs() > TURNS_RPM => HeatSource::Spindle,
+            [] => HeatSource::Rest,
+            axes => HeatSource::Moves(axes.join(", ")),
+        };
         let row = self.spans.last().map_or(0, |s| s.rows.end);
         self.last_s = t_s;
         match self.spans.last_mut() {
             Some(s) if s.state == state => s.rows.end = row + 1,
-            _ => self.spans.push(Span {
-                state,
-                rows: row..row + 1,
-                start_s: t_s,
-                speed_rpm: [f64::INFINITY, 0.0],
-                after_heat: false,
-            }),
+            _ => {
+                let (rows, speed_rpm) = (row..row + 1, [f64::INFINITY, 0.0]);
+                self.spans.push(Span { state, rows, start_s: t_s, speed_rpm, after_heat: false });
+            }
         }
         if let Some(s) = self.spans.last_mut().filter(|_| rpm.abs() > TURNS_RPM) {
             s.speed_rpm = [s.speed_rpm[0].min(rpm.abs()), s.speed_rpm[1].max(rpm.abs())];
