@@ -6,7 +6,7 @@ use crate::iso230::{self, Conditions, LongDrift, Options};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, ReportedRecord};
-use crate::{ballbar, plate, record};
+use crate::{Sink, ballbar, plate, record};
 use rtec_files::text::short;
 use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::record::{Column, Record, Role, RunKind, median, sha256_of};
@@ -117,11 +117,7 @@ pub struct Evaluation {
 /// # Errors
 /// No record; a kind without a standard; data that the standard needs and the records lack; a bad sensor
 /// needed for the reduction to 20 °C.
-pub fn evaluate(
-    records: &[Record],
-    asked: &EvaluationRequest,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<Evaluation> {
+pub fn evaluate(records: &[Record], asked: &EvaluationRequest, say: Sink<'_>) -> Result<Evaluation> {
     let Some(first) = records.first() else {
         return Err(InputError::whole(Path::new("characterise evaluate"), "no record", "a record"));
     };
@@ -163,11 +159,7 @@ pub fn evaluate(
 ///
 /// # Errors
 /// As [`evaluate`], and as [`record::read`].
-pub fn evaluate_files(
-    paths: &[PathBuf],
-    asked: &EvaluationRequest,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<Evaluation> {
+pub fn evaluate_files(paths: &[PathBuf], asked: &EvaluationRequest, say: Sink<'_>) -> Result<Evaluation> {
     if let [path] = paths
         && let Some(mut long) = long_drift(path, asked, MOST_ROWS)?
     {
@@ -193,7 +185,7 @@ fn in_pieces(
     long: &mut LongDrift,
     asked: &EvaluationRequest,
     most_rows: usize,
-    say: &mut dyn FnMut(InputMessage),
+    say: Sink<'_>,
 ) -> Result<Evaluation> {
     // Pieces of equal length, so that none is too short for the checks.
     let pieces = long.rows.div_ceil(most_rows);
@@ -252,7 +244,7 @@ fn doubted(
     mut document: Value,
     mut report: Report,
     doubts: Vec<Suspicion>,
-    say: &mut dyn FnMut(InputMessage),
+    say: Sink<'_>,
 ) -> Evaluation {
     for doubt in &doubts {
         report.doubt(&doubt.to_string(), doubt.is_of_rows());
@@ -356,7 +348,7 @@ fn by(
     standard: Standard,
     records: &[Record],
     asked: &EvaluationRequest,
-    say: &mut dyn FnMut(InputMessage),
+    say: Sink<'_>,
 ) -> Result<(Value, Report)> {
     let file = &records[0].path;
     let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };

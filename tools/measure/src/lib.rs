@@ -35,3 +35,6 @@ pub mod prediction;
 pub mod report;
 
 pub use rtec_records::{record, spool};
+
+/// Where messages for people go.
+pub type Sink<'s> = &'s mut dyn FnMut(rtec_files::InputMessage);

@@ -2,6 +2,7 @@
 //! What to mount, how to move and what to record ("Geometric characterization … three phases", spindle cycles
 //! dry and wet).
 
+use crate::Sink;
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::record::{Axis, LINEAR};
@@ -100,7 +101,7 @@ pub fn for_machine(
     axes: &[PlanAxis],
     max_rpm: f64,
     ballbar_mm: Option<f64>,
-    say: &mut dyn FnMut(InputMessage),
+    say: Sink<'_>,
 ) -> Result<Vec<PlannedRun>> {
     check(axes, max_rpm, ballbar_mm)?;
     let shortest = shortest_mm(axes);
@@ -262,9 +263,8 @@ pub fn target_run(record: &str, axis: &PlanAxis, response: &str, run: &TargetRun
 }
 
 fn laser_along(axis: &str) -> String {
-    format!(
-        "laser interferometer along {axis}, reflector in the spindle; a temperature sensor at scale or screw"
-    )
+    let beside = "reflector in the spindle; a temperature sensor at scale or screw";
+    format!("laser interferometer along {axis}, {beside}")
 }
 
 /// The columns of a run from target to target along an axis.

@@ -1,6 +1,6 @@
 //! Predictions of a machine model for a record, with notes on their assumptions.
 
-use crate::{derive, plausible, record};
+use crate::{Sink, derive, plausible, record};
 use rtec_files::{InputError, InputMessage, Result};
 use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, RecordPiecePredictor, RecordRanges};
 use rtec_model::record::{Record, Role};
@@ -13,11 +13,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
-pub fn predict(
-    machine: &Machine,
-    record: &Record,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<Vec<(String, Vec<f64>)>> {
+pub fn predict(machine: &Machine, record: &Record, say: Sink<'_>) -> Result<Vec<(String, Vec<f64>)>> {
     let (prediction, notes) = derive::predict(machine, record)?;
     for note in notes {
         say(InputMessage::Note(format!("{}: {note}", record.path.display())));
@@ -26,12 +22,7 @@ pub fn predict(
     Ok(prediction.columns)
 }
 
-fn warn(
-    file: &Path,
-    taken_as_zero: &[(String, String)],
-    beyond: &[String],
-    say: &mut dyn FnMut(InputMessage),
-) {
+fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say: Sink<'_>) {
     let file = file.display();
     for (effect, role) in taken_as_zero {
         say(InputMessage::Warning(format!("{file}: no {role} in the record, taken as zero for {effect}")));
@@ -52,7 +43,7 @@ pub fn write(
     path: &Path,
     interval: bool,
     out: &mut impl Write,
-    say: &mut dyn FnMut(InputMessage),
+    say: Sink<'_>,
 ) -> Result<(), PredictionError> {
     let Some(mut pieces) = record::RecordPieceReader::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
@@ -117,7 +108,7 @@ pub fn write(
 }
 
 /// Reports readings that a sensor did not take.
-fn warn_of_readings(file: &Path, not_taken: usize, say: &mut dyn FnMut(InputMessage)) {
+fn warn_of_readings(file: &Path, not_taken: usize, say: Sink<'_>) {
     if not_taken > 0 {
         say(InputMessage::Warning(format!(
             "{}: {not_taken} readings that a sensor did not take (`characterise evaluate` names them): those rows are predicted from the \
@@ -177,12 +168,7 @@ pub enum PredictionError {
 ///
 /// # Errors
 /// As [`predict`]; no interval is known; the record's CSV has changed.
-pub fn csv(
-    machine: &Machine,
-    record: &Record,
-    interval: bool,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<String> {
+pub fn csv(machine: &Machine, record: &Record, interval: bool, say: Sink<'_>) -> Result<String> {
     let mut columns = Vec::new();
     let mut good = record.clone();
     let not_taken = plausible::hold_last_good(&mut good, &mut BTreeMap::new());

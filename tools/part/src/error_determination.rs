@@ -12,6 +12,9 @@ use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
+/// Where messages for people go.
+pub type Sink<'s> = &'s mut dyn FnMut(InputMessage);
+
 rtec_files::choice! {
     /// The kind of feature that was probed.
     pub enum ProbedFeature {
@@ -80,11 +83,7 @@ const OTHER_TAPER_DEG: f64 = 1.0;
 const FALSE_TRIP_UM: f64 = 200.0;
 
 /// The nominal feature, as requested or as recognised from the points.
-fn nominal(
-    args: &ErrorRequest,
-    probed: &ProbedPoints,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<NominalShape, InputError> {
+fn nominal(args: &ErrorRequest, probed: &ProbedPoints, say: Sink<'_>) -> Result<NominalShape, InputError> {
     let straight = match args.feature {
         Some(feature) => feature == ProbedFeature::Line,
         None => probed.is_straight(args.radius_mm.is_some())?,
@@ -116,10 +115,7 @@ fn nominal(
 
 /// Reads the points, the side of each touch and the expected places.
 /// It subtracts the prediction of the machine's model.
-fn read(
-    args: &ErrorRequest,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<(ProbedPoints, Option<Vec<Zx>>), InputError> {
+fn read(args: &ErrorRequest, say: Sink<'_>) -> Result<(ProbedPoints, Option<Vec<Zx>>), InputError> {
     let mut probed = ProbedPoints::read_columns(&args.points, &args.columns)?;
     if let Some(written) = probed.written() {
         say(InputMessage::Note(written));
@@ -177,12 +173,7 @@ fn read(
 }
 
 /// Reports places that were touched several times, and points that may be false.
-fn say_touches(
-    args: &ErrorRequest,
-    probed: &ProbedPoints,
-    report: &ErrorReport,
-    say: &mut dyn FnMut(InputMessage),
-) {
+fn say_touches(args: &ErrorRequest, probed: &ProbedPoints, report: &ErrorReport, say: Sink<'_>) {
     if let Some(repeats) = &report.repeats {
         let between = match repeats.sd_between_um {
             Some(um) => {
@@ -252,7 +243,7 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 ///
 /// # Errors
 /// A file that cannot be read, an implausible number, points that do not determine the feature.
-pub fn determine(args: &ErrorRequest, say: &mut dyn FnMut(InputMessage)) -> Result<ErrorReport, InputError> {
+pub fn determine(args: &ErrorRequest, say: Sink<'_>) -> Result<ErrorReport, InputError> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
     }

@@ -2,6 +2,7 @@
 
 use super::{ImportColumn, Sampling, TableSyntax, UserTableFormat, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
+use crate::Sink;
 use crate::derive::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
@@ -110,12 +111,7 @@ impl ImportRequest {
     ///
     /// # Errors
     /// The first finding in the file or in the options.
-    pub fn read(
-        &self,
-        circle: Option<Circle>,
-        out: &Path,
-        say: &mut dyn FnMut(InputMessage),
-    ) -> Result<Record> {
+    pub fn read(&self, circle: Option<Circle>, out: &Path, say: Sink<'_>) -> Result<Record> {
         let file = self.file.as_path();
         let bytes = rtec_files::text::bytes(file)?;
         let text = if self.format == ImportFormat::Rtl {
