@@ -165,9 +165,8 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar> {
         |c: &&Contour| 360.0 - c.turned_deg > MISSING_DEG.max(2.5 * c.turned_deg / c.trace.len() as f64);
     if let Some(c) = contours.iter().find(short) {
         let turned = c.turned_deg.round();
-        warnings.push(format!(
-            "a contour of less than a full circle, {turned:.0}°: its deviations are those of the arc"
-        ));
+        let what = "its deviations are those of the arc";
+        warnings.push(format!("a contour of less than a full circle, {turned:.0}°: {what}"));
     }
     let radii: Vec<f64> = traces.iter().filter_map(|t| t.record.circle().map(|c| c.radius_mm)).collect();
     let mixed = radii.iter().any(|r| !alike(*r, radii[0]));
@@ -492,10 +491,8 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
         ([(*a).clone(), (*b).clone()], met(record, pa, pb)?)
     } else {
         let errors = error_axes(record);
-        let both: Vec<_> = positions
-            .iter()
-            .filter_map(|(a, p)| Some((*a, *p, errors.iter().find(|(e, _)| e == a)?.1)))
-            .collect();
+        let error_of = |a: &Axis| errors.iter().find(|(e, _)| *e == a).map(|(_, data)| *data);
+        let both: Vec<_> = positions.iter().filter_map(|(a, p)| Some((*a, *p, error_of(a)?))).collect();
         let [(ax, px, ex), (ay, py, ey), ..] = both.as_slice() else {
             let expected =
                 "columns error.r and angle (with radius_mm and plane), or two axes with position and error";

@@ -62,9 +62,8 @@ pub fn derive(record: &mut Record) -> Vec<String> {
             let rms = (data.iter().map(|v| v * v).sum::<f64>() / data.len() as f64).sqrt();
             let unit = role.unit().unwrap_or_default();
             if rms < 2.0 * error {
-                notes.push(format!(
-                    "{role} not derived: noise of {error:.2e} {unit} hides it ({rms:.2e} RMS)"
-                ));
+                let noise = format!("noise of {error:.2e} {unit} hides it ({rms:.2e} RMS)");
+                notes.push(format!("{role} not derived: {noise}"));
                 continue;
             }
             let (reach_s, noise_um) = (rows as f64 * median(steps(t, &runs)), 1000.0 * noise_mm);

@@ -78,13 +78,8 @@ impl Rules {
 
     /// Rules of SINUMERIK: one value for both directions, zero at a reference point.
     fn siemens(most: usize, reference_mm: f64) -> Self {
-        let zero_at_mm = Some(reference_mm);
-        Self {
-            both: false,
-            zero_at_mm,
-            lookup: LookupPosition::Encoder,
-            ..Self::both_directions(most, 1e-4, 1e-3)
-        }
+        let (zero_at_mm, lookup) = (Some(reference_mm), LookupPosition::Encoder);
+        Self { both: false, zero_at_mm, lookup, ..Self::both_directions(most, 1e-4, 1e-3) }
     }
 }
 
@@ -292,13 +287,8 @@ impl<'m> StaticErrors<'m> {
         let mut axes: Vec<AxisMotionState> = self.places_mm.iter().map(at).collect();
         axes[self.moving] = AxisMotionState { position_mm, direction, ..AxisMotionState::default() };
         let channels = vec![0.0; self.layout.channels.len()];
-        let frame = MachineState {
-            axes: &axes,
-            temperatures_degc: &self.degc,
-            channels: &channels,
-            ..MachineState::default()
-        };
-        live.evaluate(&frame);
+        let (axes, temperatures_degc, channels) = (&axes[..], &self.degc[..], &channels[..]);
+        live.evaluate(&MachineState { axes, temperatures_degc, channels, ..MachineState::default() });
         live.errors_um()[0]
     }
 
@@ -329,10 +319,8 @@ impl<'m> StaticErrors<'m> {
         let angular =
             |e: &&Effect| e.description().needs.contains(&RequiredInput::Angle) && self.is_in_table(e);
         for effect in self.machine.effects().filter(angular) {
-            doubts.push(format!(
-                "{}: is over the angle of a circle, which a table of positions does not have: it is not in the table",
-                effect.name()
-            ));
+            let why = "is over the angle of a circle, which a table of positions does not have";
+            doubts.push(format!("{}: {why}: it is not in the table", effect.name()));
         }
         let along = &self.layout.axes[self.moving];
         for part in live.parts().filter(|p| self.is_in_table(p.effect)) {
@@ -357,12 +345,10 @@ impl<'m> StaticErrors<'m> {
             if let Some(held) = part.effect.description().needs.iter().find_map(held).or(turned) {
                 doubts.push(format!("{}: the table holds its value {held}", part.effect.name()));
             }
-            if part.outside_k > 0.0 {
+            let (name, outside_k, percent) = (part.effect.name(), part.outside_k, 100.0 * part.weight);
+            if outside_k > 0.0 {
                 doubts.push(format!(
-                    "{}: the temperatures are {:.1} K outside the range that it was fitted on; {:.0} % of it is in the table",
-                    part.effect.name(),
-                    part.outside_k,
-                    100.0 * part.weight
+                    "{name}: the temperatures are {outside_k:.1} K outside the range that it was fitted on; {percent:.0} % of it is in the table"
                 ));
             }
         }
@@ -537,12 +523,12 @@ impl Table {
                 let expected = format!("at most {most} points, that is {least}; or none, to have it chosen");
                 return Err(usage(format!("{points} points"), expected));
             }
-            return Self::with_step(errors, &dense, from, to, step, rules)?.applied(errors, &dense, rules);
+            return Self::with_step(errors, &dense, [from, to], step, rules)?.applied(errors, &dense, rules);
         }
         let mut best: Option<Self> = None;
         let mut applied: Option<Self> = None;
         for step in steps(to - from, most, rules.position_mm) {
-            let table = Self::with_step(errors, &dense, from, to, step, rules)?;
+            let table = Self::with_step(errors, &dense, [from, to], step, rules)?;
             if table.between_um <= wanted.limit_um {
                 let table = table.applied(errors, &dense, rules)?;
                 if !rules.both || table.left.max_um() <= wanted.limit_um {
@@ -567,8 +553,7 @@ impl Table {
     fn with_step(
         errors: &StaticErrors<'_>,
         dense: &Dense,
-        from: f64,
-        to: f64,
+        [from, to]: [f64; 2],
         step_mm: f64,
         rules: &Rules,
     ) -> Result<Self> {

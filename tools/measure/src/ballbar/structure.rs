@@ -136,11 +136,8 @@ impl Structure {
         let each = [mean(&all(0)), mean(&odd), mean(&odd), mean(&all(0)), mean(&all(1))];
         let fitted = 2 * (self.highest - TAKEN);
         let power: f64 = (0..fitted).map(|i| (amplitude[i].powi(2) - variance[i]) / 2.0).sum();
-        Some(StructureVariance {
-            variance: each.map(|e| e.0),
-            freedom: each.map(|e| e.1),
-            rms_um: power.max(0.0).sqrt(),
-        })
+        let (variance, freedom) = (each.map(|e| e.0), each.map(|e| e.1));
+        Some(StructureVariance { variance, freedom, rms_um: power.max(0.0).sqrt() })
     }
 }
 

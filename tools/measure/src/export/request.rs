@@ -195,11 +195,10 @@ impl ExportRequest {
         let (axis, step_mm, [start, end]) =
             (&table.axis, table.step_mm, [table.start_mm(), table.end_mm()].map(short));
         let across = self.to.along.as_ref().map_or(String::new(), |along| format!(" along {along}"));
+        let most = format!("{up:.2} um moving up and {down:.2} um moving down, {rms:.2} um RMS");
         let mut notes = vec![
             format!("axis {axis}{across}, {points} positions, {step_mm:.4} mm apart, {start} to {end} mm"),
-            format!(
-                "it leaves of the model at most {up:.2} um moving up and {down:.2} um moving down, {rms:.2} um RMS{beside}"
-            ),
+            format!("it leaves of the model at most {most}{beside}"),
         ];
         if !held.is_empty() {
             let of = |(name, degc): &(&str, f64)| format!("{name} {degc}");
@@ -247,9 +246,8 @@ impl ExportRequest {
         }
         if table.end_mm() > to_mm + 1e-9 {
             let (end, step) = (short(table.end_mm()), table.step_mm);
-            found.push(format!(
-                "its last position, {end} mm, is past --to {to_mm} mm: equal steps of {step:.4} mm do not end there"
-            ));
+            let why = format!("equal steps of {step:.4} mm do not end there");
+            found.push(format!("its last position, {end} mm, is past --to {to_mm} mm: {why}"));
         }
         if table.left.max_um() > table.between_um + limit_um {
             let most = table.points.iter().map(|p| p.up_um.abs().max(p.down_um.abs())).fold(0.0, f64::max);

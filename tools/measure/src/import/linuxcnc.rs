@@ -35,9 +35,8 @@ pub fn linuxcnc_comp(
                 0 => "has no point at all".to_owned(),
                 n => format!("has only the {n} points before it"),
             };
-            let expected = format!(
-                "three numbers: LinuxCNC stops at this line without a word and {taken}; take the line out"
-            );
+            let stops = "LinuxCNC stops at this line without a word";
+            let expected = format!("three numbers: {stops} and {taken}; take the line out");
             return Err(InputError::line(from, at, format!("`{}`", line.trim()), expected));
         }
         if let Some(before) = rows.last().map(|r: &[f64; 3]| r[0] / unit.mm()).filter(|b| nominal <= *b) {
@@ -62,11 +61,8 @@ pub fn linuxcnc_comp(
     let [first, last] = ends.map(|r| error(r[0], r[1]) / 1000.0);
     let slope = (last - first) / (ends[1][0] - ends[0][0]);
     if slope.abs() > 0.5 {
-        let (is, other) = if trims {
-            ("trims", "positions reached (type 0)")
-        } else {
-            ("positions reached", "trims (type 1)")
-        };
+        let kinds = [("positions reached", "trims (type 1)"), ("trims", "positions reached (type 0)")];
+        let (is, other) = kinds[usize::from(trims)];
         let found = format!("{is} that make errors of {slope:.2} mm per mm");
         let expected = format!("{is}; the file looks like {other}: choose the other type");
         return Err(InputError::whole(from, found, expected));

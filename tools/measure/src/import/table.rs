@@ -178,12 +178,10 @@ fn prepared<'t>(text: &'t str, form: &TableSyntax) -> Cow<'t, str> {
             let mut inside = false;
             for c in line.trim_end().chars() {
                 let blank = c.is_whitespace();
-                out.push(if !blank {
-                    c
-                } else if inside {
-                    '\t'
-                } else {
-                    ' '
+                out.push(match (blank, inside) {
+                    (false, _) => c,
+                    (true, true) => '\t',
+                    (true, false) => ' ',
                 });
                 inside = !blank;
             }
@@ -470,9 +468,8 @@ impl Clock {
             return Err(instead("the unit of its clock", found));
         }
         if self.last.replace(number).is_some_and(|last| last < COUNTER && last - number > 0.9 * COUNTER) {
-            return Err(format!(
-                "a time that never decreases: a counter of 32 bits has begun again; add {COUNTER} from this row on"
-            ));
+            let again = "a counter of 32 bits has begun again";
+            return Err(format!("a time that never decreases: {again}; add {COUNTER} from this row on"));
         }
         Ok(number - self.counted.as_ref().map_or(0.0, |(first, _)| *first))
     }

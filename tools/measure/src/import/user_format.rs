@@ -65,14 +65,8 @@ impl UserTableFormat {
         });
         let comment = comment.transpose()?;
         let names = flag("names", true)?;
-        let form = TableSyntax {
-            by: Some(by),
-            decimal_comma: Some(decimal_comma),
-            skip,
-            nameless: !names,
-            comment,
-            log: flag("log", false)?,
-        };
+        let (by, decimal_comma, log) = (Some(by), Some(decimal_comma), flag("log", false)?);
+        let form = TableSyntax { by, decimal_comma, skip, nameless: !names, comment, log };
         let listed =
             root.required("columns", "a table [columns] of what is wanted")?.table("a table [columns]")?;
         let mut columns: Vec<ImportColumn> = Vec::new();

@@ -192,12 +192,8 @@ impl Conditions {
         let anew = square(&each);
         contributors.extend(each);
         let difference = get(&stated, "device_um").powi(2) + set_up_um * set_up_um + 2.0 * anew;
-        Some(Budget {
-            k: 2.0,
-            contributors,
-            difference_um: difference.sqrt(),
-            length_um: radius_mm.map(|_| (fixed + anew).sqrt()),
-        })
+        let length_um = radius_mm.map(|_| (fixed + anew).sqrt());
+        Some(Budget { k: 2.0, contributors, difference_um: difference.sqrt(), length_um })
     }
 
     /// Keys of `[uncertainty]` that a circle, or else a drift test, does not use.
