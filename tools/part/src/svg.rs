@@ -32,23 +32,13 @@ impl Svg {
     /// A filled dot.
     pub fn dot(&mut self, at: Zx, radius_mm: f64, class: &str) {
         self.reach(at);
-        let _ = writeln!(
-            self.body,
-            "<circle class=\"{class}\" cx=\"{:.4}\" cy=\"{:.4}\" r=\"{radius_mm:.4}\"/>",
-            at.z, -at.x
-        );
+        self.body += &circle(class, at.z, -at.x, radius_mm);
     }
 
     /// Text that starts at a place.
     pub fn text(&mut self, at: Zx, size_mm: f64, words: &str) {
         self.reach(at);
-        let _ = writeln!(
-            self.body,
-            "<text x=\"{:.4}\" y=\"{:.4}\" font-size=\"{size_mm:.3}\">{}</text>",
-            at.z,
-            -at.x,
-            escaped(words)
-        );
+        self.body += &text(at.z, -at.x, size_mm, "", words);
     }
 
     /// Lower and upper corner of the drawn content.
@@ -66,37 +56,15 @@ impl Svg {
         let below = 1.5 * size * legend.len() as f64;
         let (width, height) =
             (high.z - low.z + 2.0 * margin, high.x - low.x + 2.0 * margin + 1.5 * size + below);
-        let mut words = format!(
-            "<text x=\"{:.4}\" y=\"{:.4}\" font-size=\"{size:.3}\" font-weight=\"bold\">{}</text>\n",
-            low.z,
-            top + 1.6 * size,
-            escaped(title)
-        );
+        let mut words = text(low.z, top + 1.6 * size, size, " font-weight=\"bold\"", title);
         for (row, (class, meaning)) in (0..).map(f64::from).zip(legend) {
             let y = -low.x + margin + 1.5 * size * row;
-            let _ = if matches!(*class, "kept" | "dropped") {
-                writeln!(
-                    words,
-                    "<circle class=\"{class}\" cx=\"{:.4}\" cy=\"{y:.4}\" r=\"{:.4}\"/>",
-                    low.z + size,
-                    0.3 * size
-                )
+            words += &if matches!(*class, "kept" | "dropped") {
+                circle(class, low.z + size, y, 0.3 * size)
             } else {
-                writeln!(
-                    words,
-                    "<polyline class=\"{class}\" points=\"{:.4},{y:.4} {:.4},{y:.4}\"/>",
-                    low.z,
-                    low.z + 2.0 * size
-                )
+                line(class, [low.z, y], [low.z + 2.0 * size, y])
             };
-            let _ = writeln!(
-                words,
-                "<text x=\"{:.4}\" y=\"{:.4}\" font-size=\"{:.3}\">{}</text>",
-                low.z + 2.6 * size,
-                y + 0.3 * size,
-                0.9 * size,
-                escaped(meaning)
-            );
+            words += &text(low.z + 2.6 * size, y + 0.3 * size, 0.9 * size, "", meaning);
         }
         // The colours of Okabe and Ito, as in all plots. Dropped points are hollow, for a print in grey. The
         // background is white, for a dark page.
@@ -116,30 +84,37 @@ impl Svg {
     }
 }
 
+fn circle(class: &str, x: f64, y: f64, radius: f64) -> String {
+    format!("<circle class=\"{class}\" cx=\"{x:.4}\" cy=\"{y:.4}\" r=\"{radius:.4}\"/>\n")
+}
+
+fn line(class: &str, [x, y]: [f64; 2], [x2, y2]: [f64; 2]) -> String {
+    format!("<polyline class=\"{class}\" points=\"{x:.4},{y:.4} {x2:.4},{y2:.4}\"/>\n")
+}
+
+/// Text that starts at a place; `more` are further attributes.
+fn text(x: f64, y: f64, size: f64, more: &str, words: &str) -> String {
+    let words = escaped(words);
+    format!("<text x=\"{x:.4}\" y=\"{y:.4}\" font-size=\"{size:.3}\"{more}>{words}</text>\n")
+}
+
 /// The scales: Z below, X on the left, in mm.
 fn ticks(low: Zx, high: Zx, size: f64) -> String {
     let (bottom, left) = (-low.x + size, low.z - size);
-    let mut text = String::new();
-    let mut line = |x: f64, y: f64, dx: f64, dy: f64| {
-        let (x2, y2) = (x + dx, y + dy);
-        let _ = writeln!(text, "<polyline class=\"tick\" points=\"{x:.4},{y:.4} {x2:.4},{y2:.4}\"/>");
-    };
-    line(low.z, bottom, high.z - low.z, 0.0);
-    line(left, -low.x, 0.0, low.x - high.x);
+    let mut out = String::new();
+    let mut tick = |x: f64, y: f64, dx: f64, dy: f64| out += &line("tick", [x, y], [x + dx, y + dy]);
+    tick(low.z, bottom, high.z - low.z, 0.0);
+    tick(left, -low.x, 0.0, low.x - high.x);
     let across: Vec<f64> = steps(low.z, high.z).collect();
     let up: Vec<f64> = steps(low.x, high.x).collect();
     for z in &across {
-        line(*z, bottom, 0.0, 0.4 * size);
+        tick(*z, bottom, 0.0, 0.4 * size);
     }
     for x in &up {
-        line(left, -x, -0.4 * size, 0.0);
+        tick(left, -x, -0.4 * size, 0.0);
     }
     let mut word = |x: f64, y: f64, anchor: &str, words: &str| {
-        let size = 0.9 * size;
-        let _ = writeln!(
-            text,
-            "<text x=\"{x:.4}\" y=\"{y:.4}\" font-size=\"{size:.3}\" text-anchor=\"{anchor}\">{words}</text>"
-        );
+        out += &text(x, y, 0.9 * size, &format!(" text-anchor=\"{anchor}\""), words);
     };
     for z in &across {
         word(*z, bottom + 1.4 * size, "middle", &z.to_string());
@@ -149,7 +124,7 @@ fn ticks(low: Zx, high: Zx, size: f64) -> String {
     }
     word(f64::midpoint(low.z, high.z), bottom + 2.6 * size, "middle", "Z, mm");
     word(left, -high.x - 1.2 * size, "middle", "X, mm");
-    text
+    out
 }
 
 /// About five round values within a span.
