@@ -347,16 +347,10 @@ impl ReturnStep {
     fn beside_drift(e: &[f64], about_line: f64, about_step: f64) -> Option<Self> {
         let (n, count) = (e.len(), e.len() as f64);
         let freedom = n.checked_sub(3).filter(|f| *f >= STEP_SIDE)? as f64;
-        let from_line = |y: &dyn Fn(usize) -> f64| -> (f64, Vec<f64>) {
-            let middle = (count - 1.0) / 2.0;
-            let mean = (0..n).map(y).sum::<f64>() / count;
-            let xx: f64 = (0..n).map(|i| (i as f64 - middle).powi(2)).sum();
-            let slope = (0..n).map(|i| (i as f64 - middle) * (y(i) - mean)).sum::<f64>() / xx;
-            (slope, (0..n).map(|i| y(i) - mean - slope * (i as f64 - middle)).collect())
-        };
-        let (line, of_returns) = from_line(&|i| e[i]);
+        let step = |k: usize| over_returns(&(0..n).map(|i| f64::from(i >= k)).collect::<Vec<f64>>());
+        let (line, _, of_returns) = over_returns(e);
         let at_row = |k: usize| {
-            let (slope, of_step) = from_line(&|i| f64::from(i >= k));
+            let (slope, _, of_step) = step(k);
             let square = dot(&of_step, &of_step);
             let um = dot(&of_step, &of_returns) / square;
             (k, um, square, line - um * slope, about_line - um * um * square)
@@ -375,7 +369,7 @@ impl ReturnStep {
         // Each mean has its own error, but the common slope is known from both sides.
         let within: f64 = [at as f64, count - at as f64].map(|m| m * (m * m - 1.0) / 12.0).iter().sum();
         let p_value = (tried * chance(um, standard_error_um)).min(1.0);
-        let (_, of_step) = from_line(&|i| f64::from(i >= at));
+        let (_, _, of_step) = step(at);
         let residual: Vec<f64> = of_returns.iter().zip(&of_step).map(|(v, h)| v - um * h).collect();
         // A step comes between two returns; heat takes more than two.
         let pair = |k: usize| f64::midpoint(e[k], e[k + 1]);
@@ -389,6 +383,15 @@ impl ReturnStep {
         let found = Self { row, um, standard_error_um, p_value, s_about_step_um: s, drift_um_per_return };
         (is_both && p_value < CHANCE).then_some(found)
     }
+}
+
+/// The line through values over their number: slope, sum of squares of the numbers, residuals.
+fn over_returns(y: &[f64]) -> (f64, f64, Vec<f64>) {
+    let (mean, middle) = (mean(y), (y.len() as f64 - 1.0) / 2.0);
+    let about: Vec<f64> = (0..y.len()).map(|i| i as f64 - middle).collect();
+    let xx: f64 = about.iter().map(|x| x.powi(2)).sum();
+    let slope = about.iter().zip(y).map(|(x, y)| x * (y - mean)).sum::<f64>() / xx;
+    (slope, xx, about.iter().zip(y).map(|(x, y)| y - mean - slope * x).collect())
 }
 
 /// Whether these residuals, of sum of squares `left`, are not alike from one to the next.
@@ -408,12 +411,9 @@ pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
 impl Returns {
     /// From errors in µm in the order of the returns; `None` for fewer than two.
     pub fn of(e: &[f64]) -> Option<Self> {
-        let (mean, s_um) = mean_and_s(e)?;
+        let (_, s_um) = mean_and_s(e)?;
         let n = e.len() as f64;
-        let about = |i: usize| i as f64 - (n - 1.0) / 2.0;
-        let xx: f64 = (0..e.len()).map(|i| about(i).powi(2)).sum();
-        let slope = e.iter().enumerate().map(|(i, v)| about(i) * (v - mean)).sum::<f64>() / xx;
-        let residual: Vec<f64> = e.iter().enumerate().map(|(i, v)| v - mean - slope * about(i)).collect();
+        let (slope, xx, residual) = over_returns(e);
         let left = residual.iter().map(|r| r.powi(2)).sum::<f64>();
         let s_about = (n > 2.0).then(|| (left / (n - 2.0)).sqrt());
         let error = s_about.map_or(f64::INFINITY, |s| s / xx.sqrt());
