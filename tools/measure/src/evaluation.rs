@@ -385,7 +385,9 @@ fn by(
             let charts = iso230::drift_charts(record);
             let mut report =
                 drawn(file, report::drift(&all, &ReportedRecord::of(record), charts, conditions))?;
-            gaps(record).iter().for_each(|gap| report.warn(gap));
+            if let Some(gap) = gaps(record) {
+                report.warn(&gap);
+            }
             (figures(file, "axes", &all)?, report)
         }
         Standard::Iso230_6 => {

@@ -386,7 +386,7 @@ fn acts_on(effect: &Effect, axis: &Axis) -> bool {
 }
 
 /// All in order, those that come again left out.
-fn each_once<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+pub(crate) fn each_once<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
     let mut kept = Vec::new();
     for one in all {
         if !kept.contains(&one) {

@@ -607,7 +607,9 @@ fn face(outward: Zx, fitted: &mut FittedShape, errors_um: &mut [f64]) {
         if let FittedShape::Line { normal, .. } = fitted {
             *normal = *normal * -1.0;
         }
-        errors_um.iter_mut().for_each(|e| *e = -*e);
+        for e in errors_um {
+            *e = -*e;
+        }
     }
 }
 

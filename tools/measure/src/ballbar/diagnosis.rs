@@ -6,6 +6,7 @@
 
 use super::structure::{self, Structure, StructureVariance};
 use super::{ByAxis, Trace, law};
+use crate::export::each_once;
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::Result;
@@ -770,17 +771,12 @@ impl<'t> Fit<'t> {
 
     /// Causes and set-up terms that these runs cannot determine, in words.
     fn not_told(&self, told: &[String], shown: &ValueUncertainty) -> Vec<String> {
-        let mut names = Vec::new();
-        for (t, places) in self.placed() {
-            if !shown.resolved[places].iter().all(|r| *r) && self.separates(&t.name) && t.is_told(told) {
-                let set_up = t.only.map(|_| "the set-up (centre, radius)".to_owned());
-                let name = set_up.unwrap_or_else(|| cause(&t.name));
-                if !names.contains(&name) {
-                    names.push(name);
-                }
-            }
-        }
-        names
+        let is_open = |(t, places): &(&Term, Range<usize>)| {
+            !shown.resolved[places.clone()].iter().all(|r| *r) && self.separates(&t.name) && t.is_told(told)
+        };
+        let set_up = |_| "the set-up (centre, radius)".to_owned();
+        let name = |(t, _): (&Term, _)| t.only.map_or_else(|| cause(&t.name), set_up);
+        each_once(self.placed().filter(is_open).map(name))
     }
 
     /// Free values with their half widths, and the causes' contributions.

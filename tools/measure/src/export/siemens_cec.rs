@@ -6,7 +6,7 @@
 //! direction a positive value moves the compensation axis. The user must try it on the machine and state it.
 
 use super::siemens::check_axis_name;
-use super::{CompensationPoint, Format, Rules, Table, number, usage};
+use super::{Format, Rules, Table, number, usage};
 use rtec_files::Result;
 use std::fmt::Write as _;
 
@@ -31,14 +31,6 @@ pub(super) struct Cec {
     pub positive_moves_up: bool,
 }
 
-impl Cec {
-    /// The value that compensates the error of a point, mm.
-    fn value_mm(&self, p: &CompensationPoint) -> f64 {
-        let against = if self.positive_moves_up { -1.0 } else { 1.0 };
-        against * p.mean_um() / 1000.0
-    }
-}
-
 impl Format for Cec {
     fn rules(&self) -> Rules {
         Rules::siemens(self.most, self.reference_mm)
@@ -52,8 +44,9 @@ impl Format for Cec {
         }
         let t = self.table;
         let mut text = "%_N_NC_CEC_INI\nCHANDATA(1)\n".to_owned();
+        let against = if self.positive_moves_up { -1.0 } else { 1.0 };
         for (i, p) in table.points.iter().enumerate() {
-            let _ = writeln!(text, "$AN_CEC[{t},{i}]={}", number(self.value_mm(p), 6));
+            let _ = writeln!(text, "$AN_CEC[{t},{i}]={}", number(against * p.mean_um() / 1000.0, 6));
         }
         let (Self { along, axis, .. }, [step, min, max]) = (self, table.grid());
         let _ = write!(

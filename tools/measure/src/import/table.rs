@@ -293,7 +293,8 @@ pub fn table(
     record.written = (!said.is_empty()).then(|| said.join("; "));
     clock.note(&mut record);
     if let Some(line) = cut {
-        add_note(&mut record, &cut_note(line));
+        let why = "it has no line end, and its last number has fewer decimals than those before";
+        add_note(&mut record, &format!("line {line}, the last, was left out: {why}; was the log cut off?"));
     }
     Ok(record)
 }
@@ -348,13 +349,6 @@ fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: DecimalMarks)
     } else {
         numbers.expected(cell)
     }
-}
-
-fn cut_note(line: usize) -> String {
-    format!(
-        "line {line}, the last, was left out: it has no line end, and its last number has fewer decimals than those before; was \
-         the log cut off?"
-    )
 }
 
 /// Whether the text is empty or may be a unit: short and not a number.
