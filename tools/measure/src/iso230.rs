@@ -385,7 +385,7 @@ impl ReturnStep {
     }
 }
 
-/// The line through values over their number: slope, sum of squares of the numbers, residuals.
+/// The line over the returns' numbers: slope, squares of the numbers, residuals.
 fn over_returns(y: &[f64]) -> (f64, f64, Vec<f64>) {
     let (mean, middle) = (mean(y), (y.len() as f64 - 1.0) / 2.0);
     let about: Vec<f64> = (0..y.len()).map(|i| i as f64 - middle).collect();
@@ -394,7 +394,7 @@ fn over_returns(y: &[f64]) -> (f64, f64, Vec<f64>) {
     (slope, xx, about.iter().zip(y).map(|(x, y)| y - mean - slope * x).collect())
 }
 
-/// Whether these residuals, of sum of squares `left`, are not alike from one to the next.
+/// Whether neighbouring residuals differ; `left` is their sum of squares.
 /// A bend leaves residuals alike on both sides of a step.
 fn is_rest(residual: &[f64], left: f64) -> bool {
     let pairs: f64 = residual.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();

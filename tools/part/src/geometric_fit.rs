@@ -136,7 +136,7 @@ impl FittedShape {
         }
     }
 
-    /// Place of a point along the shape: angle on a circle, rad; distance along a line, mm.
+    /// Place of a point along the shape: angle (rad) or distance (mm).
     pub(crate) fn place(&self, p: Zx) -> f64 {
         match *self {
             Self::Circle { centre, .. } => (p - centre).angle_rad(),

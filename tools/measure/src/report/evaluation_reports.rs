@@ -30,7 +30,7 @@ fn interval(of: Option<&[f64; 2]>, decimals: usize) -> String {
     of.map_or_else(|| "–".to_owned(), words)
 }
 
-/// The figures of ISO 230-2 in the standard's order: symbol as the standard writes it, and meaning.
+/// Symbols of ISO 230-2 and their meanings, in the order of the figures.
 const MEANINGS: [(&str, &str); 12] = [
     ("A", "accuracy of positioning, both ways"),
     ("A↑", "accuracy of positioning upwards"),

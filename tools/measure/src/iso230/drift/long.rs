@@ -232,7 +232,7 @@ impl LongDrift {
     }
 }
 
-/// Whether an axis moves from one row to the next; `before` are the positions of the last row.
+/// Whether an axis moves; `before` are the positions of the last row.
 fn moves(record: &Record, before: &mut Vec<f64>) -> bool {
     let axes: Vec<&[f64]> = record.axes(Role::Position).filter_map(|a| record.position(a)).collect();
     let steps = |(n, p): (usize, &&[f64])| {
