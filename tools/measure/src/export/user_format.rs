@@ -23,8 +23,6 @@ use rtec_files::Result;
 use rtec_files::toml::{Document, Entry};
 use std::path::Path;
 
-const KEYS: &str = "header line footer value position_unit value_unit position_decimals value_decimals max_points \
-                    first_index zero_at_reference decimal_comma line_end";
 const UNITS: [(&str, f64); 3] = [("mm", 1.0), ("um", 1e-3), ("inch", 25.4)];
 const ONCE: [&str; 5] = ["axis", "points", "step", "first", "last"];
 const EACH: [&str; 5] = ["n", "position", "forward", "reverse", "mean"];
@@ -107,7 +105,21 @@ impl UserFormat {
     pub fn parse(file: &Path, text: &str, reference_mm: f64) -> Result<Self> {
         let document = Document::parse(file, text)?;
         let root = document.root();
-        root.only(&KEYS.split(' ').collect::<Vec<_>>())?;
+        root.only(&[
+            "header",
+            "line",
+            "footer",
+            "value",
+            "position_unit",
+            "value_unit",
+            "position_decimals",
+            "value_decimals",
+            "max_points",
+            "first_index",
+            "zero_at_reference",
+            "decimal_comma",
+            "line_end",
+        ])?;
         let once = |key: &str| root.get(key).map_or(Ok(Vec::new()), |entry| template(entry, &ONCE));
         let line_entry =
             root.required("line", "what a point's line is, as line = \"{position} {forward} {reverse}\"")?;
