@@ -391,7 +391,7 @@ impl AttendedMachine for Lathe {
     }
 
     fn tick(&mut self) {
-        self.errors.heat.advance(self.t_s(), self.machine.rpm(), false);
+        self.errors.heat.advance(self.t_s(), self.machine.rpm, false);
         if self.block != self.machine.begun {
             self.block = self.machine.begun;
             self.touch_mm = self.bench.probe_sd_um * 1e-3 * self.noise.normal();
@@ -400,11 +400,11 @@ impl AttendedMachine for Lathe {
         if self.cutting.contains(&self.block) {
             self.cut();
         }
-        let (trips, at_mm) = self.machine.trips();
+        let (trips, at_mm) = self.machine.trips;
         if trips > self.trips.len() {
             self.trips.push((zx(at_mm) - self.origin, self.errors.heat.readings_degc().to_vec()));
         }
-        let held = std::mem::replace(&mut self.held, self.machine.held());
+        let held = std::mem::replace(&mut self.held, self.machine.hold);
         if held && !self.held && self.waiting.is_some() {
             self.start();
         }

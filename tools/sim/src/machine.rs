@@ -8,7 +8,8 @@
 use crate::axis::{AxisSim, AxisSpec};
 use crate::nc_block::Block;
 use crate::trajectory::{AXES, FeedProfile, Limits, MoveShape, PathState, Setpoint};
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, Sample};
+use rtec_model::live::AxisMotionState;
 use rtec_rt::link_messages::MAX_AXES;
 
 /// Time step of the axes, ns.
@@ -92,24 +93,24 @@ const fn due(t_ns: u64, source: usize) -> u64 {
 pub struct SimMachine {
     pub(crate) axes: Vec<AxisSim>,
     /// The controller's axis (0 X, 1 Y, 2 Z) of each axis of the machine.
-    place: Vec<usize>,
+    pub(crate) place: Vec<usize>,
     lines: Vec<AxisLines>,
     controller: ControllerSpec,
     min_separation_ns: u64,
     program: std::collections::VecDeque<Block>,
     job: ActiveMove,
-    command: Setpoint,
+    pub(crate) command: Setpoint,
     /// Share of the programmed speed at which the path is run.
     /// Feed hold reduces it to zero and back.
     pace: f64,
-    hold: bool,
+    pub(crate) hold: bool,
     /// The operator's jog; it runs instead of the program once the path is at rest.
     jog: Option<Block>,
     /// Blocks begun so far.
     pub(crate) begun: usize,
     fault: Option<ServoFault>,
-    rpm: f64,
-    coolant: bool,
+    pub(crate) rpm: f64,
+    pub(crate) coolant: bool,
     t_ns: u64,
     step_end_ns: u64,
     outputs: u64,
@@ -129,7 +130,7 @@ pub struct SimMachine {
     trip_ns: u64,
     /// Number of the probe's trips, and the axes' positions at the last trip.
     /// Positions are X, Y, Z by the scales, mm.
-    trips: (usize, [f64; AXES]),
+    pub(crate) trips: (usize, [f64; AXES]),
     edges: u64,
 }
 
@@ -185,11 +186,6 @@ impl SimMachine {
         &self.lines
     }
 
-    /// The machine's own lines.
-    pub const fn machine_lines(&self) -> MachineLines {
-        MachineLines::standard()
-    }
-
     /// Appends blocks to the program.
     pub fn load(&mut self, blocks: impl IntoIterator<Item = Block>) {
         self.program.extend(blocks);
@@ -203,16 +199,6 @@ impl SimMachine {
     /// Whether no block is under way or waiting.
     pub fn finished(&self) -> bool {
         self.program.is_empty() && self.jog.is_none() && self.job == ActiveMove::Idle
-    }
-
-    /// The controller's axis (0 X, 1 Y, 2 Z) of the machine's n-th axis.
-    pub fn place(&self, axis: usize) -> usize {
-        self.place[axis]
-    }
-
-    /// Size of one count of an axis, µm.
-    pub fn count_um(&self, axis: usize) -> f64 {
-        self.axes[axis].spec.count_um
     }
 
     /// Time of the simulation, ns.
@@ -230,44 +216,21 @@ impl SimMachine {
         self.fault
     }
 
-    /// The controller's present command.
-    pub const fn command(&self) -> Setpoint {
-        self.command
-    }
-
-    /// Spindle speed, rpm.
-    pub const fn rpm(&self) -> f64 {
-        self.rpm
-    }
-
-    /// Whether coolant is on.
-    pub const fn coolant(&self) -> bool {
-        self.coolant
-    }
-
     /// Position of an axis's table by its scale, not quantised, mm.
-    pub fn position_mm(&self, axis: usize) -> f64 {
+    pub(crate) fn position_mm(&self, axis: usize) -> f64 {
         self.axes[axis].position_mm(self.t_ns)
     }
 
-    /// Velocity of the table of an axis, mm/s.
-    pub fn velocity_mm_s(&self, axis: usize) -> f64 {
-        self.axes[axis].velocity_mm_s()
-    }
-
-    /// Acceleration of the table of an axis, mm/s².
-    pub fn acceleration_mm_s2(&self, axis: usize) -> f64 {
-        self.axes[axis].accel_mm_s2
-    }
-
-    /// Direction of an axis's last motion of more than three counts.
-    pub fn direction(&self, axis: usize) -> f64 {
-        self.axes[axis].direction
-    }
-
-    /// Position of an axis by the controller's count, mm.
-    pub fn counted_mm(&self, axis: usize) -> f64 {
-        self.axes[axis].counted_mm()
+    /// Motion of an axis's table, without its load.
+    pub(crate) fn motion(&self, axis: usize) -> AxisMotionState {
+        let sim = &self.axes[axis];
+        AxisMotionState {
+            position_mm: self.position_mm(axis),
+            velocity_mm_s: sim.velocity_mm_s(),
+            acceleration_mm_s2: sim.accel_mm_s2,
+            direction: sim.direction,
+            load_n: 0.0,
+        }
     }
 
     /// Counts to the MTC minus counts of the scale, since the start.
@@ -300,12 +263,6 @@ impl SimMachine {
         self.find_soonest();
     }
 
-    /// Number of the probe's trips, and the axes' positions at the last trip.
-    /// Positions are X, Y, Z by the scales, mm.
-    pub const fn trips(&self) -> (usize, [f64; AXES]) {
-        self.trips
-    }
-
     /// Position of the tool (or the probe's tip) at the present time, X, Y, Z, mm.
     pub fn tool_mm(&self) -> [f64; AXES] {
         self.tool_at(self.t_ns)
@@ -317,11 +274,6 @@ impl SimMachine {
             p[place] = axis.position_mm(t_ns) + self.tool_offset_mm[place];
         }
         p
-    }
-
-    /// Whether the engine's line requests feed hold.
-    pub const fn held(&self) -> bool {
-        self.hold
     }
 
     /// Runs the controller for a new servo period.

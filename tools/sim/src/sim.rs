@@ -10,7 +10,7 @@ use crate::nc_block::Block;
 use crate::trajectory::{AXES, Setpoint};
 use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
 use rtec_correct::AxisSetup;
-use rtec_driver::card::CardError;
+use rtec_driver::card::{CardError, MachineLines};
 use rtec_files::InputError;
 use rtec_model::effect::MissingInput;
 use rtec_model::live::LiveModel;
@@ -227,7 +227,7 @@ impl Sim {
         machine.set_surface(None, probe_delay_ns(truth.effects()));
         let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
         let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.axes[n].origin).collect();
-        let lines = machine.machine_lines();
+        let lines = MachineLines::standard();
         let corrected =
             CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
         let control = known.map(|known| spec.control(&configs, &channels, known)).transpose()?;
@@ -358,7 +358,7 @@ impl Sim {
         rtec_files::computation::step();
         let t_s = self.next_control_ns as f64 * 1e-9;
         self.next_control_ns += self.control_ns;
-        self.errors.heat.advance(t_s, self.machine.rpm(), self.machine.coolant());
+        self.errors.heat.advance(t_s, self.machine.rpm, self.machine.coolant);
         if self.next_control_ns.is_multiple_of(1_000_000_000) {
             self.errors.move_channels();
         }
@@ -384,9 +384,9 @@ impl Sim {
         let m = &self.machine;
         let mut now = Moment {
             t_s: m.now_ns() as f64 * 1e-9,
-            command: m.command(),
-            position_mm: m.command().p_mm,
-            counted_mm: m.command().p_mm,
+            command: m.command,
+            position_mm: m.command.p_mm,
+            counted_mm: m.command.p_mm,
             velocity_mm_s: [0.0; AXES],
             acceleration_mm_s2: [0.0; AXES],
             direction: [0.0; AXES],
@@ -394,18 +394,18 @@ impl Sim {
             error_um: self.errors.errors_um(),
             inserted_um: [0.0; AXES],
             tool_mm: m.tool_mm(),
-            rpm: m.rpm(),
-            coolant: m.coolant(),
+            rpm: m.rpm,
+            coolant: m.coolant,
         };
-        for n in 0..m.axes.len() {
-            let p = m.place(n);
-            now.position_mm[p] = m.position_mm(n);
-            now.counted_mm[p] = m.counted_mm(n);
-            now.velocity_mm_s[p] = m.velocity_mm_s(n);
-            now.acceleration_mm_s2[p] = m.acceleration_mm_s2(n);
-            now.direction[p] = m.direction(n);
-            now.force_n[p] = m.axes[n].force_n;
-            now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * m.count_um(n);
+        for (n, (axis, &p)) in m.axes.iter().zip(&m.place).enumerate() {
+            let motion = m.motion(n);
+            now.position_mm[p] = motion.position_mm;
+            now.counted_mm[p] = axis.counted_mm();
+            now.velocity_mm_s[p] = motion.velocity_mm_s;
+            now.acceleration_mm_s2[p] = motion.acceleration_mm_s2;
+            now.direction[p] = motion.direction;
+            now.force_n[p] = axis.force_n;
+            now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * axis.spec.count_um;
         }
         now
     }

@@ -205,7 +205,7 @@ impl AttendedMachine for StrokingAxis {
                 Block::Dwell { seconds },
             ]);
         }
-        let commanded_mm = self.machine.command().p_mm[0];
+        let commanded_mm = self.machine.command.p_mm[0];
         let off_mm = self.machine.position_mm(0) - commanded_mm;
         self.truth.commanded.store((commanded_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);
         self.truth.off.store((off_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);

@@ -37,7 +37,7 @@ pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) 
 /// Sets the forces that the true machine's effects describe, on all its axes.
 pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
     for n in 0..machine.axes.len() {
-        let axis = AXIS_NAMES[machine.place(n)];
+        let axis = AXIS_NAMES[machine.place[n]];
         let mut friction = Friction::default();
         let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == axis);
         for effect in effects.iter().copied().filter(of_axis) {
@@ -52,25 +52,6 @@ pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
             }
         }
         machine.axes[n].extra_friction = friction;
-    }
-}
-
-/// A model's inputs from the machine at a time; `axes` are X, Y, Z.
-pub(crate) fn frame<'a>(
-    t_s: f64,
-    machine: &SimMachine,
-    heat: &'a Heat,
-    channels: &'a [f64],
-    axes: &'a [AxisMotionState; AXES],
-) -> MachineState<'a> {
-    MachineState {
-        t_s,
-        axes,
-        temperatures_degc: heat.readings_degc(),
-        channels,
-        rpm: machine.rpm(),
-        coolant: f64::from(u8::from(machine.coolant())),
-        ..MachineState::default()
     }
 }
 
@@ -98,8 +79,8 @@ impl TrueErrors {
         Readings {
             degc: self.heat.readings_degc(),
             channels: &self.channels,
-            rpm: machine.rpm(),
-            coolant: machine.coolant(),
+            rpm: machine.rpm,
+            coolant: machine.coolant,
             load_n,
         }
     }
@@ -115,17 +96,19 @@ impl TrueErrors {
     pub(crate) fn act(&mut self, t_s: f64, machine: &mut SimMachine, load_n: &[f64; AXES], angle_rad: f64) {
         let mut axes = [AxisMotionState::default(); AXES];
         for n in 0..machine.axes.len() {
-            let p = machine.place(n);
-            axes[p] = AxisMotionState {
-                position_mm: machine.position_mm(n),
-                velocity_mm_s: machine.velocity_mm_s(n),
-                acceleration_mm_s2: machine.acceleration_mm_s2(n),
-                direction: machine.direction(n),
-                load_n: load_n[p],
-            };
+            let p = machine.place[n];
+            axes[p] = AxisMotionState { load_n: load_n[p], ..machine.motion(n) };
         }
-        let frame = frame(t_s, machine, &self.heat, &self.channels, &axes);
-        self.truth.evaluate(&MachineState { angle_rad, ..frame });
+        self.truth.evaluate(&MachineState {
+            t_s,
+            axes: &axes,
+            temperatures_degc: self.heat.readings_degc(),
+            channels: &self.channels,
+            rpm: machine.rpm,
+            coolant: f64::from(u8::from(machine.coolant)),
+            angle_rad,
+            ..MachineState::default()
+        });
         machine.tool_offset_mm = self.errors_um().map(|e| e / 1000.0);
     }
 

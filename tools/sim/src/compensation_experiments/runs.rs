@@ -38,7 +38,8 @@ impl Log {
         let now = sim.moment();
         let mut requested_um = [0.0; AXES];
         for (n, a) in sim.status().axes().iter().enumerate() {
-            requested_um[sim.machine.place(n)] = a.requested as f64 * sim.machine.count_um(n);
+            let machine = &sim.machine;
+            requested_um[machine.place[n]] = a.requested as f64 * machine.axes[n].spec.count_um;
         }
         self.rows.push(Row {
             now,
