@@ -75,7 +75,6 @@ impl<R: Read> Lines<R> {
         Ok(lines)
     }
 
-    /// The bytes of a range of the buffer.
     #[inline]
     pub(crate) fn bytes(&self, range: Range<usize>) -> &[u8] {
         &self.buffer[range]
@@ -121,8 +120,7 @@ impl<R: Read> Lines<R> {
             }
             // The buffer is emptied, so that a further read makes progress.
             self.end = 0;
-            let found = format!("{BUFFER} bytes without an end of line");
-            return Err(InputError::at(&self.file, self.line + 1, 0, found, "a text file of short lines"));
+            return Err(self.too_long());
         }
         if self.utf16.is_some() {
             return self.fill_decoded();
@@ -169,8 +167,7 @@ impl<R: Read> Lines<R> {
                 DecoderResult::OutputFull => {
                     // One more character does not fit, and the line has not ended.
                     (self.end, self.exhausted) = (0, true);
-                    let found = format!("{BUFFER} bytes without an end of line");
-                    return Err(InputError::at(&self.file, line, 0, found, "a text file of short lines"));
+                    return Err(self.too_long());
                 }
                 DecoderResult::InputEmpty => {}
             }
@@ -187,19 +184,23 @@ impl<R: Read> Lines<R> {
         Ok(())
     }
 
+    /// Length of the unread text up to an end, or to the end of the input.
+    fn length_to(&mut self, end: impl Fn(&[u8]) -> Option<usize>) -> Result<usize, InputError> {
+        let mut searched = 0;
+        loop {
+            if let Some(at) = end(&self.unread()[searched..]) {
+                return Ok(searched + at);
+            }
+            searched = self.unread().len();
+            if !self.fill()? {
+                return Ok(searched);
+            }
+        }
+    }
+
     /// The next line without its end, as a range of the buffer.
     pub(crate) fn line(&mut self) -> Result<Option<Range<usize>>, InputError> {
-        let mut searched = 0;
-        let length = loop {
-            let unread = &self.buffer[self.start..self.end];
-            if let Some(at) = memchr::memchr(b'\n', &unread[searched..]) {
-                break searched + at;
-            }
-            searched = unread.len();
-            if !self.fill()? {
-                break searched;
-            }
-        };
+        let length = self.length_to(|unread| memchr::memchr(b'\n', unread))?;
         if length == 0 && self.start == self.end {
             return Ok(None);
         }
@@ -234,17 +235,7 @@ impl<R: Read> Lines<R> {
             self.line += usize::from(byte == b'\n');
             self.start += 1;
         }
-        let mut searched = 0;
-        let length = loop {
-            let unread = &self.buffer[self.start..self.end];
-            if let Some(at) = unread[searched..].iter().position(u8::is_ascii_whitespace) {
-                break searched + at;
-            }
-            searched = unread.len();
-            if !self.fill()? {
-                break searched;
-            }
-        };
+        let length = self.length_to(|unread| unread.iter().position(u8::is_ascii_whitespace))?;
         let range = self.start..self.start + length;
         self.start = range.end;
         Ok(Some(range))
@@ -262,9 +253,13 @@ fn read_some(input: &mut impl Read, into: &mut [u8]) -> io::Result<usize> {
 }
 
 impl<R> Lines<R> {
-    /// Whether the input is UTF-16.
     pub(crate) fn is_utf16(&self) -> bool {
         self.utf16.is_some()
+    }
+
+    fn too_long(&self) -> InputError {
+        let found = format!("{BUFFER} bytes without an end of line");
+        InputError::at(&self.file, self.line + 1, 0, found, "a text file of short lines")
     }
 
     /// The finding that a line without end contains carriage returns.

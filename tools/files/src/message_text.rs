@@ -62,12 +62,10 @@ pub(crate) fn shown(text: &str) -> String {
     if text.is_empty() { "nothing".to_owned() } else { quoted(text) }
 }
 
-/// Text cut if it is long.
 pub(crate) fn cut(text: &str) -> String {
     cut_at(text, 60)
 }
 
-/// Text cut after a number of characters.
 pub(crate) fn cut_at(text: &str, characters: usize) -> String {
     match text.char_indices().nth(characters) {
         None => text.to_owned(),

@@ -69,7 +69,6 @@ pub struct TraceReader<R> {
     done: bool,
 }
 
-/// The source of a trace's points.
 #[derive(Debug)]
 enum Points {
     /// Rows of a table.
@@ -691,7 +690,6 @@ impl TraceFile {
         self.0.finish()?.finish()
     }
 }
-/// Columns of a trace.
 const COLUMNS: [&str; 3] = ["t_ns", "a", "b"];
 /// Upper limit of a time and of any time that a player makes from it.
 const LATEST_PLAYED_NS: u64 = i64::MAX as u64;

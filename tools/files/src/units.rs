@@ -75,7 +75,6 @@ pub fn others(own: &str) -> &'static [Unit] {
     QUANTITIES.iter().find(|(unit, _)| *unit == own).map_or(&[], |(_, others)| others)
 }
 
-/// Whether both are units of one quantity.
 fn is_one_quantity(a: &str, b: &str) -> bool {
     let has = |own: &str, others: &[Unit], unit: &str| own == unit || others.iter().any(|o| o.0 == unit);
     QUANTITIES.iter().any(|(own, others)| has(own, others, a) && has(own, others, b))

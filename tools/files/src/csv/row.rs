@@ -89,7 +89,6 @@ pub struct Cells<'a> {
     row: Row<'a>,
     /// Start of the next cell in the row, bytes; `None` after the last.
     next: Option<usize>,
-    /// Whether the row has a quote.
     quotes: bool,
 }
 

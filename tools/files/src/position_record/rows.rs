@@ -13,14 +13,12 @@ pub(super) struct PositionRows {
     /// Number format; `None` for decimal points and commas as separators.
     pub(super) marks: Option<TableMarks>,
     header: Header,
-    /// Line of the present row.
     pub(super) line: usize,
     time: usize,
     ns_per_unit: f64,
     position: usize,
     counts_per_unit: f64,
     last_ns: Option<u64>,
-    /// Unit of the time column.
     time_unit: &'static str,
     /// Range of a counter that wraps around, counts; 0 for none.
     /// Below: its last reading, and the sum of its wraps.
