@@ -53,7 +53,12 @@ impl CorrectedMachine {
     ) -> CardResult {
         match self {
             Self::C(engine) => engine.take(request, card, report),
-            Self::FullCycle(axes) => axes.take(request, card, report),
+            Self::FullCycle(axes) => match request {
+                Request::Correct { axis, total_counts, large } => {
+                    axes.correct_axis(usize::from(axis), total_counts, large, card, report)
+                }
+                _ => Ok(()),
+            },
         }
     }
 

@@ -13,16 +13,11 @@ use rtec_rt::axis::{AxisConfig, RestPolicy, TotalRequestResult};
 use rtec_rt::engine::StartError;
 use rtec_rt::gate::{GateInput, SpeedGate};
 use rtec_rt::link_messages::{
-    AxisStatus, Event, EventKind, Fault, HeldBy, InsertionStatus, MAX_AXES, Mode, ProbeCapture, Refusal,
-    Request, Status,
+    AxisStatus, Event, EventKind, Fault, InsertionStatus, MAX_AXES, Mode, Refusal, Status,
 };
 
 /// Inversions of one insertion, which are also its counts.
 const INCREMENT_COUNTS: i64 = GateDesign::A.increment_counts();
-/// Time without an edge after which a capture ends, ns: the axis has stopped.
-/// The engine does the same.
-const CAPTURE_LIMIT_NS: u64 = 100_000_000;
-
 /// The speed gate for four inversions.
 /// `None` if no speed leaves time for an insertion.
 pub fn gate(config: &AxisConfig) -> Option<SpeedGate> {
@@ -42,18 +37,14 @@ fn busy_ns(config: &AxisConfig) -> u64 {
 #[derive(Debug)]
 pub struct FullCycle {
     axes: Vec<FullCycleAxis>,
-    lines: MachineLines,
-    inputs: u64,
+    /// The card's feed-hold line, asserted on a fault.
+    hold: Option<u8>,
     look_ns: u64,
-    /// Whether the next poll comes at once, after a change of mode or a write.
+    /// Whether the next poll comes at once, after a fault or a write.
     look_at_once: bool,
-    probing: bool,
-    held: Option<HeldBy>,
-    enabled: bool,
-    mode: Mode,
+    faulted: bool,
 }
 
-/// State of an insertion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Idle,
@@ -113,12 +104,10 @@ struct FullCycleAxis {
     /// Lower bound of the last period, ns; `None` before the second edge.
     period_ns: Option<u64>,
     next_allowed_ns: u64,
-    capture: Option<ProbeCapture>,
     /// The mode has changed since the last poll or total.
     look_at_once: bool,
 }
 
-/// The data of one poll for an axis.
 #[derive(Debug, Clone, Copy)]
 struct PollSample {
     t_ns: u64,
@@ -159,99 +148,59 @@ impl FullCycle {
                 last_step: 0,
                 period_ns: None,
                 next_allowed_ns: sample.t_ns,
-                capture: None,
                 look_at_once: true,
             })
         };
         let axes = configs.iter().enumerate().map(|at| axis(at).ok_or(StartError::NoGate(at.0)));
         Ok(Self {
             axes: axes.collect::<Result<_, _>>()?,
-            lines,
-            inputs: sample.inputs,
+            hold: lines.hold,
             look_ns: sample.t_ns,
             look_at_once: true,
-            probing: false,
-            held: None,
-            enabled: true,
-            mode: Mode::Run,
+            faulted: false,
         })
     }
 
-    /// Takes one request: a total, probing mode, feed hold, enable or disable.
-    /// Other requests do not concern a simulated machine, which is homed from the start.
+    /// Takes a new total of an axis, counts.
     ///
     /// # Errors
-    /// When the hold line cannot be written.
-    pub fn take<C: Card>(
+    /// When the card fails.
+    pub fn correct_axis<C: Card>(
         &mut self,
-        request: Request,
+        n: usize,
+        total_counts: i64,
+        large: bool,
         card: &mut C,
         report: &mut impl EventSink,
     ) -> CardResult {
-        match request {
-            Request::Correct { axis, total_counts, large } => {
-                let (n, why_not) = (usize::from(axis), self.why_not());
-                let answer = match (self.axes.get_mut(n), why_not) {
-                    (None, _) => TotalRequestResult::Refused(Refusal::NoSuchAxis),
-                    (_, Some(why)) => TotalRequestResult::Refused(why),
-                    (Some(a), None) => a.request(total_counts, large),
-                };
-                self.look_at_once = self.axes.iter().any(|a| a.look_at_once);
-                let kind = match answer {
-                    TotalRequestResult::AcceptedWithWarning => EventKind::Warning { total_counts },
-                    TotalRequestResult::Refused(why) => EventKind::Refused { total_counts, why },
-                    TotalRequestResult::Fault(fault) if self.axes[n].status.faults.latch(fault) => {
-                        EventKind::Fault(fault)
-                    }
-                    TotalRequestResult::Accepted | TotalRequestResult::Fault(_) => return Ok(()),
-                };
-                report(Event { t_ns: self.look_ns, axis: Some(axis), kind });
-            }
-            Request::Probe(on) => self.probing = on,
-            Request::Hold { on, by } => self.held = on.then_some(HeldBy::User(by)),
-            Request::Enable => self.enabled = true,
-            Request::Disable => self.enabled = false,
-            Request::Home { .. }
-            | Request::ConfirmHome { .. }
-            | Request::Shadow
-            | Request::Clear
-            | Request::StateFileLost => {}
-        }
-        self.update_mode(card)
-    }
-
-    /// Reason why any total is refused now.
-    fn why_not(&self) -> Option<Refusal> {
-        let conditions = [
-            (self.mode == Mode::Fault, Refusal::FaultLatched),
-            (self.probing, Refusal::Probing),
-            (self.held.is_some(), Refusal::Held),
-            (!self.enabled, Refusal::Disabled),
-        ];
-        conditions.into_iter().find_map(|(is, why)| is.then_some(why))
-    }
-
-    fn update_mode<C: Card>(&mut self, card: &mut C) -> CardResult {
-        let faulted = self.axes.iter().any(|a| a.status.faults.any());
-        let mode = if faulted {
-            Mode::Fault
-        } else if self.held.is_some() {
-            Mode::Hold
-        } else if self.probing {
-            Mode::Probe
-        } else if self.enabled {
-            Mode::Run
-        } else {
-            Mode::Disabled
+        let answer = match self.axes.get_mut(n) {
+            None => TotalRequestResult::Refused(Refusal::NoSuchAxis),
+            _ if self.faulted => TotalRequestResult::Refused(Refusal::FaultLatched),
+            Some(axis) => axis.request(total_counts, large),
         };
-        if mode != self.mode {
-            let wants_hold = |mode| matches!(mode, Mode::Fault | Mode::Hold);
-            if let Some(bit) = self.lines.hold.filter(|_| wants_hold(mode) != wants_hold(self.mode)) {
-                card.write(1 << bit, u64::from(wants_hold(mode)) << bit)?;
+        self.look_at_once = self.axes.iter().any(|a| a.look_at_once);
+        let kind = match answer {
+            TotalRequestResult::AcceptedWithWarning => EventKind::Warning { total_counts },
+            TotalRequestResult::Refused(why) => EventKind::Refused { total_counts, why },
+            TotalRequestResult::Fault(fault) if self.axes[n].status.faults.latch(fault) => {
+                EventKind::Fault(fault)
             }
-            (self.mode, self.look_at_once) = (mode, true);
-            self.axes.iter_mut().for_each(|a| a.look_at_once = true);
+            TotalRequestResult::Accepted | TotalRequestResult::Fault(_) => return Ok(()),
+        };
+        report(Event { t_ns: self.look_ns, axis: Some(n as u8), kind });
+        self.stop_on_fault(card)
+    }
+
+    /// Holds the feed from the first fault on.
+    fn stop_on_fault<C: Card>(&mut self, card: &mut C) -> CardResult {
+        if self.faulted || !self.axes.iter().any(|a| a.status.faults.any()) {
+            return Ok(());
         }
+        if let Some(bit) = self.hold {
+            card.write(1 << bit, 1 << bit)?;
+        }
+        (self.faulted, self.look_at_once) = (true, true);
+        self.axes.iter_mut().for_each(|a| a.look_at_once = true);
         Ok(())
     }
 
@@ -263,10 +212,9 @@ impl FullCycle {
         }
         Status {
             t_ns: self.look_ns,
-            mode: self.mode,
+            mode: if self.faulted { Mode::Fault } else { Mode::Run },
             mtc_ready: true,
-            enabled: self.enabled,
-            held: self.held,
+            enabled: true,
             axes_used: self.axes.len() as u8,
             axes,
             ..Status::default()
@@ -276,25 +224,16 @@ impl FullCycle {
 
 impl CorrectedAxis for FullCycle {
     fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult {
-        let due_ns = self.axes.iter().map(FullCycleAxis::wake_ns).min().unwrap_or(u64::MAX);
+        let due_ns = self.axes.iter().map(FullCycleAxis::due_ns).min().unwrap_or(u64::MAX);
         let wake_ns = if std::mem::replace(&mut self.look_at_once, false) { 0 } else { due_ns };
         let sample = card.sample(wake_ns.min(by_ns))?;
         let since_ns = std::mem::replace(&mut self.look_ns, sample.t_ns);
-        let changed = sample.inputs ^ std::mem::replace(&mut self.inputs, sample.inputs);
         let look = PollSample {
             t_ns: sample.t_ns,
             edge_ns: sample.edge_ns.map_or((since_ns, sample.t_ns), |ns| (ns, ns)),
-            may_insert: self.mode == Mode::Run,
+            may_insert: !self.faulted,
         };
         let mut emit = |n: usize, kind| report(Event { t_ns: look.t_ns, axis: Some(n as u8), kind });
-        let probe_mask = self.lines.probe.map_or(0, |bit| 1_u64 << bit);
-        if self.probing && changed & sample.inputs & probe_mask != 0 {
-            for (n, axis) in self.axes.iter_mut().enumerate() {
-                if !axis.trip(look.edge_ns) {
-                    emit(n, EventKind::Bounce);
-                }
-            }
-        }
         let (mut mask, mut value) = (0, 0);
         for (n, axis) in self.axes.iter_mut().enumerate() {
             let state = axis.config.lines.scale(sample.inputs);
@@ -317,7 +256,7 @@ impl CorrectedAxis for FullCycle {
                 }
             }
         }
-        self.update_mode(card)
+        self.stop_on_fault(card)
     }
 
     fn correct<C: Card>(
@@ -327,7 +266,7 @@ impl CorrectedAxis for FullCycle {
         card: &mut C,
         report: &mut impl EventSink,
     ) -> CardResult {
-        self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
+        self.correct_axis(0, total_counts, large, card, report)
     }
 
     fn axis(&self) -> AxisStatus {
@@ -366,21 +305,6 @@ impl FullCycleAxis {
         answer
     }
 
-    /// Notes a trip of the probe; `false` if a capture is under way (a bounce).
-    fn trip(&mut self, trip_ns: (u64, u64)) -> bool {
-        if self.capture.is_some() {
-            return false;
-        }
-        let before = (self.last_boundary(), self.last_edge.map(|(_, t)| t));
-        self.capture = Some(ProbeCapture { trip_ns, before, after: None });
-        true
-    }
-
-    /// Position of the boundary that the last edge crossed, counts.
-    fn last_boundary(&self) -> i64 {
-        self.home_counts + self.scale.count() + i64::from(self.last_step < 0)
-    }
-
     /// Handles a poll; returns the signal to invert now, if any.
     fn look(
         &mut self,
@@ -393,12 +317,6 @@ impl FullCycleAxis {
             self.edge(state, look, report);
         }
         self.last_inversion = self.last_inversion.filter(|i| look.edge_ns.1 <= i.done_ns);
-        if let Some(c) = self.capture
-            && look.t_ns > c.trip_ns.1 + CAPTURE_LIMIT_NS
-        {
-            self.capture = None;
-            report(EventKind::Trip(c));
-        }
         self.act(look, report)
     }
 
@@ -429,10 +347,6 @@ impl FullCycleAxis {
             report(EventKind::Overlap);
         } else if self.mtc_count - self.scale.count() != self.status.completed && !self.status.faults.any() {
             self.fault(Fault::LedgerImbalance, report);
-        }
-        if let Some(mut c) = self.capture.take() {
-            c.after = Some((self.last_boundary(), look.edge_ns.1));
-            report(EventKind::Trip(c));
         }
         if matches!(self.phase, Phase::Idle | Phase::Opened { .. }) {
             self.phase = Phase::Idle;
@@ -592,11 +506,6 @@ impl FullCycleAxis {
                 last_out + self.config.min_separation_ns
             }
         }
-    }
-
-    fn wake_ns(&self) -> u64 {
-        let capture_ns = self.capture.map_or(u64::MAX, |c| c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);
-        self.due_ns().min(capture_ns)
     }
 
     fn status(&self) -> AxisStatus {

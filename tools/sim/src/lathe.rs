@@ -118,7 +118,6 @@ impl LatheSpec {
         Ok(())
     }
 
-    /// One of the two axes.
     fn axis(&self, name: &'static str) -> AxisSpec {
         AxisSpec {
             count_um: self.count_um,
@@ -338,7 +337,6 @@ impl Lathe {
         self.act();
     }
 
-    /// The sensors' present readings.
     pub(crate) fn readings(&self) -> Readings<'_> {
         self.errors.readings(&self.machine, [0.0; AXES])
     }
@@ -366,7 +364,6 @@ impl Lathe {
         self.machine.load(self.waiting.take().into_iter().flatten());
     }
 
-    /// Whether the program has ended.
     pub(crate) fn finished(&self) -> bool {
         self.waiting.is_none() && self.machine.finished()
     }

@@ -145,7 +145,9 @@ fn corrected(
     });
     let lines = MachineLines { probe: MachineLines::standard().probe, ..MachineLines::default() };
     let origins = [0, 1].map(|n| card.attended.machine().axes[n].origin);
-    let mut corrected = CorrectedMachine::new(stand.design, card, &configs, lines, &origins, report)?;
+    // While the machine probes, nothing is inserted, and the engine captures for every design.
+    let design = if probing { GateDesign::C } else { stand.design };
+    let mut corrected = CorrectedMachine::new(design, card, &configs, lines, &origins, report)?;
     if probing {
         corrected.take(Request::Probe(true), card, report)?;
     }
