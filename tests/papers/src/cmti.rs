@@ -4,12 +4,10 @@ use crate::ecc_board::{Board, Order, run as run_board};
 use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
 use crate::{PaperError, Progress};
-use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::ecc::{MAX_PULSES, Pll};
-use rtec_sim::insertion_designs::safe_range;
 use serde::Deserialize;
 
 /// The machine as its file describes it.
@@ -215,8 +213,8 @@ fn frequencies(rows: &mut Rows, circuit: &Circuit, seed: u64) -> Result<(), Pape
     let gets = xor as f64 / 100.0;
     rows.given().number((place, "XOR of A and B at that speed", "kHz"), 160.0, gets, Share(0.05), about);
     let dsp = ComputerTiming::dsp();
-    let config = AxisConfig::default();
-    let (low, high) = safe_range(InsertionDesign::Ecc, &dsp, config, circuit.pll, seed);
+    let run = BenchRun { pll: circuit.pll, seed, ..BenchRun::new(InsertionDesign::Ecc, &dsp) };
+    let (low, high) = run.safe_range();
     let put_in = "what the paper measured of its PLL is put into the model; here it is found again from what reaches the \
                   controller, by bisection";
     let gets = 2.0 * low / 1e3;

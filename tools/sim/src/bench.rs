@@ -173,15 +173,9 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
 /// It polls when it has time, and its writes take effect later.
 struct Rig<'a, G> {
     gates: G,
-    computer: Option<&'a ComputerTiming>,
-    /// Whether each poll is one pass of a loop (Design B).
-    passes: bool,
-    edges: &'a [Edge],
+    run: &'a BenchRun<'a>,
     next: usize,
     end_ns: u64,
-    die_ns: u64,
-    /// Whether it runs on when the computer stops, as a circuit does.
-    goes_on: bool,
     scale: Decoder,
     /// State of the scale at the last poll.
     seen: State,
@@ -200,7 +194,12 @@ struct Rig<'a, G> {
     at_death: Option<(i64, i64)>,
 }
 
-impl<G: Gates> Rig<'_, G> {
+impl<'a, G: Gates> Rig<'a, G> {
+    /// The computer, if the corrector is one.
+    fn computer(&self) -> Option<&'a ComputerTiming> {
+        (!self.run.is_circuit()).then_some(self.run.computer)
+    }
+
     fn out(&mut self, t_ns: u64) {
         let lines = AxisLines::standard(0, false);
         let out = self.gates.out(self.scale.state(), lines.inverters(self.outputs));
@@ -213,10 +212,9 @@ impl<G: Gates> Rig<'_, G> {
         }
     }
 
-    /// Advances the scale to `t_ns`.
     fn run_to(&mut self, t_ns: u64) {
-        while let Some(&(edge_ns, step)) = self.edges.get(self.next).filter(|e| e.0 <= t_ns) {
-            if self.at_death.is_none() && edge_ns > self.die_ns {
+        while let Some(&(edge_ns, step)) = self.run.edges.get(self.next).filter(|e| e.0 <= t_ns) {
+            if self.at_death.is_none() && edge_ns > self.run.die_ns {
                 self.at_death = Some((self.scale.count(), self.mtc.decoder().count()));
             }
             self.next += 1;
@@ -228,7 +226,7 @@ impl<G: Gates> Rig<'_, G> {
     }
 
     fn next_edge_ns(&self) -> u64 {
-        self.edges.get(self.next).map_or(u64::MAX, |e| e.0)
+        self.run.edges.get(self.next).map_or(u64::MAX, |e| e.0)
     }
 }
 
@@ -236,23 +234,24 @@ impl<G: Gates> Card for Rig<'_, G> {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         // Time of the next poll. A circuit, or a computer that waits for an edge, polls at once.
         let waits = |rig: &Self| rig.next_edge_ns().min(wake_ns);
-        let mut look_ns = match self.computer {
+        let (computer, passes) = (self.computer(), self.run.design.through_computer());
+        let mut look_ns = match computer {
             None => waits(self).max(self.t_ns),
-            Some(c) if self.passes => self.t_ns + c.pass_ns.max(1),
+            Some(c) if passes => self.t_ns + c.pass_ns.max(1),
             Some(c) if c.looks.is_empty() => {
                 if self.seen == self.scale.state() { waits(self) } else { self.t_ns }.max(self.t_ns)
             }
             Some(c) => self.t_ns + c.next_look_ns(&mut self.noise).max(1),
         };
         look_ns = look_ns.max(self.busy_ns);
-        if let (Some(c), Some(wrote)) = (self.computer, self.wrote_ns)
-            && !self.passes
+        if let (Some(c), Some(wrote)) = (computer, self.wrote_ns)
+            && !passes
             && self.seen == self.scale.state()
             && wake_ns <= wrote + c.step_ns
         {
             look_ns = look_ns.max(wrote + c.step_ns);
         }
-        if look_ns > self.die_ns && !self.goes_on || look_ns >= self.end_ns {
+        if look_ns > self.run.die_ns && !self.run.is_circuit() || look_ns >= self.end_ns {
             let end_ns = self.end_ns;
             self.run_to(end_ns);
             return Err(CardError::Ended);
@@ -261,18 +260,19 @@ impl<G: Gates> Card for Rig<'_, G> {
         self.t_ns = look_ns;
         if self.scale.state() != self.seen {
             self.seen = self.scale.state();
-            if let (Some(c), false) = (self.computer, self.passes) {
+            if let (Some(c), false) = (computer, passes) {
                 self.busy_ns = look_ns + c.react_ns;
             }
         }
         // A circuit, or a computer that waits for the edge, knows its time.
-        let waits = self.computer.is_none_or(|c| c.looks.is_empty() && !self.passes);
-        let edge_ns = (waits && self.next > 0 && self.edges[self.next - 1].0 == look_ns).then_some(look_ns);
+        let waits = computer.is_none_or(|c| c.looks.is_empty() && !passes);
+        let edge_ns =
+            (waits && self.next > 0 && self.run.edges[self.next - 1].0 == look_ns).then_some(look_ns);
         Ok(Sample::stamped(look_ns, u64::from(self.seen.bits()), edge_ns))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
-        let delay_ns = match self.computer {
+        let delay_ns = match self.computer() {
             Some(c) if c.write_ns > 0 => c.next_look_ns(&mut self.noise).min(c.write_ns),
             _ => 0,
         };
@@ -395,27 +395,21 @@ impl BenchRun<'_> {
         }
     }
 
+    fn is_circuit(&self) -> bool {
+        self.design == InsertionDesign::Ecc
+    }
+
     /// Runs it. `None` if the computer is too slow for this axis at any speed.
     pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
             InsertionDesign::Original => {
-                self.go(OrGates, |card| full_cycle(GateDesign::Original, config, card).ok(), |_| (0.0, None))
+                self.go(OrGates, |card| full_cycle(GateDesign::Original, config, card).ok())
             }
-            InsertionDesign::A => {
-                self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok(), |_| (0.0, None))
-            }
-            InsertionDesign::C => {
-                self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok(), |_| (0.0, None))
-            }
-            InsertionDesign::B => {
-                self.go(DirectOutputs, |card| DesignB::new(config, card).ok().flatten(), |_| (0.0, None))
-            }
-            InsertionDesign::Ecc => self.go(
-                DirectOutputs,
-                |card| Ecc::new(self.pll, self.seed, card).ok(),
-                |ecc| (ecc.worst_phase_deg(), ecc.pulse_ns()),
-            ),
+            InsertionDesign::A => self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok()),
+            InsertionDesign::B => self.go(DirectOutputs, |card| DesignB::new(config, card).ok().flatten()),
+            InsertionDesign::C => self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok()),
+            InsertionDesign::Ecc => self.go(DirectOutputs, |card| Ecc::new(self.pll, self.seed, card).ok()),
         }
     }
 
@@ -423,19 +417,13 @@ impl BenchRun<'_> {
         &'s self,
         gates: G,
         start: impl FnOnce(&mut Rig<'s, G>) -> Option<M>,
-        circuit: impl FnOnce(&M) -> (f64, Option<(u64, u64)>),
     ) -> Option<BenchResult> {
-        let is_circuit = self.design == InsertionDesign::Ecc;
         let last_ns = self.edges.last().map_or(0, |e| e.0).max(self.totals.last().map_or(0, |t| t.0));
         let mut rig = Rig {
             gates,
-            computer: if is_circuit { None } else { Some(self.computer) },
-            passes: self.design.through_computer(),
-            edges: self.edges,
+            run: self,
             next: 0,
             end_ns: last_ns + 5_000_000,
-            die_ns: self.die_ns,
-            goes_on: is_circuit,
             scale: Decoder::new(self.start),
             seen: self.start,
             outputs: u64::from(gates.transparent(self.start)),
@@ -470,7 +458,7 @@ impl BenchRun<'_> {
                 Err(CardError::Io { .. }) => return None,
             }
             if rig.seen != seen {
-                last_edge_ns = rig.edges[rig.next - 1].0;
+                last_edge_ns = self.edges[rig.next - 1].0;
             }
             let axis = corrector.axis();
             let made = axis.insertions > insertions && axis.mtc_minus_scale == axis.completed;
@@ -484,7 +472,7 @@ impl BenchRun<'_> {
             }
         }
         let axis = corrector.axis();
-        let (worst_phase_deg, pulse_ns) = circuit(&corrector);
+        let (worst_phase_deg, pulse_ns) = corrector.split_pulses();
         Some(BenchResult {
             scale: rig.scale.count(),
             mtc: rig.mtc.decoder().count(),
@@ -496,7 +484,7 @@ impl BenchRun<'_> {
             overlaps: axis.overlaps,
             waited_for_gate: axis.waited_for_gate,
             faults,
-            edge_to_done_ns: if is_circuit { pulse_ns } else { edge_to_done },
+            edge_to_done_ns: if self.is_circuit() { pulse_ns } else { edge_to_done },
             at_death: rig.at_death,
             worst_phase_deg,
             log: rig.log.unwrap_or_default(),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// A computer that corrects one axis. All times in ns.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct ComputerTiming {
     /// The hardware, in words.
     pub name: String,
@@ -43,8 +43,7 @@ impl ComputerTiming {
             step_ns: 1000,
             after_ns: 2000,
             pass_ns: 10_000,
-            looks: Vec::new(),
-            write_ns: 0,
+            ..Self::default()
         }
     }
 
@@ -58,8 +57,7 @@ impl ComputerTiming {
             step_ns: 500,
             after_ns: 500,
             pass_ns: 1000,
-            looks: Vec::new(),
-            write_ns: 0,
+            ..Self::default()
         }
     }
 

@@ -244,11 +244,6 @@ impl Ecc {
         self.worst_phase_deg
     }
 
-    /// Shortest and longest time of one pulse, a cycle of the encoder, ns.
-    pub fn pulse_ns(&self) -> Option<(u64, u64)> {
-        self.pulse_ns
-    }
-
     fn send<C: Card>(&mut self, state: State, card: &mut C) -> CardResult {
         let lines = &self.lines;
         let mask = 1 << lines.invert_a | 1 << lines.invert_b;
@@ -491,5 +486,9 @@ impl CorrectedAxis for Ecc {
 
     fn now_ns(&self) -> u64 {
         self.look_ns
+    }
+
+    fn split_pulses(&self) -> (f64, Option<(u64, u64)>) {
+        (self.worst_phase_deg, self.pulse_ns)
     }
 }

@@ -85,6 +85,11 @@ pub trait CorrectedAxis {
 
     /// Time of the last poll on the card's clock, ns.
     fn now_ns(&self) -> u64;
+
+    /// Largest deviation of split pulses from 90°, and shortest and longest time of a pulse, ns.
+    fn split_pulses(&self) -> (f64, Option<(u64, u64)>) {
+        (0.0, None)
+    }
 }
 
 impl CorrectedAxis for Engine {

@@ -2,7 +2,6 @@
 
 use crate::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant, insert_at_rest, there_and_back};
 use crate::computer_timing::ComputerTiming;
-use crate::ecc::Pll;
 use rtec_driver::quadrature::State;
 #[cfg(feature = "clap")]
 use rtec_files::options::number;
@@ -77,7 +76,7 @@ impl TestMotion {
 }
 
 /// Effects at the MTC when the computer stops at a moment.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct ComputerStopEffects {
     /// Best moment: MTC counts per scale count after the stop.
     pub best_follows: f64,
@@ -160,9 +159,9 @@ fn row(design: InsertionDesign, computer: &ComputerTiming, motion: &TestMotion, 
             (a, b) => a.or(b.map(|b| b.0)),
         };
     }
-    let (low, high) = safe_range(design, computer, config, Pll::default(), seed);
-    let states =
-        (0..4).filter(|&s| served_at_rest(design, computer, config, State::from_bits(s))).count() as u8;
+    let still = BenchRun { config, ..BenchRun::new(design, computer) };
+    let (low, high) = BenchRun { seed, ..still.clone() }.safe_range();
+    let states = (0..4).filter(|&s| still.served_at_rest(State::from_bits(s))).count() as u8;
     let death = death(&run);
     DesignRow {
         design,
@@ -181,37 +180,6 @@ fn row(design: InsertionDesign, computer: &ComputerTiming, motion: &TestMotion, 
     }
 }
 
-/// Whether the design is safe at this encoder frequency.
-/// Corrections of both signs must be served in full in both directions. The MTC must see no illegal
-/// transition, no edge closer than its separation, no wrong count, and phases of 90°.
-pub fn safe_at(
-    design: InsertionDesign,
-    computer: &ComputerTiming,
-    config: AxisConfig,
-    pll: Pll,
-    encoder_hz: f64,
-    seed: u64,
-) -> bool {
-    let counts = 3000;
-    (0..4_u8).all(|phase| {
-        [1, -1].into_iter().all(|direction| {
-            let edges = constant(1_000_000 + 137 * u64::from(phase), encoder_hz, counts, direction);
-            let at = |share: u64| edges[(counts * share / 100) as usize].0;
-            let totals = [(at(20), 12), (at(60), -12)];
-            let run = BenchRun {
-                config,
-                start: State::from_bits(phase),
-                edges: &edges,
-                totals: &totals,
-                seed: seed + u64::from(phase),
-                pll,
-                ..BenchRun::new(design, computer)
-            };
-            run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
-        })
-    })
-}
-
 fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
     seen.completed == seen.requested
         && seen.error_counts() == 0
@@ -222,52 +190,53 @@ fn clean(seen: &BenchResult, separation_ns: u64) -> bool {
         && seen.worst_phase_deg < 20.0
 }
 
-/// Lowest and highest encoder frequency at which the design is safe, Hz.
-/// Found by bisection to 0.1 %; (0, 0) if there is none.
-pub fn safe_range(
-    design: InsertionDesign,
-    computer: &ComputerTiming,
-    config: AxisConfig,
-    pll: Pll,
-    seed: u64,
-) -> (f64, f64) {
-    let safe = |hz: f64| safe_at(design, computer, config, pll, hz, seed);
-    // From the lowest frequency of interest upwards; the ECC is not safe at the slow end.
-    let from = [100.0, 10_000.0].into_iter().find(|&hz| safe(hz));
-    let Some(from) = from else { return (0.0, 0.0) };
-    let bisect = |mut good: f64, mut bad: f64| {
-        while (good - bad).abs() > 1e-3 * good.max(bad) {
-            let middle = (good * bad).sqrt();
-            *if safe(middle) { &mut good } else { &mut bad } = middle;
-        }
-        good
-    };
-    let high = if safe(10e6) { 10e6 } else { bisect(from, 10e6) };
-    let low = if from > 100.0 { bisect(from, 100.0) } else { 0.0 };
-    (low, high)
-}
+impl BenchRun<'_> {
+    /// Whether the design is safe at this encoder frequency.
+    /// Corrections of both signs must be served in full in both directions. The MTC must see no illegal
+    /// transition, no edge closer than its separation, no wrong count, and phases of 90°.
+    pub fn safe_at(&self, encoder_hz: f64) -> bool {
+        let counts = 3000;
+        (0..4_u8).all(|phase| {
+            [1, -1].into_iter().all(|direction| {
+                let edges = constant(1_000_000 + 137 * u64::from(phase), encoder_hz, counts, direction);
+                let at = |share: u64| edges[(counts * share / 100) as usize].0;
+                let totals = [(at(20), 12), (at(60), -12)];
+                let (start, seed) = (State::from_bits(phase), self.seed + u64::from(phase));
+                let run = BenchRun { start, edges: &edges, totals: &totals, seed, ..self.clone() };
+                run.run().is_some_and(|seen| clean(&seen, run.config().min_separation_ns))
+            })
+        })
+    }
 
-/// Whether corrections are exact and legal at rest in this state.
-pub fn served_at_rest(
-    design: InsertionDesign,
-    computer: &ComputerTiming,
-    config: AxisConfig,
-    state: State,
-) -> bool {
-    let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
-    let config = insert_at_rest(config);
-    let run = BenchRun { config, start: state, totals: &totals, ..BenchRun::new(design, computer) };
-    run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
+    /// Lowest and highest encoder frequency at which the design is safe, Hz.
+    /// Found by bisection to 0.1 %; (0, 0) if there is none.
+    pub fn safe_range(&self) -> (f64, f64) {
+        // From the lowest frequency of interest upwards; the ECC is not safe at the slow end.
+        let from = [100.0, 10_000.0].into_iter().find(|&hz| self.safe_at(hz));
+        let Some(from) = from else { return (0.0, 0.0) };
+        let bisect = |mut good: f64, mut bad: f64| {
+            while (good - bad).abs() > 1e-3 * good.max(bad) {
+                let middle = (good * bad).sqrt();
+                *if self.safe_at(middle) { &mut good } else { &mut bad } = middle;
+            }
+            good
+        };
+        let high = if self.safe_at(10e6) { 10e6 } else { bisect(from, 10e6) };
+        let low = if from > 100.0 { bisect(from, 100.0) } else { 0.0 };
+        (low, high)
+    }
+
+    /// Whether corrections are exact and legal at rest in this state.
+    pub fn served_at_rest(&self, start: State) -> bool {
+        let totals = [(2_000_000, 12), (40_000_000, -12), (80_000_000, -12)];
+        let run = BenchRun { config: insert_at_rest(self.config), start, totals: &totals, ..self.clone() };
+        run.run().is_some_and(|s| s.completed == -12 && s.error_counts() == 0 && s.illegal == 0)
+    }
 }
 
 /// Stops the computer at many moments, including every stage of the insertions.
 fn death(run: &BenchRun<'_>) -> ComputerStopEffects {
-    let mut death = ComputerStopEffects {
-        best_follows: 0.0,
-        worst_follows: 0.0,
-        worst_count_error: 0,
-        share_harmless: 0.0,
-    };
+    let mut death = ComputerStopEffects::default();
     let Some(whole) = (BenchRun { keep_log: true, ..run.clone() }).run() else { return death };
     death.worst_follows = 1.0;
     // Just after changes of A' and B', and moments spread over the motion.

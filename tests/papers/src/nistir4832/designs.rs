@@ -10,8 +10,6 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{BenchRun, Edge, InsertionDesign, constant, insert_at_rest};
 use rtec_sim::compensation_experiments::one_metre;
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::ecc::Pll;
-use rtec_sim::insertion_designs::{safe_at, served_at_rest};
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::Sim;
 use std::path::Path;
@@ -24,9 +22,8 @@ pub(super) fn at_rest(
     seed: u64,
 ) -> Result<(), PaperError> {
     let served = |design| {
-        let all =
-            (0..4).filter(|s| served_at_rest(design, computer, AxisConfig::default(), State::from_bits(*s)));
-        all.count() as f64
+        let run = BenchRun::new(design, computer);
+        (0..4).filter(|s| run.served_at_rest(State::from_bits(*s))).count() as f64
     };
     let what = "states at rest in which the Original corrects: A and B low";
     rows.number(
@@ -111,17 +108,13 @@ pub(super) fn design_b(rows: &mut Rows, computer: &ComputerTiming, faster: &Comp
     let why = "to pass the signals alone a pass within the 2.5 µs between two transitions is enough, and the 8051's pass is taken as \
         ten instructions of a microsecond; corrections need more, see the next row";
     rows.number((place, what, "times"), 10.0, computer.pass_ns as f64 / passed.max(1) as f64, AtLeast, why);
-    let corrects = |c: &ComputerTiming| {
-        safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), 100_000.0, 1)
-    };
+    let corrects = |c: &ComputerTiming| BenchRun::new(InsertionDesign::B, c).safe_at(100_000.0);
     let corrected = slowest(&corrects);
     let why = "edge, insertion and the MTC's separations within 2.5 µs";
     let what = "the same with corrections inserted between two transitions";
     let gets = if corrected == 0 { f64::INFINITY } else { computer.pass_ns as f64 / corrected as f64 };
     rows.number((place, what, "times"), 10.0, gets, AtLeast, why);
-    let serves = |c: &ComputerTiming, hz: f64| {
-        safe_at(InsertionDesign::B, c, AxisConfig::default(), Pll::default(), hz, 1)
-    };
+    let serves = |c: &ComputerTiming, hz: f64| BenchRun::new(InsertionDesign::B, c).safe_at(hz);
     let what = "the 8051 is not fast enough";
     let gets = if serves(computer, 100_000.0) { "serves 100 kHz" } else { "not at 100 kHz" };
     rows.holds((place, what), "not at 100 kHz", gets, !serves(computer, 100_000.0), "");

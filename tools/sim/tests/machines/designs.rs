@@ -6,10 +6,7 @@ use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{BenchResult, BenchRun, InsertionDesign, constant, there_and_back};
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::ecc::Pll;
-use rtec_sim::insertion_designs::{
-    InsertionDesignComparison, TestMotion, compare, safe_at, safe_range, waveforms,
-};
+use rtec_sim::insertion_designs::{InsertionDesignComparison, TestMotion, compare, waveforms};
 
 fn comparison(computer: &ComputerTiming) -> InsertionDesignComparison {
     compare(computer, TestMotion { counts: 4000, ..TestMotion::default() }, 1)
@@ -55,7 +52,6 @@ fn the_table_is_what_the_papers_say() {
 #[test]
 fn at_30_khz_nine_microseconds_no_longer_fit() {
     let computer = ComputerTiming::i8051();
-    let config = AxisConfig::default();
     let run = |design, hz: f64| {
         let edges = constant(1_000_000, hz, 4000, 1);
         let totals = [(edges[500].0, 40), (edges[2000].0, -40)];
@@ -68,11 +64,11 @@ fn at_30_khz_nine_microseconds_no_longer_fit() {
     assert_eq!((rapid.completed, rapid.error_counts()), (0, 0));
     assert!(rapid.waited_for_gate > 0);
     for design in [InsertionDesign::Original, InsertionDesign::A] {
-        let (_, high) = safe_range(design, &computer, config, Pll::default(), 1);
+        let (_, high) = BenchRun::new(design, &computer).safe_range();
         // A quarter of a cycle must hold 9 µs.
         assert!((27_000.0..27_800.0).contains(&high), "{design:?}: {high} Hz");
     }
-    let (_, high) = safe_range(InsertionDesign::C, &computer, config, Pll::default(), 1);
+    let (_, high) = BenchRun::new(InsertionDesign::C, &computer).safe_range();
     assert!((35_000.0..35_720.0).contains(&high), "{high} Hz");
 }
 
@@ -169,10 +165,9 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
 /// lost.
 #[test]
 fn design_b_needs_a_faster_computer_and_steps_by_one() {
-    let config = AxisConfig::default();
-    assert!(!safe_at(InsertionDesign::B, &ComputerTiming::i8051(), config, Pll::default(), 10_000.0, 1));
-    assert!(safe_at(InsertionDesign::B, &ComputerTiming::dsp(), config, Pll::default(), 40_000.0, 1));
     let computer = ComputerTiming::dsp();
+    assert!(!BenchRun::new(InsertionDesign::B, &ComputerTiming::i8051()).safe_at(10_000.0));
+    assert!(BenchRun::new(InsertionDesign::B, &computer).safe_at(40_000.0));
     // "Current generation digital signal processors have the speed capability to handle these signals."
     let edges = constant(1_000_000, 100_000.0, 4000, 1);
     let passed = BenchRun { edges: &edges, ..BenchRun::new(InsertionDesign::B, &computer) }.run().unwrap();
@@ -241,11 +236,10 @@ fn more_than_fifteen_pulses_take_two_compensations() {
 /// That is twice the encoder's frequency (CMTI 2014, section 2.2.2).
 #[test]
 fn the_ecc_works_in_its_lock_range_only() {
-    let (low, high) =
-        safe_range(InsertionDesign::Ecc, &ComputerTiming::dsp(), AxisConfig::default(), Pll::default(), 1);
+    let computer = ComputerTiming::dsp();
+    let (low, high) = BenchRun::new(InsertionDesign::Ecc, &computer).safe_range();
     assert!((1150.0..1153.0).contains(&low), "{low} Hz");
     assert!((62_400.0..=62_501.0).contains(&high), "{high} Hz");
-    let computer = ComputerTiming::dsp();
     let run = |hz: f64| {
         let edges = constant(1_000_000, hz, 8000, 1);
         let totals = [(edges[2000].0, 12)];
