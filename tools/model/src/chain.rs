@@ -6,11 +6,12 @@
 //! difference. The error is the tool point's place in the frame of the work, minus the place where it should
 //! be.
 
-use crate::effect::{Difference, MissingInput, read_difference};
+use crate::effect::{Difference, DifferenceSource, MissingInput, read_difference};
 use crate::record::{Axis, LINEAR, Record, Role};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
+use std::convert::Infallible;
 use std::path::Path;
 
 /// The six components of a joint's error.
@@ -80,15 +81,6 @@ pub struct Chain {
 pub(crate) struct JointIndices<A, S> {
     axis: Option<A>,
     deltas: Vec<Option<DifferenceSource<S>>>,
-}
-
-/// The sensors of a temperature difference.
-/// Without a second sensor the reference temperature is subtracted.
-#[derive(Debug, Clone)]
-struct DifferenceSource<S> {
-    sensor: S,
-    minus: Option<S>,
-    reference_degc: f64,
 }
 
 /// A homogeneous transform: a point is turned, then shifted (mm).
@@ -244,13 +236,10 @@ impl Chain {
         axis: impl Fn(&Axis) -> Option<A>,
         sensor: impl Fn(&str) -> S,
     ) -> Vec<JointIndices<A, S>> {
-        let of = |d: &Difference| {
-            let (minus, reference_degc) = (d.minus().map(&sensor), d.reference_degc());
-            DifferenceSource { sensor: sensor(&d.sensor), minus, reference_degc }
-        };
+        let of = |d: &Difference| d.find(|name| Ok::<_, Infallible>(sensor(name))).ok();
         let joint = |j: &Joint| JointIndices {
             axis: j.axis.as_ref().and_then(|(a, _)| axis(a)),
-            deltas: j.components.iter().map(|c| c.delta.as_ref().map(of)).collect(),
+            deltas: j.components.iter().map(|c| c.delta.as_ref().and_then(of)).collect(),
         };
         self.joints.iter().map(joint).collect()
     }
@@ -265,9 +254,7 @@ impl Chain {
     ) -> [f64; 3] {
         let position = |joint: usize| places[joint].axis.as_ref().map_or(0.0, &position_mm);
         let delta = |joint: usize, component: usize| {
-            let of =
-                |t: &DifferenceSource<S>| degc(&t.sensor) - t.minus.as_ref().map_or(t.reference_degc, &degc);
-            places[joint].deltas[component].as_ref().map_or(0.0, of)
+            places[joint].deltas[component].as_ref().map_or(0.0, |delta| delta.kelvin(&degc))
         };
         self.error_by_um(&position, &delta)
     }

@@ -13,8 +13,8 @@
 
 use crate::chain::{Chain, JointIndices};
 use crate::effect::{
-    Basis, Difference, Effect, Input, MissingInput, Naming, Probing, Quantity, RequiredInput, STANDARD_DEGC,
-    State, sign,
+    Basis, Difference, DifferenceSource, Effect, Input, MissingInput, Naming, Probing, Quantity,
+    RequiredInput, STANDARD_DEGC, State, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -87,10 +87,7 @@ impl MachineState<'_> {
 struct InputIndices {
     /// Of the axes in the effect's name, among the layout's axes.
     axes: [Option<usize>; 3],
-    /// Of the sensor, and of the sensor that is subtracted.
-    sensor: Option<usize>,
-    minus: Option<usize>,
-    reference: f64,
+    delta: Option<DifferenceSource<usize>>,
     channel: Option<usize>,
 }
 
@@ -246,17 +243,13 @@ impl LiveModel {
             for (place, axis) in axes.iter_mut().zip(effect.axes()) {
                 *place = layout.axes.iter().position(|a| a == axis);
             }
-            let (mut sensor, mut minus, mut reference) = (None, None, STANDARD_DEGC);
-            if let Some(delta) =
-                effect.delta.as_ref().filter(|_| effect.description().needs.contains(&RequiredInput::Delta))
-            {
-                sensor = Some(find("temperature", &layout.sensors, &delta.sensor)?);
-                minus = delta.minus().map(|m| find("temperature", &layout.sensors, m)).transpose()?;
-                reference = delta.reference_degc();
-            }
+            let reads_delta = effect.description().needs.contains(&RequiredInput::Delta);
+            let delta = effect.delta.as_ref().filter(|_| reads_delta);
+            let sensor = |name: &str| find("temperature", &layout.sensors, name);
+            let delta = delta.map(|delta| delta.find(sensor)).transpose()?;
             let channel = effect.channel().map(|c| find("channel", &layout.channels, c)).transpose()?;
             longest = longest.max(effect.coefficient_count());
-            let places = InputIndices { axes, sensor, minus, reference, channel };
+            let places = InputIndices { axes, delta, channel };
             let reading = readings.iter().position(|r| r.places == places).unwrap_or_else(|| {
                 readings.push(Reading { places, now: Input::default() });
                 readings.len() - 1
@@ -392,16 +385,15 @@ impl LiveModel {
 
 impl Reading {
     fn fill(&mut self, frame: &MachineState<'_>) {
-        let InputIndices { axes, sensor, minus, reference, channel } = &self.places;
+        let InputIndices { axes, delta, channel } = &self.places;
         let nowhere = AxisMotionState::default();
         let at = |n: usize| axes[n].map_or(&nowhere, |a| &frame.axes[a]);
         let first = at(0);
         let mut thermal = (0.0, frame.t_s);
-        if let Some(s) = *sensor {
+        if let Some(delta) = delta {
             thermal = (self.now.delta_k, self.now.t_s);
             if !axes.iter().any(|a| frame.holds(*a)) {
-                let from = minus.map_or(*reference, |m| frame.temperatures_degc[m]);
-                thermal = (frame.temperatures_degc[s] - from, frame.t_s);
+                thermal = (delta.kelvin(|sensor| frame.temperatures_degc[*sensor]), frame.t_s);
             }
         }
         self.now = Input {

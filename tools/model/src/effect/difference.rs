@@ -28,6 +28,12 @@ pub struct Difference {
 }
 
 impl Difference {
+    /// Finds the sensors.
+    pub(crate) fn find<S, E>(&self, of: impl Fn(&str) -> Result<S, E>) -> Result<DifferenceSource<S>, E> {
+        let (sensor, minus) = (of(&self.sensor)?, self.minus().map(of).transpose()?);
+        Ok(DifferenceSource { sensor, minus, reference_degc: self.reference_degc() })
+    }
+
     /// The sensors it reads: one or two.
     pub fn sensors(&self) -> impl Iterator<Item = &str> {
         std::iter::once(self.sensor.as_str()).chain(self.minus())
@@ -68,6 +74,21 @@ impl Difference {
     /// Sensor minus the standard 20 °C.
     pub fn single(sensor: &str) -> Self {
         Self { sensor: sensor.to_owned(), against: DifferenceReference::Standard }
+    }
+}
+
+/// A difference whose sensors have been found, as places or as columns.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct DifferenceSource<S> {
+    sensor: S,
+    minus: Option<S>,
+    reference_degc: f64,
+}
+
+impl<S> DifferenceSource<S> {
+    /// The difference from each sensor's temperature, K.
+    pub(crate) fn kelvin(&self, degc: impl Fn(&S) -> f64) -> f64 {
+        degc(&self.sensor) - self.minus.as_ref().map_or(self.reference_degc, &degc)
     }
 }
 

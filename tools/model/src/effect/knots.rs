@@ -43,7 +43,7 @@ impl Law for BrokenLine {
     fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         out.fill(0.0);
         let (knots, rows) = (effect.get(KNOTS), bound.rows());
-        let p_mm = bound.p_mm(self.along);
+        let p_mm = bound.p_mm[self.along];
         for row in 0..rows {
             for (height, share) in shares(knots, p_mm.map_or(0.0, |p| p[row])) {
                 out[height * rows + row] += share;

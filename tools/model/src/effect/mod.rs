@@ -39,8 +39,8 @@ mod wave;
 
 pub use crate::role::sign;
 pub use dictionary::Dictionary;
-pub(crate) use difference::read_difference;
 pub use difference::{Difference, DifferenceReference, STANDARD_DEGC};
+pub(crate) use difference::{DifferenceSource, read_difference};
 pub use grid::{Extent, GridHypothesis};
 pub use lag::{Lag, Lags};
 pub use law_description::{

@@ -1,7 +1,8 @@
 //! An effect over a record, with its columns looked up once.
 //! Basis values, sums and slopes are computed column by column.
 
-use super::{Effect, Input, Naming, Out, RequiredInput, STANDARD_DEGC, State, sign};
+use super::difference::DifferenceSource;
+use super::{Effect, Input, Naming, Out, RequiredInput, State, sign};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
@@ -37,8 +38,8 @@ pub(crate) type States = [State; 2];
 #[derive(Debug, Clone, Default)]
 pub struct EffectColumns<'r> {
     rows: usize,
-    t: &'r [f64],
-    p: [Option<&'r [f64]>; 3],
+    pub(super) t_s: &'r [f64],
+    pub(super) p_mm: [Option<&'r [f64]>; 3],
     dir: Option<&'r [f64]>,
     dir_from_velocity: bool,
     /// How far beyond its end targets the axis turned, mm.
@@ -46,9 +47,7 @@ pub struct EffectColumns<'r> {
     v: Option<&'r [f64]>,
     a: Option<&'r [f64]>,
     load: Option<&'r [f64]>,
-    sensor: Option<&'r [f64]>,
-    minus: Option<&'r [f64]>,
-    reference: f64,
+    delta: Option<DifferenceSource<&'r [f64]>>,
     rpm: Option<&'r [f64]>,
     coolant: Option<&'r [f64]>,
     angle: Option<&'r [f64]>,
@@ -70,24 +69,13 @@ impl EffectColumns<'_> {
         &self.taken_as_zero
     }
 
-    /// Time of a row, s.
-    pub(super) fn t_s(&self, row: usize) -> f64 {
-        self.t[row]
-    }
-
-    /// Positions of an axis of the effect's name, row by row, mm.
-    /// `None` if they are not logged.
-    pub(super) fn p_mm(&self, axis: usize) -> Option<&[f64]> {
-        self.p[axis]
-    }
-
     /// All inputs of the effect at one row.
     pub fn input(&self, row: usize) -> Input {
         let at = |column: Option<&[f64]>| column.map_or(0.0, |c| c[row]);
         let dir = at(self.dir);
         Input {
-            t_s: self.t[row],
-            p_mm: [at(self.p[0]), at(self.p[1]), at(self.p[2])],
+            t_s: self.t_s[row],
+            p_mm: self.p_mm.map(at),
             dir: if self.dir_from_velocity { sign(dir) } else { dir },
             past_mm: self.past_mm,
             v_mm_s: at(self.v),
@@ -103,7 +91,7 @@ impl EffectColumns<'_> {
 
     /// The temperature difference at a row, K.
     pub(super) fn delta_k(&self, row: usize) -> f64 {
-        self.sensor.map_or(0.0, |s| s[row] - self.minus.map_or(self.reference, |m| m[row]))
+        self.delta.map_or(0.0, |delta| delta.kelvin(|degc| degc[row]))
     }
 
     /// Basis values of `effect` over the record, column by column.
@@ -200,9 +188,8 @@ impl Effect {
         };
         let mut bound = EffectColumns {
             rows: record.rows(),
-            t: record.time_s(),
+            t_s: record.time_s(),
             past_mm: record.past_mm(),
-            reference: STANDARD_DEGC,
             ..EffectColumns::default()
         };
         // Only a pair acts on its second axis.
@@ -217,9 +204,7 @@ impl Effect {
                 RequiredInput::Time => continue,
                 RequiredInput::Delta => {
                     let Some(d) = &self.delta else { continue };
-                    bound.sensor = Some(named(record.temperature(&d.sensor), &role, &d.sensor)?);
-                    bound.minus = d.minus().map(|m| named(record.temperature(m), &role, m)).transpose()?;
-                    bound.reference = d.reference_degc();
+                    bound.delta = Some(d.find(|sensor| named(record.temperature(sensor), &role, sensor))?);
                     continue;
                 }
                 RequiredInput::Channel => {
@@ -235,7 +220,7 @@ impl Effect {
                     }
                     continue;
                 }
-                RequiredInput::Position(n) => &mut bound.p[n],
+                RequiredInput::Position(n) => &mut bound.p_mm[n],
                 RequiredInput::Direction => &mut bound.dir,
                 RequiredInput::Velocity => &mut bound.v,
                 RequiredInput::Acceleration => &mut bound.a,

@@ -95,13 +95,8 @@ impl Validity {
     /// The difference at every row of a record.
     /// `None` if the record lacks one of its sensors.
     pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
-        let u = record.temperature(&self.difference.sensor)?;
-        let minus = match self.difference.minus() {
-            Some(m) => Some(record.temperature(m)?),
-            None => None,
-        };
-        let reference = self.difference.reference_degc();
-        Some(u.iter().enumerate().map(|(row, u)| u - minus.map_or(reference, |m| m[row])).collect())
+        let delta = self.difference.find(|sensor| record.temperature(sensor).ok_or(())).ok()?;
+        Some((0..record.rows()).map(|row| delta.kelvin(|degc| degc[row])).collect())
     }
 
     /// The possible error of being this far outside the range, µm.

@@ -45,7 +45,7 @@ impl Law for LostCounts {
     fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         let at_s = effect.scalar(AT);
         for (row, out) in out.iter_mut().enumerate() {
-            *out = f64::from(bound.t_s(row) >= at_s);
+            *out = f64::from(bound.t_s[row] >= at_s);
         }
     }
 

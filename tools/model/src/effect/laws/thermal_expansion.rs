@@ -35,7 +35,7 @@ impl Law for ThermalExpansion {
     }
 
     fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
-        let Some(p_mm) = bound.p_mm(0) else { return out.fill(0.0) };
+        let Some(p_mm) = bound.p_mm[0] else { return out.fill(0.0) };
         for ((row, out), p_mm) in out.iter_mut().enumerate().zip(p_mm) {
             *out = effect.bounded(bound.delta_k(row)) * p_mm / 1000.0;
         }

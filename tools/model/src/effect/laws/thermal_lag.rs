@@ -83,7 +83,7 @@ impl Law for ThermalLag {
         let [lagged, _, input, t_s] = state.x;
         let mut lag = Lag::going_on(effect.scalar(TAU), state.started.then_some([lagged, input, t_s]));
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
-            *a = effect.bounded(lag.next(bound.t_s(row), bound.delta_k(row)));
+            *a = effect.bounded(lag.next(bound.t_s[row], bound.delta_k(row)));
             *b = *a * *a;
         }
         if let Some([lagged, input, t_s]) = lag.at() {

@@ -50,7 +50,7 @@ impl Law for WarmUp {
     fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
         let tau_s = effect.scalar(TAU);
         for (row, out) in out.iter_mut().enumerate() {
-            *out = drift(bound.t_s(row), tau_s);
+            *out = drift(bound.t_s[row], tau_s);
         }
     }
 
