@@ -98,8 +98,10 @@ pub(crate) struct AxisSim {
     /// Commanded speed, counts/s, and feed-forward acceleration, counts/s².
     wanted: (f64, f64),
     /// Friction in addition to the spec's, N, at −v and at +v.
-    pub extra_friction: Friction,
-    scale: Decoder,
+    /// Viscous friction that differs by direction, N·s/m, and a constant force, N.
+    pub asymmetric_n_s_per_m: f64,
+    pub offset_n: f64,
+    pub scale: Decoder,
     /// The MTC's counter.
     pub mtc: Decoder,
     /// Scale count at the machine's zero; the scale starts at count `origin`.
@@ -133,19 +135,6 @@ pub(crate) struct AxisSim {
 /// Servo periods from one side of a dither to the other.
 const DITHER_TICKS: u32 = 200;
 
-/// Friction and force of the true machine, as its model has them.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Friction {
-    /// Mass, if it differs from the spec's, kg.
-    pub mass_kg: Option<f64>,
-    pub coulomb_n: Option<f64>,
-    pub viscous_n_s_per_m: Option<f64>,
-    /// Force proportional to |v|, N per m/s.
-    pub asymmetric_n_s_per_m: f64,
-    /// Constant force, N.
-    pub offset_n: f64,
-}
-
 impl AxisSim {
     /// The n-th axis, with the lines of [`rtec_driver::card::AxisLines::standard`].
     pub(crate) fn new(spec: AxisSpec, n: usize, at_mm: f64) -> Self {
@@ -171,7 +160,8 @@ impl AxisSim {
             force_n: 0.0,
             accel_mm_s2: 0.0,
             wanted: (0.0, 0.0),
-            extra_friction: Friction::default(),
+            asymmetric_n_s_per_m: 0.0,
+            offset_n: 0.0,
             scale: Decoder::new(state),
             mtc: Decoder::new(state),
             origin,
@@ -195,14 +185,6 @@ impl AxisSim {
 
     fn count_mm(&self) -> f64 {
         self.spec.count_um / 1000.0
-    }
-
-    pub(crate) fn scale(&self) -> State {
-        self.scale.state()
-    }
-
-    pub(crate) fn scale_count(&self) -> i64 {
-        self.scale.count()
     }
 
     /// Position of the table by the scale at `t_ns` within the present step, mm.
@@ -248,10 +230,7 @@ impl AxisSim {
     /// Advances the axis by one step and finds the scale's edges in it.
     pub(crate) fn advance(&mut self, from_ns: u64, step_ns: u64) {
         let dt = step_ns as f64 * 1e-9;
-        let f = &self.extra_friction;
-        let mass = f.mass_kg.unwrap_or(self.spec.mass_kg);
-        let viscous = f.viscous_n_s_per_m.unwrap_or(self.spec.viscous_n_s_per_m);
-        let coulomb = f.coulomb_n.unwrap_or(self.spec.coulomb_n);
+        let mass = self.spec.mass_kg;
         let m_per_count = self.spec.count_um * 1e-6;
         // Speed loop of the drive: PI with the commanded acceleration fed forward.
         let error = self.wanted.0 - self.speed;
@@ -261,9 +240,10 @@ impl AxisSim {
         self.integral = (self.integral + 0.2 * k * k * error * dt).clamp(-limit, limit);
         let drive = (self.wanted.1 + k * error + self.integral).clamp(-limit, limit);
         let v_m = self.speed * m_per_count;
-        let linear = viscous * v_m + f.asymmetric_n_s_per_m * v_m.abs() + f.offset_n;
+        let viscous = self.spec.viscous_n_s_per_m * v_m + self.asymmetric_n_s_per_m * v_m.abs();
+        let linear = viscous + self.offset_n;
         let free = self.speed + (drive - linear / mass / m_per_count) * dt;
-        let brake = coulomb / mass / m_per_count * dt;
+        let brake = self.spec.coulomb_n / mass / m_per_count * dt;
         let speed = if free.abs() <= brake { 0.0 } else { free - brake.copysign(free) };
         if speed == 0.0 && self.wanted == (0.0, 0.0) {
             self.integral = 0.0;

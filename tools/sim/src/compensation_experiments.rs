@@ -27,6 +27,7 @@ use nose::hemisphere;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
+use runs::{Done, Session};
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -97,10 +98,9 @@ pub enum ExperimentError {
     Plot(#[from] rtec_measure::plot::PlotError),
 }
 
-/// What an experiment runs.
 #[derive(Debug, Clone, Copy)]
 enum Run {
-    Own(fn(&ExperimentInputs<'_>, &mut ExperimentResults) -> Result<(), ExperimentError>),
+    Own(fn(&mut Session<'_>) -> Done),
     /// The drilling test of WO 97/43703 from this thermal state.
     Drilling(StartConditions),
 }
@@ -148,12 +148,12 @@ impl Experiment {
     }
 
     fn run_as_set(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResults, ExperimentError> {
-        let mut findings = ExperimentResults::default();
+        let mut session = Session::new(setting);
         match &self.run {
-            Run::Own(run) => run(setting, &mut findings)?,
-            Run::Drilling(start) => drilling(setting, self.name, start, &mut findings)?,
+            Run::Own(run) => run(&mut session)?,
+            Run::Drilling(start) => drilling(&mut session, self.name, start)?,
         }
-        Ok(findings)
+        Ok(session.findings)
     }
 
     /// A drilling test after a spindle cycle (rpm and minutes), wet.

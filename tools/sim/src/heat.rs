@@ -143,7 +143,6 @@ pub struct Heat {
     pub(crate) ambient_degc: f64,
     /// Slow drift of the hall's temperature, K.
     drift: f64,
-    t_s: f64,
     due_s: f64,
     noise: NoiseGenerator,
     readings: [f64; SENSORS.len()],
@@ -162,7 +161,6 @@ impl Heat {
             temperature: [ambient_degc; NODES],
             ambient_degc,
             drift: 0.0,
-            t_s: 0.0,
             due_s: 0.0,
             noise: NoiseGenerator::new(seed, 0x7EA7),
             readings: [ambient_degc; SENSORS.len()],
@@ -183,9 +181,6 @@ impl Heat {
         while self.due_s + STEP_S <= t_s {
             self.due_s += STEP_S;
             self.step(rpm, coolant);
-        }
-        if t_s > self.t_s {
-            self.t_s = t_s;
         }
     }
 

@@ -59,7 +59,6 @@ impl Default for ControllerSpec {
 /// The argument is the tip's centre in X, Y, Z (mm). Contact is at zero.
 pub type Surface = Box<dyn Fn([f64; AXES]) -> f64 + Send>;
 
-/// A move under way.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 enum ActiveMove {
     #[default]
@@ -235,7 +234,7 @@ impl SimMachine {
 
     /// Counts to the MTC minus counts of the scale, since the start.
     pub fn mtc_minus_scale(&self, axis: usize) -> i64 {
-        self.axes[axis].mtc.count() - self.axes[axis].scale_count()
+        self.axes[axis].mtc.count() - self.axes[axis].scale.count()
     }
 
     /// The MTC's count since the start.
@@ -458,7 +457,6 @@ impl SimMachine {
         self.next = self.due.iter().fold(due(self.trip_ns, PROBE), |soonest, d| soonest.min(*d));
     }
 
-    /// Time of the next event, ns.
     #[inline]
     const fn next_ns(&self) -> u64 {
         self.next >> SOURCE_BITS
@@ -556,7 +554,7 @@ impl SimMachine {
 
     fn show(&mut self, axis: usize) {
         let a = &self.axes[axis];
-        let bits = u64::from(a.scale().bits()) | u64::from(a.mtc.state().bits()) << 2;
+        let bits = u64::from(a.scale.state().bits()) | u64::from(a.mtc.state().bits()) << 2;
         self.inputs = self.inputs & !(0xF << (4 * axis)) | bits << (4 * axis);
     }
 }

@@ -99,7 +99,6 @@ impl MachineSpec {
         Ok(control)
     }
 
-    /// The engine's configuration of one axis.
     fn config(&self, n: usize, machine: &SimMachine) -> AxisConfig {
         let axis = &self.axes[n];
         AxisConfig {
@@ -196,7 +195,7 @@ pub struct Sim {
     /// The machine under the engine.
     pub machine: SimMachine,
     corrected: CorrectedMachine,
-    errors: TrueErrors,
+    pub(crate) errors: TrueErrors,
     control: Option<Control>,
     control_ns: u64,
     next_control_ns: u64,
@@ -255,26 +254,6 @@ impl Sim {
         let channels = self.errors.channel_names().to_vec();
         self.control = Some(spec.control(&configs, &channels, known)?);
         Ok(())
-    }
-
-    /// Names of the logged channels.
-    pub fn channel_names(&self) -> &[String] {
-        self.errors.channel_names()
-    }
-
-    /// Values of the logged channels.
-    pub fn channels(&self) -> &[f64] {
-        &self.errors.channels
-    }
-
-    /// Readings of the temperature sensors, °C, ordered as [`crate::heat::SENSORS`].
-    pub fn temperatures_degc(&self) -> &[f64] {
-        self.errors.heat.readings_degc()
-    }
-
-    /// Sets the temperature of the hall, at once, °C.
-    pub fn heat_hall(&mut self, degc: f64) {
-        self.errors.heat.ambient_degc = degc;
     }
 
     /// Reasons why axes do not follow the model now; empty if all follow.

@@ -1,7 +1,6 @@
 //! The machine's errors over time: the effects of its model under its own heat.
 //! They move tool and probe alike.
 
-use crate::axis::Friction;
 use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
@@ -36,22 +35,19 @@ pub(crate) fn probe_delay_ns<'e>(effects: impl IntoIterator<Item = &'e Effect>) 
 
 /// Sets the forces that the true machine's effects describe, on all its axes.
 pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
-    for n in 0..machine.axes.len() {
-        let axis = AXIS_NAMES[machine.place[n]];
-        let mut friction = Friction::default();
-        let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == axis);
+    for (axis, &p) in machine.axes.iter_mut().zip(&machine.place) {
+        let of_axis = |e: &&Effect| e.axes().first().is_some_and(|a| a.as_str() == AXIS_NAMES[p]);
         for effect in effects.iter().copied().filter(of_axis) {
             let value = effect.values().first().copied().unwrap_or(0.0);
             match effect.description().mechanism {
-                Some(MechanicalParameter::Mass) => friction.mass_kg = Some(value),
-                Some(MechanicalParameter::ViscousFriction) => friction.viscous_n_s_per_m = Some(value),
-                Some(MechanicalParameter::CoulombFriction) => friction.coulomb_n = Some(value),
-                Some(MechanicalParameter::AsymmetricFriction) => friction.asymmetric_n_s_per_m = value,
-                Some(MechanicalParameter::ConstantForce) => friction.offset_n = value,
+                Some(MechanicalParameter::Mass) => axis.spec.mass_kg = value,
+                Some(MechanicalParameter::ViscousFriction) => axis.spec.viscous_n_s_per_m = value,
+                Some(MechanicalParameter::CoulombFriction) => axis.spec.coulomb_n = value,
+                Some(MechanicalParameter::AsymmetricFriction) => axis.asymmetric_n_s_per_m = value,
+                Some(MechanicalParameter::ConstantForce) => axis.offset_n = value,
                 Some(MechanicalParameter::ProbeDelay) | None => {}
             }
         }
-        machine.axes[n].extra_friction = friction;
     }
 }
 

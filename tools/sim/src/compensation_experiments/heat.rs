@@ -1,6 +1,6 @@
 //! Experiments with heat: spindle cycles, tool changes, drilling.
 
-use super::runs::{Log, Row, RunPair, both, digits, feed, places, seed_of};
+use super::runs::{Done, Log, Row, RunPair, Session, digits, feed, places, seed_of};
 use super::{
     ExperimentError, ExperimentInputs, ExperimentResults, GAUGE_SPACING_MM, GaugeReadings, PROMISED, UNSEEN,
 };
@@ -34,14 +34,14 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
 
 /// Runs a spindle cycle as an experiment and publishes it over the time.
 fn soaked(
-    setting: &ExperimentInputs<'_>,
+    session: &mut Session<'_>,
     name: &str,
     cycle: &[(f64, f64)],
     coolant: bool,
-    findings: &mut ExperimentResults,
 ) -> Result<RunPair, ExperimentError> {
-    let runs = both(setting, setting.spec, [0.0; 3], name, |sim, log| soak(sim, log, cycle, coolant))?;
-    runs.publish(setting, RunKind::Drift, (&places(setting.spec), 0.1), ("time (min)", &minutes), findings)?;
+    let runs = session.both(name, |sim, log| soak(sim, log, cycle, coolant))?;
+    let places = places(session.setting.spec);
+    session.publish(&runs, RunKind::Drift, (&places, 0.1), ("time (min)", &minutes))?;
     Ok(runs)
 }
 
@@ -83,28 +83,25 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
     read(&of.sensor) - of.minus().map_or(of.reference_degc(), read)
 }
 
-pub(super) fn drift(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
+pub(super) fn drift(session: &mut Session<'_>) -> Done {
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs = soaked(setting, name, FIGURE_9, coolant, findings)?;
+        let runs = soaked(session, name, FIGURE_9, coolant)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
             let points = runs.logs[0].rows.iter().map(|r| (minutes(r), r.temperatures[k])).collect();
             chart = chart.with(Series::new(sensor, Style::Line, points));
         }
-        findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
-        let gauged = gauged(&runs.logs[0].rows, setting, name);
+        session.findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
+        let gauged = gauged(&runs.logs[0].rows, session.setting, name);
         let line = |g: &GaugeReadings| {
             let cells = std::iter::once(g.t_s).chain(g.um).chain(g.tilt_arcsec);
             cells.map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(",") + "\n"
         };
         let head = "t_s,gauge1_um,gauge2_um,gauge3_um,gauge4_um,gauge5_um,tilt_x_arcsec,tilt_y_arcsec\n";
         let table = gauged.iter().map(line).collect::<String>();
-        findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
-        findings.gauges.push((name.to_owned(), gauged));
+        session.findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
+        session.findings.gauges.push((name.to_owned(), gauged));
     }
     Ok(())
 }
@@ -121,22 +118,16 @@ const PRODUCTION: &[(f64, f64)] = &[
     (5200.0, 20.0),
 ];
 
-pub(super) fn production(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
-    soaked(setting, "production-cycle", PRODUCTION, true, findings)?;
-    Ok(())
+pub(super) fn production(session: &mut Session<'_>) -> Done {
+    soaked(session, "production-cycle", PRODUCTION, true).map(drop)
 }
 
-pub(super) fn tool_change(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
+pub(super) fn tool_change(session: &mut Session<'_>) -> Done {
+    let seed = session.setting.seed;
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
-    let runs = both(setting, setting.spec, [0.0; 3], "tool-change-repeatability", |sim, log| {
-        let mut moves = NoiseGenerator::new(setting.seed, 0x7001);
+    let runs = session.both("tool-change-repeatability", |sim, log| {
+        let mut moves = NoiseGenerator::new(seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
             for _ in 0..3 {
@@ -152,7 +143,7 @@ pub(super) fn tool_change(
     let x = |r: &Row| r.cycle;
     // Repeatability of the holder in the spindle: about a micrometre in each direction.
     let what = (&[0, 1, 2][..], 1.2);
-    runs.publish(setting, RunKind::Positioning, what, ("tool change", &x), findings)
+    session.publish(&runs, RunKind::Positioning, what, ("tool change", &x))
 }
 
 /// The wet runs for the model of WO 97/43703 (text before equation 2).
@@ -190,12 +181,9 @@ const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
     ),
 ];
 
-pub(super) fn wet_runs(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
+pub(super) fn wet_runs(session: &mut Session<'_>) -> Done {
     for (name, cycle) in WET_RUNS {
-        soaked(setting, name, cycle, true, findings)?;
+        soaked(session, name, cycle, true)?;
     }
     Ok(())
 }
@@ -210,11 +198,9 @@ pub(super) struct StartConditions {
     pub(super) stood_degc: Option<f64>,
 }
 
-/// Holes of a pass.
 const HOLES: usize = 4;
 /// Passes of a cycle (WO 97/43703, p. 25): the second an inch further in X.
 const PASSES: usize = 2;
-/// Cycles of a drilling test.
 const CYCLES: usize = 3;
 const INCH_MM: f64 = 25.4;
 
@@ -237,17 +223,13 @@ fn warm(sim: &mut Sim, cycle: &[(f64, f64)]) -> Result<(), SimError> {
     Ok(())
 }
 
-pub(super) fn drilling(
-    setting: &ExperimentInputs<'_>,
-    name: &str,
-    start: &StartConditions,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
+pub(super) fn drilling(session: &mut Session<'_>, name: &str, start: &StartConditions) -> Done {
+    let setting = session.setting;
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);
     let spec = MachineSpec { ambient_degc, ..setting.spec.clone() };
-    let runs = both(setting, &spec, [0.0, 0.0, 100.0], name, |sim, log| {
+    let runs = session.both_on(&spec, [0.0, 0.0, 100.0], name, |sim, log| {
         if start.stood_degc.is_some() {
-            sim.heat_hall(setting.spec.ambient_degc);
+            sim.errors.heat.ambient_degc = setting.spec.ambient_degc;
             warm(sim, &[(0.0, 60.0)])?;
         }
         sim.machine.load([Block::Coolant { on: true }]);
@@ -274,15 +256,15 @@ pub(super) fn drilling(
         }
         Ok(())
     })?;
-    runs.publish(setting, RunKind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes), findings)?;
-    by_hole(name, findings)?;
-    promised(setting, &runs.logs[0].rows[0], findings);
+    session.publish(&runs, RunKind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes))?;
+    by_hole(name, &mut session.findings)?;
+    promised(setting, &runs.logs[0].rows[0], &mut session.findings);
     Ok(())
 }
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
 /// Each axis has a table, a plot and its largest deviation. Holes are as measured, as in `rtec-papers`.
-fn by_hole(name: &str, findings: &mut ExperimentResults) -> Result<(), ExperimentError> {
+fn by_hole(name: &str, findings: &mut ExperimentResults) -> Done {
     let off_um = |record: &Record, p: usize| -> Vec<f64> {
         let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);
         um.iter().map(|e| digits(e - um[0], 1e3)).collect()

@@ -1,23 +1,19 @@
 //! Experiments in motion: displacement, circles, the plate, feeds and drive forces.
 
-use super::runs::{Log, Row, along, both, feed, places};
-use super::{ExperimentError, ExperimentInputs, ExperimentResults};
+use super::runs::{Done, Log, Row, Session, along, feed, places};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
 use crate::sim::Sim;
 use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_model::record::RunKind;
 
-pub(super) fn linear_displacement(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
-    for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
+pub(super) fn linear_displacement(session: &mut Session<'_>) -> Done {
+    for (axis, p) in session.axes() {
         // ISO 230-2: targets over the travel, each off an even pitch by a random amount, so that no period is
         // hidden.
         let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
         let pitch = (hi - lo) / 12.0;
-        let mut noise = NoiseGenerator::new(setting.seed, 0x150 + p as u64);
+        let mut noise = NoiseGenerator::new(session.setting.seed, 0x150 + p as u64);
         let targets: Vec<f64> = (0..13)
             .map(|k| ((lo + pitch * f64::from(k) + 3.0 * (noise.uniform() - 0.5)) * 1000.0).round() / 1000.0)
             .collect();
@@ -25,7 +21,7 @@ pub(super) fn linear_displacement(
         let mm_min = 64.0 * 25.4;
         let over = 4.0;
         let name = format!("linear-displacement-{}", axis.name);
-        let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
+        let runs = session.both(&name, |sim, log| {
             sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
             for cycle in 0..5 {
                 for up in [true, false] {
@@ -45,17 +41,14 @@ pub(super) fn linear_displacement(
             Ok(())
         })?;
         let x = |r: &Row| r.now.position_mm[p];
-        runs.publish(setting, RunKind::Positioning, (&[p], 0.1), ("position (mm)", &x), findings)?;
+        session.publish(&runs, RunKind::Positioning, (&[p], 0.1), ("position (mm)", &x))?;
     }
     Ok(())
 }
 
-pub(super) fn ballbar(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
+pub(super) fn ballbar(session: &mut Session<'_>) -> Done {
     let radius = 150.0;
-    let there = places(setting.spec);
+    let there = places(session.setting.spec);
     let planes = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|(i, j)| there.contains(i) && there.contains(j));
     for (i, j) in planes {
         for inches in [10.0, 50.0, 100.0] {
@@ -63,7 +56,7 @@ pub(super) fn ballbar(
             let mut start = [0.0; AXES];
             start[i] = radius;
             let name = format!("ballbar-{}{}-{inches}", AXIS_NAMES[i], AXIS_NAMES[j]);
-            let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
+            let runs = session.both(&name, |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {
                     let arc =
@@ -91,23 +84,14 @@ pub(super) fn ballbar(
                 Ok(())
             })?;
             let x = |r: &Row| r.angle.unwrap_or(0.0);
-            runs.publish(
-                setting,
-                RunKind::Ballbar,
-                (&[i.min(j), i.max(j)], 0.1),
-                ("angle, rad", &x),
-                findings,
-            )?;
+            session.publish(&runs, RunKind::Ballbar, (&[i.min(j), i.max(j)], 0.1), ("angle, rad", &x))?;
         }
     }
     Ok(())
 }
 
-pub(super) fn plate(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
-    let runs = both(setting, setting.spec, [0.0; 3], "plate", |sim, log| {
+pub(super) fn plate(session: &mut Session<'_>) -> Done {
+    let runs = session.both("plate", |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
                 let column = if row % 2 == 0 { k } else { 8 - k };
@@ -120,16 +104,13 @@ pub(super) fn plate(
         Ok(())
     })?;
     let x = |r: &Row| r.now.position_mm[0];
-    runs.publish(setting, RunKind::Plate, (&[0, 1], 0.3), ("X (mm)", &x), findings)
+    session.publish(&runs, RunKind::Plate, (&[0, 1], 0.3), ("X (mm)", &x))
 }
 
-pub(super) fn feed_sweep(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
-    for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
+pub(super) fn feed_sweep(session: &mut Session<'_>) -> Done {
+    for (axis, p) in session.axes() {
         let name = format!("feed-sweep-{}", axis.name);
-        let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
+        let runs = session.both(&name, |sim, log| {
             let half = 60.0;
             sim.run([Block::Rapid { to: along(p, -half) }])?;
             for (n, mm_min) in
@@ -151,18 +132,15 @@ pub(super) fn feed_sweep(
             Ok(())
         })?;
         let x = |r: &Row| r.now.velocity_mm_s[p];
-        runs.publish(setting, RunKind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x), findings)?;
+        session.publish(&runs, RunKind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x))?;
     }
     Ok(())
 }
 
-pub(super) fn dynamics(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
-    for (axis, p) in setting.spec.axes.iter().zip(places(setting.spec)) {
+pub(super) fn dynamics(session: &mut Session<'_>) -> Done {
+    for (axis, p) in session.axes() {
         let name = format!("dynamics-{}", axis.name);
-        let runs = both(setting, setting.spec, [0.0; 3], &name, |sim, log| {
+        let runs = session.both(&name, |sim, log| {
             for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
                 for way in [40.0 + 10.0 * n as f64, -40.0] {
                     sim.machine.load([feed(along(p, way), mm_min)]);
@@ -176,7 +154,7 @@ pub(super) fn dynamics(
             Ok(())
         })?;
         let x = |r: &Row| r.now.t_s;
-        runs.publish(setting, RunKind::Dynamics, (&[p], 5.0), ("time, s", &x), findings)?;
+        session.publish(&runs, RunKind::Dynamics, (&[p], 5.0), ("time, s", &x))?;
     }
     Ok(())
 }

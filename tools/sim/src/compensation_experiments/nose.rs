@@ -1,7 +1,6 @@
 //! The loop of NISTIR 4854: a nose turned and probed.
 
-use super::runs::{SUFFIXES, digits, seed_of};
-use super::{ExperimentError, ExperimentInputs, ExperimentResults};
+use super::runs::{Done, SUFFIXES, Session, digits, seed_of};
 use crate::turning::TurningExperiment;
 use rtec_files::InputError;
 use rtec_model::record::{Record, Role, RunKind, span};
@@ -36,10 +35,8 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
 
 /// The loop of NISTIR 4854 without and with correction.
 /// It corrects by the known form of the part, or otherwise by the errors probed after the semi-finish cut.
-pub(super) fn hemisphere(
-    setting: &ExperimentInputs<'_>,
-    findings: &mut ExperimentResults,
-) -> Result<(), ExperimentError> {
+pub(super) fn hemisphere(session: &mut Session<'_>) -> Done {
+    let setting = session.setting;
     let setup = TurningExperiment {
         machine: setting.truth.clone(),
         design: "c".to_owned(),
@@ -62,7 +59,7 @@ pub(super) fn hemisphere(
             record.columns.iter().find(|c| c.role == Role::Angle).map_or_else(Vec::new, |c| c.data.clone());
         records.push((record, angles));
     }
-    findings.publish(setting, "hemisphere", records, "angle from Z, rad")?;
-    findings.summary.insert("form".to_owned(), Value::Object(figures));
+    session.publish_records("hemisphere", records, "angle from Z, rad")?;
+    session.findings.summary.insert("form".to_owned(), Value::Object(figures));
     Ok(())
 }

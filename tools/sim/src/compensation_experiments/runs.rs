@@ -2,6 +2,7 @@
 //! The module makes their rows, records and plots.
 
 use super::{ExperimentError, ExperimentInputs, ExperimentResults};
+use crate::axis::AxisSpec;
 use crate::heat::SENSORS;
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
@@ -13,7 +14,6 @@ use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// A row of a record.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
     pub(super) now: Moment,
@@ -43,8 +43,8 @@ impl Log {
         }
         self.rows.push(Row {
             now,
-            temperatures: sim.temperatures_degc().to_vec(),
-            channels: sim.channels().to_vec(),
+            temperatures: sim.errors.heat.readings_degc().to_vec(),
+            channels: sim.errors.channels.clone(),
             load_n: sim.load_n,
             cycle,
             angle: None,
@@ -54,14 +54,6 @@ impl Log {
         let last = self.rows.len() - 1;
         &mut self.rows[last]
     }
-}
-
-/// Measured axes (0 X, 1 Y, 2 Z), and the instrument's noise, µm.
-pub(super) struct MeasurementSetup<'a> {
-    pub(super) axes: &'a [usize],
-    pub(super) noise_um: f64,
-    pub(super) noise: NoiseGenerator,
-    pub(super) channels: &'a [String],
 }
 
 /// `v` rounded to `1/per`: exactly the value of the decimal in the CSV.
@@ -77,7 +69,9 @@ impl Log {
         &self,
         path: &Path,
         kind: RunKind,
-        what: &mut MeasurementSetup<'_>,
+        (axes, noise_um): (&[usize], f64),
+        mut noise: NoiseGenerator,
+        channels: &[String],
     ) -> Result<Record, InputError> {
         let rows = &self.rows;
         let mut columns = Vec::new();
@@ -114,11 +108,10 @@ impl Log {
         if rows.iter().all(|r| r.angle.is_some()) {
             add("angle", Role::Angle, "rad", column(&|r| r.angle.unwrap_or(0.0), 1e9), true);
         }
-        for (k, name) in what.channels.iter().enumerate() {
+        for (k, name) in channels.iter().enumerate() {
             add(name, Role::Channel, "1", column(&|r| r.channels[k], 1e6), true);
         }
-        let (noise, sigma) = (&mut what.noise, what.noise_um);
-        for &p in what.axes {
+        for &p in axes {
             let role = if kind == RunKind::Dynamics {
                 Role::Force(names[p].clone())
             } else {
@@ -126,7 +119,7 @@ impl Log {
             };
             let (name, unit) = if kind == RunKind::Dynamics { ("f", "N") } else { ("e", "um") };
             let value = |r: &Row| if kind == RunKind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
-            let data = rows.iter().map(|r| digits(value(r) + sigma * noise.normal(), 1e4)).collect();
+            let data = rows.iter().map(|r| digits(value(r) + noise_um * noise.normal(), 1e4)).collect();
             add(&format!("{name}_{}", names[p]), role, unit, data, true);
         }
         Record::new(path, kind, columns)
@@ -150,61 +143,82 @@ pub(super) fn seed_of(setting: &ExperimentInputs<'_>, run: &str) -> u64 {
     mixed >> 1
 }
 
-pub(super) fn both(
-    setting: &ExperimentInputs<'_>,
-    spec: &MachineSpec,
-    at_mm: [f64; AXES],
-    name: &str,
-    mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
-) -> Result<RunPair, ExperimentError> {
-    let mut done = RunPair { name: name.to_owned(), logs: Vec::new(), channels: Vec::new() };
-    for (known, suffix) in std::iter::once(None).chain(setting.known.map(Some)).zip(SUFFIXES) {
-        let seed = seed_of(setting, &format!("{name}{suffix}"));
-        let mut sim = Sim::new(spec, setting.truth, known, at_mm, seed)?;
-        let mut log = Log::default();
-        run(&mut sim, &mut log)?;
-        done.logs.push(log);
-        done.channels = sim.channel_names().to_vec();
-    }
-    Ok(done)
+/// Nothing, or why an experiment failed.
+pub(super) type Done = Result<(), ExperimentError>;
+
+/// An experiment under way.
+pub(super) struct Session<'a> {
+    pub(super) setting: &'a ExperimentInputs<'a>,
+    pub(super) findings: ExperimentResults,
 }
 
-impl RunPair {
-    /// Adds two records, their errors' plot over `x`, and their figures to `findings`.
-    pub(super) fn publish(
+impl<'a> Session<'a> {
+    pub(super) fn new(setting: &'a ExperimentInputs<'a>) -> Self {
+        Self { setting, findings: ExperimentResults::default() }
+    }
+
+    /// The machine's axes, each with its place (0 X, 1 Y, 2 Z).
+    pub(super) fn axes(&self) -> impl Iterator<Item = (&'a AxisSpec, usize)> + use<'a> {
+        let spec = self.setting.spec;
+        spec.axes.iter().zip(places(spec))
+    }
+
+    pub(super) fn both(
         &self,
-        setting: &ExperimentInputs<'_>,
-        kind: RunKind,
-        (axes, noise_um): (&[usize], f64),
-        x: (&str, &dyn Fn(&Row) -> f64),
-        findings: &mut ExperimentResults,
-    ) -> Result<(), ExperimentError> {
-        let mut records = Vec::new();
-        for (log, suffix) in self.logs.iter().zip(SUFFIXES) {
-            let run = format!("{}{suffix}", self.name);
-            let path = setting.out.join(format!("{run}.run.toml"));
-            let noise = NoiseGenerator::new(seed_of(setting, &run), 0x10);
-            let mut what = MeasurementSetup { axes, noise_um, noise, channels: &self.channels };
-            let record = log.record(&path, kind, &mut what)?;
-            records.push((record, log.rows.iter().map(x.1).collect()));
-        }
-        findings.publish(setting, &self.name, records, x.0)
+        name: &str,
+        run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
+    ) -> Result<RunPair, ExperimentError> {
+        self.both_on(self.setting.spec, [0.0; AXES], name, run)
     }
-}
 
-/// Suffixes of both runs' files, after the experiment's name.
-pub(super) const SUFFIXES: [&str; 2] = ["", "-compensated"];
+    /// As [`Session::both`], on another machine from another place.
+    pub(super) fn both_on(
+        &self,
+        spec: &MachineSpec,
+        at_mm: [f64; AXES],
+        name: &str,
+        mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
+    ) -> Result<RunPair, ExperimentError> {
+        let setting = self.setting;
+        let mut done = RunPair { name: name.to_owned(), logs: Vec::new(), channels: Vec::new() };
+        for (known, suffix) in std::iter::once(None).chain(setting.known.map(Some)).zip(SUFFIXES) {
+            let seed = seed_of(setting, &format!("{name}{suffix}"));
+            let mut sim = Sim::new(spec, setting.truth, known, at_mm, seed)?;
+            let mut log = Log::default();
+            run(&mut sim, &mut log)?;
+            done.logs.push(log);
+            done.channels = sim.errors.channel_names().to_vec();
+        }
+        Ok(done)
+    }
 
-impl ExperimentResults {
-    /// Publishes both records with their plot and figures.
-    /// Each has its rows' positions on the axis `x_title`.
+    /// Adds two records, their errors' plot over `x`, and their figures to the findings.
     pub(super) fn publish(
         &mut self,
-        setting: &ExperimentInputs<'_>,
+        runs: &RunPair,
+        kind: RunKind,
+        what: (&[usize], f64),
+        x: (&str, &dyn Fn(&Row) -> f64),
+    ) -> Done {
+        let mut records = Vec::new();
+        for (log, suffix) in runs.logs.iter().zip(SUFFIXES) {
+            let run = format!("{}{suffix}", runs.name);
+            let path = self.setting.out.join(format!("{run}.run.toml"));
+            let noise = NoiseGenerator::new(seed_of(self.setting, &run), 0x10);
+            let record = log.record(&path, kind, what, noise, &runs.channels)?;
+            records.push((record, log.rows.iter().map(x.1).collect()));
+        }
+        self.publish_records(&runs.name, records, x.0)
+    }
+
+    /// Publishes both records with their plot and figures.
+    /// Each has its rows' positions on the axis `x_title`.
+    pub(super) fn publish_records(
+        &mut self,
         name: &str,
         records: Vec<(Record, Vec<f64>)>,
         x_title: &str,
-    ) -> Result<(), ExperimentError> {
+    ) -> Done {
         let dynamics = records.iter().any(|(r, _)| r.kind == RunKind::Dynamics);
         let unit = if dynamics { "drive force (N)" } else { "error (µm)" };
         let mut chart = Chart::new(name, x_title, unit);
@@ -213,7 +227,7 @@ impl ExperimentResults {
             records.into_iter().zip([("without", "without"), ("with", "with compensation")])
         {
             record.count_um = Some(1.0);
-            record.note = Some(format!("simulated, {label}, seed {}", setting.seed));
+            record.note = Some(format!("simulated, {label}, seed {}", self.setting.seed));
             for column in record.responses() {
                 let axis = column.role.axis().map_or("", Axis::as_str);
                 let points = x.iter().copied().zip(column.data.iter().copied()).collect();
@@ -223,13 +237,16 @@ impl ExperimentResults {
                 figures.insert(format!("{axis}_{key}"), both);
                 chart = chart.with(Series::new(&format!("{axis} {label}"), Style::Dots, points));
             }
-            self.records.push(record);
+            self.findings.records.push(record);
         }
-        self.plots.push((format!("{name}.svg"), chart.svg(900, 520)?));
-        self.summary.insert(name.to_owned(), Value::Object(figures));
+        self.findings.plots.push((format!("{name}.svg"), chart.svg(900, 520)?));
+        self.findings.summary.insert(name.to_owned(), Value::Object(figures));
         Ok(())
     }
 }
+
+/// Suffixes of both runs' files, after the experiment's name.
+pub(super) const SUFFIXES: [&str; 2] = ["", "-compensated"];
 
 /// The controller's axis (0 X, 1 Y, 2 Z) of each axis that a machine has.
 pub(super) fn places(spec: &MachineSpec) -> Vec<usize> {
