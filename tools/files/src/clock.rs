@@ -62,6 +62,7 @@ fn days_of(date: &str) -> Option<[Option<String>; 2]> {
         let year = if short && year.len() == 2 { format!("20{year}") } else { year.to_owned() };
         (year.len() == 4).then(|| format!("{year}-{month:0>2}-{day:0>2}"))
     };
+    let one = |found: Option<String>| Some([found.clone(), found]);
     if let Some(at) = parts.iter().position(|part| part.starts_with(char::is_alphabetic)) {
         let month = month_of(parts[at])?.to_string();
         let (own, year) = match (at, first.len()) {
@@ -70,10 +71,8 @@ fn days_of(date: &str) -> Option<[Option<String>; 2]> {
             (1, _) => (first, third),
             _ => return None,
         };
-        let found = day(year, &month, own, true);
-        return Some([found.clone(), found]);
+        return one(day(year, &month, own, true));
     }
-    let one = |found: Option<String>| Some([found.clone(), found]);
     match (date.chars().find(|c| !c.is_ascii_digit())?, first.len()) {
         (_, 4) => one(day(first, second, third, false)),
         ('.', _) => one(day(third, second, first, true)),
@@ -180,17 +179,14 @@ impl ClockColumn {
             None => self.read(text),
         };
         let (start, _) = self.start.as_mut()?;
-        let [day_first, month_first] = [0, 1].map(|n| Some(now[n]? - start[n]?));
-        match (day_first, month_first) {
-            (Some(a), Some(b)) if a == b => Some(a),
-            (Some(_), Some(_)) | (None, None) => None,
-            (Some(only), None) => {
-                start[1] = None;
-                Some(only)
-            }
-            (None, Some(only)) => {
-                start[0] = None;
-                Some(only)
+        let since = [0, 1].map(|n| Some(now[n]? - start[n]?));
+        match since {
+            [Some(a), Some(b)] => (a == b).then_some(a),
+            [None, None] => None,
+            [a, b] => {
+                // What this time cannot be read as was not meant by the first either.
+                *start = [0, 1].map(|n| start[n].filter(|_| since[n].is_some()));
+                a.or(b)
             }
         }
     }
@@ -210,10 +206,7 @@ impl ClockColumn {
     pub fn absolute(&mut self, text: &str) -> Option<i128> {
         let since = self.since_start(text)?;
         let (start, _) = self.start.as_ref()?;
-        match *start {
-            [Some(a), Some(b)] => (a == b).then_some(a + since),
-            [one, other] => Some(one.or(other)? + since),
-        }
+        Some(only(*start)? + since)
     }
 
     /// The first time, as the file has it.
@@ -224,11 +217,13 @@ impl ClockColumn {
     /// The first row's day, if the column has dates with one reading.
     pub fn first_day(&self) -> Option<String> {
         let (start, _) = self.start.as_ref().filter(|_| self.of_day.is_none())?;
-        match *start {
-            [Some(a), Some(b)] => (a == b).then(|| day(a)),
-            [one, other] => one.or(other).map(day),
-        }
+        only(*start).map(day)
     }
+}
+
+/// The one reading of a time that has two at most.
+fn only([one, other]: [Option<i128>; 2]) -> Option<i128> {
+    if one.is_some() && other.is_some() && one != other { None } else { one.or(other) }
 }
 
 /// What to write instead of a cell that resembles a time but cannot be read.

@@ -2,6 +2,7 @@
 //! Examples are a shop's share, a spool, and the target of a restored backup. Every step uses an open folder
 //! (openat(2)) and follows no link, so that nobody can redirect a write or a read.
 
+use crate::write::sync_folder;
 use nix::dir::Dir;
 use nix::errno::Errno;
 use nix::fcntl::{AtFlags, Flock, FlockArg, OFlag, RenameFlags, openat, renameat, renameat2};
@@ -273,11 +274,7 @@ impl Folder {
     /// # Errors
     /// What the file system reports.
     pub fn sync(&self) -> io::Result<()> {
-        match File::from(self.fd.try_clone()?).sync_all() {
-            // Some file systems cannot sync a folder.
-            Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
-            done => done,
-        }
+        sync_folder(&File::from(self.fd.try_clone()?))
     }
 }
 

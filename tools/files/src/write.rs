@@ -139,13 +139,13 @@ impl AtomicFile {
                     Ok(named) => named.persist(file).map_err(|e| e.error)?,
                     Err(_) => return Self::copied(temporary, &folder, &file),
                 }
-                synced(&folder)
+                sync_folder(&File::open(folder)?)
             }
             WriteTarget::Beside { temporary, folder, file } => {
                 spared(&file)?;
                 temporary.as_file().sync_all()?;
                 temporary.persist(file).map_err(|e| e.error)?;
-                synced(&folder)
+                sync_folder(&File::open(folder)?)
             }
         }
     }
@@ -167,7 +167,7 @@ impl AtomicFile {
         named.as_file().set_permissions(permissions)?;
         named.as_file().sync_all()?;
         named.persist(file).map_err(|e| e.error)?;
-        synced(folder)
+        sync_folder(&File::open(folder)?)
     }
 }
 
@@ -185,8 +185,9 @@ fn name(unnamed: &File, path: &Path) -> io::Result<()> {
     linkat(AT_FDCWD, own.as_str(), AT_FDCWD, path, AtFlags::AT_SYMLINK_FOLLOW).map_err(io::Error::from)
 }
 
-fn synced(folder: &Path) -> io::Result<()> {
-    match File::open(folder)?.sync_all() {
+/// Makes the names in a folder safe on the disk.
+pub(crate) fn sync_folder(folder: &File) -> io::Result<()> {
+    match folder.sync_all() {
         // Some file systems cannot sync a folder.
         Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
         done => done,

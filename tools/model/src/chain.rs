@@ -11,7 +11,6 @@ use crate::record::{Axis, LINEAR, Record, Role};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
-use std::convert::Infallible;
 use std::path::Path;
 
 /// The six components of a joint's error.
@@ -231,17 +230,19 @@ impl Chain {
 
     /// Looks up once what the chain reads.
     /// It finds each joint's axis and the sensors of each component's difference.
-    pub(crate) fn places<A, S>(
+    pub(crate) fn places<A, S, E>(
         &self,
-        axis: impl Fn(&Axis) -> Option<A>,
-        sensor: impl Fn(&str) -> S,
-    ) -> Vec<JointIndices<A, S>> {
-        let of = |d: &Difference| d.find(|name| Ok::<_, Infallible>(sensor(name))).ok();
-        let joint = |j: &Joint| JointIndices {
-            axis: j.axis.as_ref().and_then(|(a, _)| axis(a)),
-            deltas: j.components.iter().map(|c| c.delta.as_ref().and_then(of)).collect(),
+        axis: impl Fn(&Axis) -> Result<Option<A>, E>,
+        sensor: impl Fn(&str) -> Result<S, E>,
+    ) -> Result<Vec<JointIndices<A, S>>, E> {
+        let joints = self.joints.iter();
+        let axes = joints.clone().map(|j| j.axis.as_ref().map_or(Ok(None), |(a, _)| axis(a)));
+        let axes = axes.collect::<Result<Vec<_>, E>>()?;
+        let delta = |c: &ErrorMotion| c.delta.as_ref().map(|delta| delta.find(&sensor)).transpose();
+        let joint = |(j, axis): (&Joint, _)| {
+            Ok(JointIndices { axis, deltas: j.components.iter().map(delta).collect::<Result<_, E>>()? })
         };
-        self.joints.iter().map(joint).collect()
+        joints.zip(axes).map(joint).collect()
     }
 
     /// As [`Chain::error_um`], with the places that [`Chain::places`] found.
@@ -308,14 +309,10 @@ impl Chain {
             _ => return Ok(()),
         };
         let missing = |what: String| MissingInput { effect: "chain".to_owned(), what, has: String::new() };
-        for s in self.deltas().flat_map(Difference::sensors) {
-            record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}")))?;
-        }
-        // The loop above has checked every sensor, so the default is never used.
         let places = self.places(
-            |axis| record.data(&Role::Position(axis.clone())),
-            |sensor| record.temperature(sensor).unwrap_or_default(),
-        );
+            |axis| Ok(record.data(&Role::Position(axis.clone()))),
+            |s| record.temperature(s).ok_or_else(|| missing(format!("temperature.{s}"))),
+        )?;
         for (row, o) in out.iter_mut().enumerate() {
             let e = self.error_at_um(&places, |p| p[row], |t| t[row]);
             *o += parts.iter().map(|(place, share)| e[*place] * share.map_or(1.0, |s| s[row])).sum::<f64>();

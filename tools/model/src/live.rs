@@ -13,8 +13,8 @@
 
 use crate::chain::{Chain, JointIndices};
 use crate::effect::{
-    Basis, Difference, DifferenceSource, Effect, Input, MissingInput, Naming, Probing, Quantity,
-    RequiredInput, STANDARD_DEGC, State, sign,
+    Basis, DifferenceSource, Effect, Input, MissingInput, Naming, Probing, Quantity, RequiredInput,
+    STANDARD_DEGC, State, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -193,22 +193,18 @@ impl LiveModel {
         if let Some(chain) = machine.chain() {
             let layout = &live.layout;
             let missing = |what: String, has: String| MissingInput { effect: "chain".to_owned(), what, has };
-            for joint in &chain.joints {
-                if let Some((axis, _)) = joint.axis.as_ref().filter(|(a, _)| !layout.axes.contains(a)) {
-                    let has = layout.axes.iter().map(Axis::as_str).collect::<Vec<_>>().join(", ");
-                    return Err(missing(format!("position.{axis}"), has));
-                }
-            }
-            let mut read = chain.deltas().flat_map(Difference::sensors);
-            if let Some(s) = read.find(|s| !layout.sensors.iter().any(|n| n == s)) {
-                return Err(missing(format!("temperature.{s}"), layout.sensors.join(", ")));
-            }
-            let out = ["x", "y", "z"].map(|n| layout.axes.iter().position(|a| a.as_str() == n));
-            // The loops above have checked every axis and sensor, so the default is never used.
             let places = chain.places(
-                |axis| layout.axes.iter().position(|a| a == axis),
-                |sensor| layout.sensors.iter().position(|s| s == sensor).unwrap_or_default(),
-            );
+                |axis| {
+                    let has = || layout.axes.iter().map(Axis::as_str).collect::<Vec<_>>().join(", ");
+                    let place = layout.axes.iter().position(|a| a == axis);
+                    place.map(Some).ok_or_else(|| missing(format!("position.{axis}"), has()))
+                },
+                |sensor| {
+                    let place = layout.sensors.iter().position(|s| s == sensor);
+                    place.ok_or_else(|| missing(format!("temperature.{sensor}"), layout.sensors.join(", ")))
+                },
+            )?;
+            let out = ["x", "y", "z"].map(|n| layout.axes.iter().position(|a| a.as_str() == n));
             live.chain = Some(LiveChain {
                 chain: chain.clone(),
                 places,

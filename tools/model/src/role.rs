@@ -291,11 +291,5 @@ impl Column {
 
 /// Sign with sign(0) = 0.
 pub fn sign(v: f64) -> f64 {
-    if v > 0.0 {
-        1.0
-    } else if v < 0.0 {
-        -1.0
-    } else {
-        0.0
-    }
+    f64::from(i8::from(v > 0.0) - i8::from(v < 0.0))
 }

@@ -141,9 +141,10 @@ pub enum MechanicalParameter {
 }
 
 /// How a fit finds a parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ParameterSearch {
     /// The law is linear in it.
+    #[default]
     Linear,
     /// Amplitude of a periodic law.
     /// A linear fit of two coefficients finds it with the phase.
@@ -176,7 +177,7 @@ pub enum Refine {
 }
 
 /// A parameter of a law.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Parameter {
     /// Key in `machine.toml`.
     pub name: String,
@@ -216,15 +217,9 @@ impl Parameter {
             name: name.to_owned(),
             unit: unit.to_owned(),
             plausible,
-            typical: 0.0,
             bounds: [f64::NEG_INFINITY, f64::INFINITY],
-            source: String::new(),
             search,
-            refine: Refine::Stays,
-            array: false,
-            tells_apart: false,
-            cyclic: false,
-            default: None,
+            ..Self::default()
         }
     }
 

@@ -190,6 +190,10 @@ impl RecordRanges {
     }
 }
 
+fn joined([a, b]: [f64; 2], [low, high]: [f64; 2]) -> [f64; 2] {
+    [a.min(low), b.max(high)]
+}
+
 impl FitNote {
     /// The unit of a response, and so of its RMS and widths.
     pub fn unit_of(response: &str) -> &'static str {
@@ -281,16 +285,13 @@ impl FitNote {
         self.rms_um = self.rms_um.hypot(earlier.rms_um);
         for v in &earlier.valid {
             match self.valid.iter_mut().find(|own| own.difference == v.difference) {
-                Some(own) => {
-                    own.range_k = [own.range_k[0].min(v.range_k[0]), own.range_k[1].max(v.range_k[1])];
-                }
+                Some(own) => own.range_k = joined(own.range_k, v.range_k),
                 None => self.valid.push(v.clone()),
             }
         }
         if let (Some(own), Some(at)) = (&mut self.at_mm, &earlier.at_mm) {
-            for (axis, [l, h]) in at {
-                let all = own.entry(axis.clone()).or_insert([*l, *h]);
-                *all = [all[0].min(*l), all[1].max(*h)];
+            for (axis, range) in at {
+                own.entry(axis.clone()).and_modify(|own| *own = joined(*own, *range)).or_insert(*range);
             }
         }
         let known: Vec<String> = self.from.iter().map(|s| s.sha256.clone()).collect();

@@ -234,13 +234,17 @@ const MOST_K: f64 = 1000.0;
 /// The largest remaining or unknown error that is accepted, µm.
 const MOST_UM: f64 = 1e5;
 
-fn range_k(entry: Entry<'_>, form: &str) -> Result<[f64; 2], InputError> {
-    let pair = entry.pair(form)?;
-    if pair.iter().all(|k| k.abs() <= MOST_K) {
-        return Ok(pair);
+/// A range whose ends are at most so large.
+fn range(entry: Entry<'_>, form: &str, most: f64, expected: &str) -> Result<[f64; 2], InputError> {
+    let [low, high] = entry.pair(form)?;
+    if low.abs().max(high.abs()) <= most {
+        return Ok([low, high]);
     }
-    Err(entry
-        .error(format!("[{}, {}]", short(pair[0]), short(pair[1])), format!("{form}, within ±{MOST_K} K")))
+    Err(entry.error(format!("[{}, {}]", short(low), short(high)), expected))
+}
+
+fn range_k(entry: Entry<'_>, form: &str) -> Result<[f64; 2], InputError> {
+    range(entry, form, MOST_K, &format!("{form}, within ±{MOST_K} K"))
 }
 
 fn read_fit(t: Table<'_>) -> Result<FitNote, InputError> {
@@ -288,15 +292,8 @@ fn read_kinds(entry: Entry<'_>) -> Result<BTreeMap<String, f64>, InputError> {
 /// Reads `{ x = [0.0, 300.0] }`.
 fn read_places(entry: Entry<'_>) -> Result<BTreeMap<String, [f64; 2]>, InputError> {
     let form = "a range in mm for each axis, as at_mm = { x = [0.0, 300.0] }";
-    let table = entry.table(form)?;
-    let of = |e: Entry<'_>| {
-        let [l, h] = e.pair(form)?;
-        if l.abs().max(h.abs()) <= 1e6 {
-            return Ok((e.key().to_owned(), [l, h]));
-        }
-        Err(e.error(format!("[{}, {}]", short(l), short(h)), "positions within ±1e6 mm"))
-    };
-    table.entries().map(of).collect()
+    let of = |e: Entry<'_>| Ok((e.key().to_owned(), range(e, form, 1e6, "positions within ±1e6 mm")?));
+    entry.table(form)?.entries().map(of).collect()
 }
 
 fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, InputError> {
