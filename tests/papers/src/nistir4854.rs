@@ -125,10 +125,10 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
     while !sim.machine.finished() {
         sim.advance(0.0005)?;
         let now = sim.moment();
-        if (now.velocity_mm_s[2] - v_mm_s).abs() < 0.01 * v_mm_s {
-            constant_mm += now.position_mm[2] - last;
+        if (now.axes[2].velocity_mm_s - v_mm_s).abs() < 0.01 * v_mm_s {
+            constant_mm += now.axes[2].position_mm - last;
         }
-        last = now.position_mm[2];
+        last = now.axes[2].position_mm;
     }
     let what = "of the touch at constant velocity (within 1 %)";
     let why = "\"about\"; the servo settles to 1 % of the velocity a little after the ramp";

@@ -2,7 +2,7 @@
 //! It has sensors with plausibility checks, and the daemon's control law.
 
 use crate::heat::SENSORS;
-use crate::trajectory::{AXES, AXIS_NAMES};
+use crate::trajectory::AXIS_NAMES;
 use rtec_correct::part_table::PartTable;
 use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
@@ -24,19 +24,6 @@ pub const CONTROL_NS: u64 = 10_000_000;
 pub(crate) const REST_NS: u64 = 300_000_000;
 /// Belief window of the simulated corrector, counts.
 pub(crate) const WINDOW_COUNTS: i64 = 64;
-
-/// Readings of the machine's sensors at one moment.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Readings<'a> {
-    /// Readings in the order of [`SENSORS`], °C.
-    pub degc: &'a [f64],
-    /// Values of the logged channels, in the layout's order.
-    pub channels: &'a [f64],
-    pub rpm: f64,
-    pub coolant: bool,
-    /// Load on X, Y, Z, N.
-    pub load_n: [f64; AXES],
-}
 
 /// The control side of a simulation: checked sensors and the control law.
 #[derive(Debug)]
@@ -89,12 +76,10 @@ impl Control {
         &mut self,
         t_s: f64,
         status: &Status,
-        now: Readings<'_>,
+        readings: &mut dyn Iterator<Item = f64>,
     ) -> impl Iterator<Item = Request> + use<> {
-        let others = [now.rpm, f64::from(u8::from(now.coolant))];
-        let values = now.degc.iter().chain(now.channels).chain(&others).chain(&now.load_n);
-        for (watch, value) in self.watches.iter_mut().zip(values) {
-            watch.offer(t_s, Ok(*value));
+        for (watch, value) in self.watches.iter_mut().zip(readings) {
+            watch.offer(t_s, Ok(value));
         }
         let totals = self.law.tick(t_s, status, &self.watches);
         totals.into_iter().enumerate().filter_map(|(axis, total)| {
@@ -146,8 +131,9 @@ mod tests {
             (degc[place("T8")], degc[place("T18")]) = (at[4], at[5]);
             status.t_ns = (at[0] * 1e9).round() as u64;
             (0..3).for_each(|n| status.axes[n].position_counts = at[1 + n] as i64);
-            let now = Readings { degc: &degc, channels: &[], rpm: 0.0, coolant: false, load_n: [0.0; AXES] };
-            for request in control.requests(at[0], &status, now) {
+            // Neither speed, coolant nor loads.
+            let mut now = degc.iter().copied().chain([0.0; 2 + AXIS_NAMES.len()]);
+            for request in control.requests(at[0], &status, &mut now) {
                 let Request::Correct { axis, total_counts, large: false } = request else {
                     panic!("{request:?}")
                 };

@@ -4,7 +4,6 @@
 
 use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
-use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
@@ -84,30 +83,25 @@ impl LatheSpec {
     /// # Errors
     /// The first key that is out of range, and the range.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
-        let positive = [
-            ("count_um", self.count_um),
-            ("nose_mm", self.nose_mm),
-            ("accel_mm_s2", self.accel_mm_s2),
-            ("decel_mm_s2", self.decel_mm_s2),
-            ("gain", self.gain),
-            ("poll_ns", self.poll_ns),
-            ("control_ms", self.control_ms),
+        type Holds = fn(f64) -> bool;
+        let (positive, size, finite): (Holds, Holds, Holds) = (|v| v > 0.0, |v| v >= 0.0, |_| true);
+        let keys = [
+            ("count_um", self.count_um, positive, "a positive number"),
+            ("nose_mm", self.nose_mm, positive, "a positive number"),
+            ("accel_mm_s2", self.accel_mm_s2, positive, "a positive number"),
+            ("decel_mm_s2", self.decel_mm_s2, positive, "a positive number"),
+            ("gain", self.gain, positive, "a positive number"),
+            ("poll_ns", self.poll_ns, positive, "a positive number"),
+            ("control_ms", self.control_ms, positive, "a positive number"),
+            ("flat_um", self.flat_um, size, "0 or more"),
+            ("probe_sd_um", self.probe_sd_um, size, "0 or more"),
+            ("cut_sd_um", self.cut_sd_um, size, "0 or more"),
+            ("rpm", self.rpm, size, "0 or more"),
+            ("flat_rad", self.flat_rad, finite, "a finite number"),
+            ("ambient_degc", self.ambient_degc, finite, "a finite number"),
         ];
-        if let Some((key, _)) = positive.iter().find(|(_, v)| !(v.is_finite() && *v > 0.0)) {
-            return Err((key, "a positive number"));
-        }
-        let sizes = [
-            ("flat_um", self.flat_um),
-            ("probe_sd_um", self.probe_sd_um),
-            ("cut_sd_um", self.cut_sd_um),
-            ("rpm", self.rpm),
-        ];
-        if let Some((key, _)) = sizes.iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0)) {
-            return Err((key, "0 or more"));
-        }
-        let finite = [("flat_rad", self.flat_rad), ("ambient_degc", self.ambient_degc)];
-        if let Some((key, _)) = finite.iter().find(|(_, v)| !v.is_finite()) {
-            return Err((key, "a finite number"));
+        if let Some((key, .., range)) = keys.iter().find(|(_, v, holds, _)| !(v.is_finite() && holds(*v))) {
+            return Err((key, range));
         }
         if self.flat_um * 1e-3 >= self.nose_mm {
             return Err(("flat_um", "less than the nose's radius"));
@@ -337,7 +331,7 @@ impl Lathe {
         self.act();
     }
 
-    pub(crate) fn readings(&self) -> Readings<'_> {
+    pub(crate) fn readings(&self) -> impl Iterator<Item = f64> {
         self.errors.readings(&self.machine, [0.0; AXES])
     }
 

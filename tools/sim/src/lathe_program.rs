@@ -126,7 +126,7 @@ const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard
 
 /// The corrected axes: homed, enabled, and in probing mode if `probing`.
 fn corrected(
-    card: &mut PolledCard<Lathe>,
+    card: &mut PolledCard,
     stand: &LatheState,
     probing: bool,
     report: &mut impl EventSink,
@@ -175,8 +175,7 @@ pub fn run(
         }
         ProgramPurpose::Cut | ProgramPurpose::Probe(_) => None,
     };
-    let over = |lathe: &Lathe| lathe.finished() || lathe.machine().fault().is_some();
-    let mut card = PolledCard::new(lathe, over, stand.bench.poll_ns, stand.seed);
+    let mut card = PolledCard::new(lathe, stand.bench.poll_ns, stand.seed);
     let mut events = Vec::new();
     let mut report = |event: Event| keep(&mut events, event);
     let mut corrected = corrected(&mut card, stand, tip_mm.is_some(), &mut report)?;
@@ -195,7 +194,8 @@ pub fn run(
         control_ns = now_ns + period_ns;
         let (t_s, status) = (card.attended.t_s(), corrected.status());
         if let Some(law) = &mut law {
-            for request in law.requests(t_s, &status, card.attended.readings()) {
+            let requests = law.requests(t_s, &status, &mut card.attended.readings());
+            for request in requests {
                 corrected.take(request, &mut card, &mut report).map_err(StartError::Card)?;
             }
         }

@@ -1,28 +1,27 @@
-//! A polled card on a virtual clock.
+//! The lathe behind a polled card on a virtual clock.
 //! It knows changes only by the times of its polls.
 
 use crate::attended_machine::AttendedMachine;
+use crate::lathe::Lathe;
 use crate::noise::NoiseGenerator;
 use rtec_driver::card::{Card, CardError, Sample};
 
 /// The card.
 /// Of all its polls, only the one before a change and the one that sees it are made.
 #[derive(Debug)]
-pub(crate) struct PolledCard<A> {
-    pub attended: A,
-    /// Whether the attended machine has finished.
-    ended: fn(&A) -> bool,
+pub(crate) struct PolledCard {
+    pub attended: Lathe,
     poll_ns: u64,
     look_ns: u64,
     second_look_ns: Option<u64>,
     noise: NoiseGenerator,
 }
 
-impl<A: AttendedMachine> PolledCard<A> {
-    pub(crate) fn new(attended: A, ended: fn(&A) -> bool, poll_ns: f64, seed: u64) -> Self {
+impl PolledCard {
+    pub(crate) fn new(attended: Lathe, poll_ns: f64, seed: u64) -> Self {
         let poll_ns = poll_ns.round().max(1.0) as u64;
         let noise = NoiseGenerator::new(seed, 0x900C);
-        Self { attended, ended, poll_ns, look_ns: 0, second_look_ns: None, noise }
+        Self { attended, poll_ns, look_ns: 0, second_look_ns: None, noise }
     }
 
     /// Time of the next poll; at the latest `wake_ns`.
@@ -45,14 +44,14 @@ impl<A: AttendedMachine> PolledCard<A> {
                 return Ok(before_ns);
             }
             self.attended.run_to(quiet_until_ns);
-            if (self.ended)(&self.attended) {
+            if self.attended.finished() || self.attended.machine().fault().is_some() {
                 return Err(CardError::Ended);
             }
         }
     }
 }
 
-impl<A: AttendedMachine> Card for PolledCard<A> {
+impl Card for PolledCard {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         self.look_ns = match self.second_look_ns.take() {
             Some(look_ns) => look_ns,

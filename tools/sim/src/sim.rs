@@ -10,10 +10,10 @@ use crate::nc_block::Block;
 use crate::trajectory::{AXES, Setpoint};
 use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
 use rtec_correct::AxisSetup;
-use rtec_driver::card::{CardError, MachineLines};
+use rtec_driver::card::{AxisLines, CardError, MachineLines};
 use rtec_files::InputError;
 use rtec_model::effect::MissingInput;
-use rtec_model::live::LiveModel;
+use rtec_model::live::{AxisMotionState, LiveModel};
 use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
@@ -99,10 +99,10 @@ impl MachineSpec {
         Ok(control)
     }
 
-    fn config(&self, n: usize, machine: &SimMachine) -> AxisConfig {
-        let axis = &self.axes[n];
-        AxisConfig {
-            lines: machine.lines()[n],
+    /// The engine's configuration of each axis.
+    fn configs(&self, machine: &SimMachine) -> Vec<AxisConfig> {
+        let config = |(axis, &lines): (&AxisSpec, &AxisLines)| AxisConfig {
+            lines,
             max_correction_counts: 5000,
             window_counts: WINDOW_COUNTS,
             min_separation_ns: 500,
@@ -113,7 +113,8 @@ impl MachineSpec {
             detect_ns: self.detect_ns,
             write_ns: self.write_ns,
             ..AxisConfig::default()
-        }
+        };
+        self.axes.iter().zip(machine.lines()).map(config).collect()
     }
 }
 
@@ -157,24 +158,16 @@ pub struct Moment {
     pub t_s: f64,
     /// The controller's command.
     pub command: Setpoint,
-    /// Position by the scales, mm.
-    pub position_mm: [f64; AXES],
+    /// Motion of X, Y, Z by the scales.
+    pub axes: [AxisMotionState; AXES],
     /// Position by the controller's count, mm.
     pub counted_mm: [f64; AXES],
-    /// Velocity of X, Y, Z, mm/s.
-    pub velocity_mm_s: [f64; AXES],
-    /// Acceleration of X, Y, Z, mm/s².
-    pub acceleration_mm_s2: [f64; AXES],
-    /// Direction of the last motion.
-    pub direction: [f64; AXES],
     /// Force of the drives, N.
     pub force_n: [f64; AXES],
     /// The true machine's error: tool minus scale, µm.
     pub error_um: [f64; AXES],
     /// Inserted correction, µm.
     pub inserted_um: [f64; AXES],
-    /// True position of the tool, mm.
-    pub tool_mm: [f64; AXES],
     /// Speed of the spindle, rpm.
     pub rpm: f64,
     /// The coolant flows.
@@ -224,8 +217,8 @@ impl Sim {
         let mut machine = SimMachine::new(&spec.axes, spec.controller.clone(), at_mm);
         set_friction(&mut machine, &truth.effects().collect::<Vec<_>>());
         machine.set_surface(None, probe_delay_ns(truth.effects()));
-        let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &machine)).collect();
-        let origins: Vec<i64> = (0..spec.axes.len()).map(|n| machine.axes[n].origin).collect();
+        let configs = spec.configs(&machine);
+        let origins: Vec<i64> = machine.axes.iter().map(|axis| axis.origin).collect();
         let lines = MachineLines::standard();
         let corrected =
             CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
@@ -250,7 +243,7 @@ impl Sim {
     /// # Errors
     /// An effect reads what the machine does not have.
     pub fn know(&mut self, spec: &MachineSpec, known: &Machine) -> Result<(), SimError> {
-        let configs: Vec<AxisConfig> = (0..spec.axes.len()).map(|n| spec.config(n, &self.machine)).collect();
+        let configs = spec.configs(&self.machine);
         let channels = self.errors.channel_names().to_vec();
         self.control = Some(spec.control(&configs, &channels, known)?);
         Ok(())
@@ -343,9 +336,10 @@ impl Sim {
         }
         self.act();
         let Some(control) = &mut self.control else { return Ok(()) };
-        let now = self.errors.readings(&self.machine, self.load_n);
+        let status = self.corrected.status();
+        let requests = control.requests(t_s, &status, &mut self.errors.readings(&self.machine, self.load_n));
         let mut report = |e: Event| keep(&mut self.events, e);
-        for request in control.requests(t_s, &self.corrected.status(), now) {
+        for request in requests {
             self.corrected.take(request, &mut self.machine, &mut report)?;
         }
         Ok(())
@@ -364,25 +358,17 @@ impl Sim {
         let mut now = Moment {
             t_s: m.now_ns() as f64 * 1e-9,
             command: m.command,
-            position_mm: m.command.p_mm,
+            axes: m.command.p_mm.map(|position_mm| AxisMotionState { position_mm, ..Default::default() }),
             counted_mm: m.command.p_mm,
-            velocity_mm_s: [0.0; AXES],
-            acceleration_mm_s2: [0.0; AXES],
-            direction: [0.0; AXES],
             force_n: [0.0; AXES],
             error_um: self.errors.errors_um(),
             inserted_um: [0.0; AXES],
-            tool_mm: m.tool_mm(),
             rpm: m.rpm,
             coolant: m.coolant,
         };
         for (n, (axis, &p)) in m.axes.iter().zip(&m.place).enumerate() {
-            let motion = m.motion(n);
-            now.position_mm[p] = motion.position_mm;
+            now.axes[p] = m.motion(n);
             now.counted_mm[p] = axis.counted_mm();
-            now.velocity_mm_s[p] = motion.velocity_mm_s;
-            now.acceleration_mm_s2[p] = motion.acceleration_mm_s2;
-            now.direction[p] = motion.direction;
             now.force_n[p] = axis.force_n;
             now.inserted_um[p] = m.mtc_minus_scale(n) as f64 * axis.spec.count_um;
         }

@@ -1,7 +1,6 @@
 //! The machine's errors over time: the effects of its model under its own heat.
 //! They move tool and probe alike.
 
-use crate::control::Readings;
 use crate::heat::{Heat, SENSORS};
 use crate::machine::SimMachine;
 use crate::noise::NoiseGenerator;
@@ -70,15 +69,11 @@ impl TrueErrors {
         &self.truth.layout().channels
     }
 
-    /// The present readings on a machine under these loads.
-    pub(crate) fn readings(&self, machine: &SimMachine, load_n: [f64; AXES]) -> Readings<'_> {
-        Readings {
-            degc: self.heat.readings_degc(),
-            channels: &self.channels,
-            rpm: machine.rpm,
-            coolant: machine.coolant,
-            load_n,
-        }
+    /// The present readings on a machine under these loads, in the order of [`Control`](crate::control::Control).
+    pub(crate) fn readings(&self, machine: &SimMachine, load_n: [f64; AXES]) -> impl Iterator<Item = f64> {
+        let others = [machine.rpm, f64::from(u8::from(machine.coolant))];
+        let logged = self.heat.readings_degc().iter().chain(&self.channels).copied();
+        logged.chain(others).chain(load_n)
     }
 
     /// Advances the channels by one second.

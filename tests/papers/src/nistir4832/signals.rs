@@ -74,7 +74,7 @@ fn traverse(count_um: f64, rapid_mm_min: f64, travel_mm: f64, seed: u64) -> Resu
     let (mut middle, every_s) = (None, 0.05_f64.min(travel_mm / 20.0 / (rapid_mm_min / 60.0)));
     while !sim.machine.finished() {
         sim.advance(every_s)?;
-        let (at, count) = (sim.moment().position_mm[0], sim.machine.mtc_counts(0));
+        let (at, count) = (sim.moment().axes[0].position_mm, sim.machine.mtc_counts(0));
         if at.abs() < travel_mm / 4.0 {
             if let Some(before) = middle {
                 counts_s = counts_s.max((count - before) as f64 / every_s);
@@ -137,7 +137,7 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &ComputerTiming) 
     let place = "Altering the Position Signal";
     let why = "the servo is in position within a count";
     let what = "four counts added: the axis stops from the programmed position by";
-    let gets = ((sim.moment().position_mm[0] - 20.0) * 1e3 / bench.count_um).round();
+    let gets = ((sim.moment().axes[0].position_mm - 20.0) * 1e3 / bench.count_um).round();
     rows.given().number((place, what, "counts"), -4.0, gets, Within(0.0), why);
     times(rows, computer)
 }

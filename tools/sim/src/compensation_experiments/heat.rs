@@ -74,7 +74,7 @@ fn gauged(rows: &[Row], setting: &ExperimentInputs<'_>, run: &str) -> Vec<GaugeR
 }
 
 fn placed(row: &Row, axis: &Axis) -> f64 {
-    AXIS_NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.position_mm[p])
+    AXIS_NAMES.iter().position(|n| *n == axis.as_str()).map_or(0.0, |p| row.now.axes[p].position_mm)
 }
 
 /// A temperature difference from the sensors' readings, K.

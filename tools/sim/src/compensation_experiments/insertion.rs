@@ -46,7 +46,7 @@ pub fn over_a_part(
         insertions = sim.status().axes[0].insertions;
         Ok(())
     })?;
-    let x = |r: &Row| r.now.position_mm[0];
+    let x = |r: &Row| r.now.axes[0].position_mm;
     session.publish(&runs, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x))?;
     session.findings.summary.insert("insertions".to_owned(), json!(insertions));
     Ok(session.findings)
@@ -72,10 +72,10 @@ pub(super) fn rapid_catch_up(session: &mut Session<'_>) -> Done {
         waited = sim.status().axes[0].waited_for_gate;
         // The tool enters the part after ten millimetres of feed in air.
         entering =
-            log.rows.iter().filter(|r| r.now.position_mm[0] > 410.0).map(|r| r.now.off_um(0)).collect();
+            log.rows.iter().filter(|r| r.now.axes[0].position_mm > 410.0).map(|r| r.now.off_um(0)).collect();
         Ok(())
     })?;
-    let x = |r: &Row| r.now.position_mm[0];
+    let x = |r: &Row| r.now.axes[0].position_mm;
     session.publish(&runs, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x))?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
     let worst = runs.logs.iter().flat_map(|l| &l.rows).map(pending).fold(0.0, f64::max);

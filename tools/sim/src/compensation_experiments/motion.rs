@@ -40,7 +40,7 @@ pub(super) fn linear_displacement(session: &mut Session<'_>) -> Done {
             }
             Ok(())
         })?;
-        let x = |r: &Row| r.now.position_mm[p];
+        let x = |r: &Row| r.now.axes[p].position_mm;
         session.publish(&runs, RunKind::Positioning, (&[p], 0.1), ("position (mm)", &x))?;
     }
     Ok(())
@@ -63,8 +63,8 @@ pub(super) fn ballbar(session: &mut Session<'_>) -> Done {
                         Block::Arc { to: start, plane: (i, j), centre: (0.0, 0.0), clockwise, feed_mm_s };
                     let take = |sim: &mut Sim, log: &mut Log| {
                         let row = log.take(sim, if clockwise { 2.0 } else { 1.0 });
-                        let p = row.now.position_mm;
-                        row.angle = Some(libm::atan2(p[j], p[i]));
+                        let [y, x] = [j, i].map(|p| row.now.axes[p].position_mm);
+                        row.angle = Some(libm::atan2(y, x));
                     };
                     sim.machine.load([arc]);
                     let every_s = std::f64::consts::TAU * radius / feed_mm_s / 360.0;
@@ -103,7 +103,7 @@ pub(super) fn plate(session: &mut Session<'_>) -> Done {
         }
         Ok(())
     })?;
-    let x = |r: &Row| r.now.position_mm[0];
+    let x = |r: &Row| r.now.axes[0].position_mm;
     session.publish(&runs, RunKind::Plate, (&[0, 1], 0.3), ("X (mm)", &x))
 }
 
@@ -131,7 +131,7 @@ pub(super) fn feed_sweep(session: &mut Session<'_>) -> Done {
             }
             Ok(())
         })?;
-        let x = |r: &Row| r.now.velocity_mm_s[p];
+        let x = |r: &Row| r.now.axes[p].velocity_mm_s;
         session.publish(&runs, RunKind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x))?;
     }
     Ok(())

@@ -86,15 +86,15 @@ impl Log {
         add("t", Role::Time, "s", column(&|r| r.now.t_s, 1e6), true);
         for (p, axis) in names.iter().enumerate() {
             let n = axis.as_str();
-            let dir = |r: &Row| r.direction.map_or(r.now.direction[p], |d| d[p]);
-            add(n, Role::Position(axis.clone()), "mm", column(&|r| r.now.position_mm[p], 1e6), false);
+            let dir = |r: &Row| r.direction.map_or(r.now.axes[p].direction, |d| d[p]);
+            add(n, Role::Position(axis.clone()), "mm", column(&|r| r.now.axes[p].position_mm, 1e6), false);
             add(&format!("dir_{n}"), Role::Direction(axis.clone()), "1", column(&dir, 1.0), false);
             // At a standstill a speed is not worth a column.
-            let moves = rows.iter().any(|r| r.now.velocity_mm_s[p].abs() > 0.01);
+            let moves = rows.iter().any(|r| r.now.axes[p].velocity_mm_s.abs() > 0.01);
             if moves {
                 let (v, a) = (Role::Velocity(axis.clone()), Role::Acceleration(axis.clone()));
-                add(&format!("v_{n}"), v, "mm/s", column(&|r| r.now.velocity_mm_s[p], 1e6), false);
-                add(&format!("a_{n}"), a, "mm/s2", column(&|r| r.now.acceleration_mm_s2[p], 1e4), false);
+                add(&format!("v_{n}"), v, "mm/s", column(&|r| r.now.axes[p].velocity_mm_s, 1e6), false);
+                add(&format!("a_{n}"), a, "mm/s2", column(&|r| r.now.axes[p].acceleration_mm_s2, 1e4), false);
             }
             let load = Role::Load(axis.clone());
             add(&format!("load_{n}"), load, "N", column(&|r| r.load_n[p], 1e3), false);

@@ -38,7 +38,7 @@ fn an_ideal_machine_goes_where_it_is_commanded() {
     s.run([rapid([20.0, -30.0, 10.0]), feed(end, 500.0), circle(end, [20.0, -30.0], true, 1000.0)]).unwrap();
     let m = s.moment();
     for (n, p) in end.into_iter().enumerate() {
-        assert!((m.position_mm[n] - p).abs() <= 0.0011, "{m:?}");
+        assert!((m.axes[n].position_mm - p).abs() <= 0.0011, "{m:?}");
         assert!((m.counted_mm[n] - p).abs() <= 0.0011, "{m:?}");
         assert!(m.off_um(n).abs() < 1e-12);
     }
@@ -53,7 +53,7 @@ fn following_error_stays_small_in_motion() {
     while !s.machine.finished() {
         s.advance(0.01).unwrap();
         let m: Moment = s.moment();
-        worst = worst.max((m.position_mm[0] - m.command.p_mm[0]).abs());
+        worst = worst.max((m.axes[0].position_mm - m.command.p_mm[0]).abs());
     }
     println!("worst following error {worst} mm");
     assert!(worst < 0.05, "{worst} mm");
@@ -68,8 +68,8 @@ fn a_known_error_is_taken_out_and_an_unknown_one_stays() {
         let mut s = sim(&truth, known);
         s.run([feed([200.0, 10.0, 0.0], 5000.0)]).unwrap();
         s.advance(0.5).unwrap();
-        let m = s.moment();
-        ([0, 1].map(|n| m.off_um(n)), [m.tool_mm[0] - 200.0, m.tool_mm[1] - 10.0].map(|e| 1000.0 * e))
+        let (m, tool_mm) = (s.moment(), s.machine.tool_mm());
+        ([0, 1].map(|n| m.off_um(n)), [tool_mm[0] - 200.0, tool_mm[1] - 10.0].map(|e| 1000.0 * e))
     };
     let (off_without, tool_without) = off(None);
     assert!((off_without[0] - 20.0).abs() < 0.01 && (off_without[1] - 7.0).abs() < 0.01, "{off_without:?}");
@@ -86,12 +86,12 @@ fn feed_hold_stops_the_path_and_lets_it_go_on() {
     s.advance(0.5).unwrap();
     s.hold(true).unwrap();
     s.advance(0.5).unwrap();
-    let held = s.moment().position_mm[0];
+    let held = s.moment().axes[0].position_mm;
     s.advance(0.5).unwrap();
-    assert!((s.moment().position_mm[0] - held).abs() < 0.002 && held < 60.0);
+    assert!((s.moment().axes[0].position_mm - held).abs() < 0.002 && held < 60.0);
     s.hold(false).unwrap();
     s.finish().unwrap();
-    assert!((s.moment().position_mm[0] - 100.0).abs() < 0.0011);
+    assert!((s.moment().axes[0].position_mm - 100.0).abs() < 0.0011);
 }
 
 #[test]
