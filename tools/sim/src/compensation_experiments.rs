@@ -27,7 +27,7 @@ use nose::hemisphere;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
-use runs::{Done, Session};
+use runs::{Done, ExperimentRun};
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -100,7 +100,7 @@ pub enum ExperimentError {
 
 #[derive(Debug, Clone, Copy)]
 enum Run {
-    Own(fn(&mut Session<'_>) -> Done),
+    Own(fn(&mut ExperimentRun<'_>) -> Done),
     /// The drilling test of WO 97/43703 from this thermal state.
     Drilling(StartConditions),
 }
@@ -148,12 +148,12 @@ impl Experiment {
     }
 
     fn run_as_set(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResults, ExperimentError> {
-        let mut session = Session::new(setting);
+        let mut experiment = ExperimentRun::new(setting);
         match &self.run {
-            Run::Own(run) => run(&mut session)?,
-            Run::Drilling(start) => drilling(&mut session, self.name, start)?,
+            Run::Own(run) => run(&mut experiment)?,
+            Run::Drilling(start) => drilling(&mut experiment, self.name, start)?,
         }
-        Ok(session.findings)
+        Ok(experiment.findings)
     }
 
     /// A drilling test after a spindle cycle (rpm and minutes), wet.

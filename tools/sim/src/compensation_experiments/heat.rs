@@ -1,6 +1,6 @@
 //! Experiments with heat: spindle cycles, tool changes, drilling.
 
-use super::runs::{Done, Log, Row, RunPair, Session, digits, feed, places, seed_of};
+use super::runs::{Done, ExperimentRun, Log, Row, RunPair, digits, feed, places, seed_of};
 use super::{
     ExperimentError, ExperimentInputs, ExperimentResults, GAUGE_SPACING_MM, GaugeReadings, PROMISED, UNSEEN,
 };
@@ -34,14 +34,14 @@ fn soak(sim: &mut Sim, log: &mut Log, cycle: &[(f64, f64)], coolant: bool) -> Re
 
 /// Runs a spindle cycle as an experiment and publishes it over the time.
 fn soaked(
-    session: &mut Session<'_>,
+    experiment: &mut ExperimentRun<'_>,
     name: &str,
     cycle: &[(f64, f64)],
     coolant: bool,
 ) -> Result<RunPair, ExperimentError> {
-    let runs = session.both(name, |sim, log| soak(sim, log, cycle, coolant))?;
-    let places = places(session.setting.spec);
-    session.publish(&runs, RunKind::Drift, (&places, 0.1), ("time (min)", &minutes))?;
+    let runs = experiment.both(name, |sim, log| soak(sim, log, cycle, coolant))?;
+    let places = places(experiment.setting.spec);
+    experiment.publish(&runs, RunKind::Drift, (&places, 0.1), ("time (min)", &minutes))?;
     Ok(runs)
 }
 
@@ -83,25 +83,25 @@ fn difference(degc: &[f64], of: &Difference) -> f64 {
     read(&of.sensor) - of.minus().map_or(of.reference_degc(), read)
 }
 
-pub(super) fn drift(session: &mut Session<'_>) -> Done {
+pub(super) fn drift(experiment: &mut ExperimentRun<'_>) -> Done {
     for (name, coolant) in [("drift-dry", false), ("drift-wet", true)] {
-        let runs = soaked(session, name, FIGURE_9, coolant)?;
+        let runs = soaked(experiment, name, FIGURE_9, coolant)?;
         let mut chart = Chart::new(&format!("{name}: temperatures"), "time (min)", "temperature (°C)");
         for sensor in ["T8", "T9", "T13", "T18", "T20"] {
             let k = SENSORS.iter().position(|s| s.0 == sensor).unwrap_or(0);
             let points = runs.logs[0].rows.iter().map(|r| (minutes(r), r.temperatures[k])).collect();
             chart = chart.with(Series::new(sensor, Style::Line, points));
         }
-        session.findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
-        let gauged = gauged(&runs.logs[0].rows, session.setting, name);
+        experiment.findings.plots.push((format!("{name}-temperatures.svg"), chart.svg(900, 520)?));
+        let gauged = gauged(&runs.logs[0].rows, experiment.setting, name);
         let line = |g: &GaugeReadings| {
             let cells = std::iter::once(g.t_s).chain(g.um).chain(g.tilt_arcsec);
             cells.map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(",") + "\n"
         };
         let head = "t_s,gauge1_um,gauge2_um,gauge3_um,gauge4_um,gauge5_um,tilt_x_arcsec,tilt_y_arcsec\n";
         let table = gauged.iter().map(line).collect::<String>();
-        session.findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
-        session.findings.gauges.push((name.to_owned(), gauged));
+        experiment.findings.plots.push((format!("{name}-gauges.csv"), head.to_owned() + &table));
+        experiment.findings.gauges.push((name.to_owned(), gauged));
     }
     Ok(())
 }
@@ -118,15 +118,15 @@ const PRODUCTION: &[(f64, f64)] = &[
     (5200.0, 20.0),
 ];
 
-pub(super) fn production(session: &mut Session<'_>) -> Done {
-    soaked(session, "production-cycle", PRODUCTION, true).map(drop)
+pub(super) fn production(experiment: &mut ExperimentRun<'_>) -> Done {
+    soaked(experiment, "production-cycle", PRODUCTION, true).map(drop)
 }
 
-pub(super) fn tool_change(session: &mut Session<'_>) -> Done {
-    let seed = session.setting.seed;
+pub(super) fn tool_change(experiment: &mut ExperimentRun<'_>) -> Done {
+    let seed = experiment.setting.seed;
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
-    let runs = session.both("tool-change-repeatability", |sim, log| {
+    let runs = experiment.both("tool-change-repeatability", |sim, log| {
         let mut moves = NoiseGenerator::new(seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
@@ -143,7 +143,7 @@ pub(super) fn tool_change(session: &mut Session<'_>) -> Done {
     let x = |r: &Row| r.cycle;
     // Repeatability of the holder in the spindle: about a micrometre in each direction.
     let what = (&[0, 1, 2][..], 1.2);
-    session.publish(&runs, RunKind::Positioning, what, ("tool change", &x))
+    experiment.publish(&runs, RunKind::Positioning, what, ("tool change", &x))
 }
 
 /// The wet runs for the model of WO 97/43703 (text before equation 2).
@@ -181,9 +181,9 @@ const WET_RUNS: [(&str, &[(f64, f64)]); 2] = [
     ),
 ];
 
-pub(super) fn wet_runs(session: &mut Session<'_>) -> Done {
+pub(super) fn wet_runs(experiment: &mut ExperimentRun<'_>) -> Done {
     for (name, cycle) in WET_RUNS {
-        soaked(session, name, cycle, true)?;
+        soaked(experiment, name, cycle, true)?;
     }
     Ok(())
 }
@@ -223,11 +223,11 @@ fn warm(sim: &mut Sim, cycle: &[(f64, f64)]) -> Result<(), SimError> {
     Ok(())
 }
 
-pub(super) fn drilling(session: &mut Session<'_>, name: &str, start: &StartConditions) -> Done {
-    let setting = session.setting;
+pub(super) fn drilling(experiment: &mut ExperimentRun<'_>, name: &str, start: &StartConditions) -> Done {
+    let setting = experiment.setting;
     let ambient_degc = start.stood_degc.unwrap_or(setting.spec.ambient_degc);
     let spec = MachineSpec { ambient_degc, ..setting.spec.clone() };
-    let runs = session.both_on(&spec, [0.0, 0.0, 100.0], name, |sim, log| {
+    let runs = experiment.both_on(&spec, [0.0, 0.0, 100.0], name, |sim, log| {
         if start.stood_degc.is_some() {
             sim.errors.heat.ambient_degc = setting.spec.ambient_degc;
             warm(sim, &[(0.0, 60.0)])?;
@@ -256,9 +256,9 @@ pub(super) fn drilling(session: &mut Session<'_>, name: &str, start: &StartCondi
         }
         Ok(())
     })?;
-    session.publish(&runs, RunKind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes))?;
-    by_hole(name, &mut session.findings)?;
-    promised(setting, &runs.logs[0].rows[0], &mut session.findings);
+    experiment.publish(&runs, RunKind::Part, (&[0, 1, 2], 0.5), ("time (min)", &minutes))?;
+    by_hole(name, &mut experiment.findings)?;
+    promised(setting, &runs.logs[0].rows[0], &mut experiment.findings);
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 //! Number and positions of insertions (NISTIR 4832).
 
-use super::runs::{Done, Row, Session, along, digits, feed};
+use super::runs::{Done, ExperimentRun, Row, along, digits, feed};
 use super::{ExperimentError, ExperimentInputs, ExperimentResults};
 use crate::axis::AxisSpec;
 use crate::insertion::GateDesign;
@@ -18,9 +18,9 @@ pub fn one_metre(count_um: f64, travel_mm: f64) -> MachineSpec {
     spec
 }
 
-pub(super) fn linear_error(session: &mut Session<'_>) -> Done {
+pub(super) fn linear_error(experiment: &mut ExperimentRun<'_>) -> Done {
     // A quarter of the travel, at a cutting feed.
-    session.findings = over_a_part(session.setting, &one_metre(1.0, 1000.0), 250.0, 500.0)?;
+    experiment.findings = over_a_part(experiment.setting, &one_metre(1.0, 1000.0), 250.0, 500.0)?;
     Ok(())
 }
 
@@ -34,8 +34,8 @@ pub fn over_a_part(
     length_mm: f64,
     mm_min: f64,
 ) -> Result<ExperimentResults, ExperimentError> {
-    let (mut session, mut insertions) = (Session::new(setting), 0);
-    let runs = session.both_on(spec, [0.0; 3], "linear-error-240um", |sim, log| {
+    let (mut experiment, mut insertions) = (ExperimentRun::new(setting), 0);
+    let runs = experiment.both_on(spec, [0.0; 3], "linear-error-240um", |sim, log| {
         sim.machine.load([feed(along(0, length_mm), mm_min)]);
         while !sim.machine.finished() {
             // A row every millimetre.
@@ -47,18 +47,18 @@ pub fn over_a_part(
         Ok(())
     })?;
     let x = |r: &Row| r.now.axes[0].position_mm;
-    session.publish(&runs, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x))?;
-    session.findings.summary.insert("insertions".to_owned(), json!(insertions));
-    Ok(session.findings)
+    experiment.publish(&runs, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x))?;
+    experiment.findings.summary.insert("insertions".to_owned(), json!(insertions));
+    Ok(experiment.findings)
 }
 
-pub(super) fn rapid_catch_up(session: &mut Session<'_>) -> Done {
+pub(super) fn rapid_catch_up(experiment: &mut ExperimentRun<'_>) -> Done {
     let mut spec = one_metre(1.0, 1000.0);
     // The 8051's nine microseconds (NISTIR 4832): at rapid traverse they do not fit.
     let nine = crate::computer_timing::ComputerTiming::i8051().configure(AxisConfig::default());
     (spec.detect_ns, spec.write_ns) = (nine.detect_ns + nine.guard_ns, 500);
     let (mut waited, mut entering) = (0, Vec::new());
-    let runs = session.both_on(&spec, [0.0; 3], "rapid-catch-up", |sim, log| {
+    let runs = experiment.both_on(&spec, [0.0; 3], "rapid-catch-up", |sim, log| {
         let rapid = [
             Block::Rapid { to: [400.0, 0.0, 0.0] },
             feed([410.0, 0.0, 0.0], 500.0),
@@ -76,12 +76,12 @@ pub(super) fn rapid_catch_up(session: &mut Session<'_>) -> Done {
         Ok(())
     })?;
     let x = |r: &Row| r.now.axes[0].position_mm;
-    session.publish(&runs, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x))?;
+    experiment.publish(&runs, RunKind::Positioning, (&[0], 0.0), ("position (mm)", &x))?;
     let pending = |r: &Row| (r.requested_um[0] - r.now.inserted_um[0]).abs();
     let worst = runs.logs.iter().flat_map(|l| &l.rows).map(pending).fold(0.0, f64::max);
     let in_part = entering.iter().fold(0.0_f64, |w, e| w.max(e.abs()));
-    session.findings.summary.insert("edges_waited_for_gate".to_owned(), json!(waited));
-    session.findings.summary.insert("largest_backlog_um".to_owned(), json!(digits(worst, 1e3)));
-    session.findings.summary.insert("largest_error_in_part_um".to_owned(), json!(digits(in_part, 1e3)));
+    experiment.findings.summary.insert("edges_waited_for_gate".to_owned(), json!(waited));
+    experiment.findings.summary.insert("largest_backlog_um".to_owned(), json!(digits(worst, 1e3)));
+    experiment.findings.summary.insert("largest_error_in_part_um".to_owned(), json!(digits(in_part, 1e3)));
     Ok(())
 }

@@ -1,19 +1,19 @@
 //! Experiments in motion: displacement, circles, the plate, feeds and drive forces.
 
-use super::runs::{Done, Log, Row, Session, along, feed, places};
+use super::runs::{Done, ExperimentRun, Log, Row, along, feed, places};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
 use crate::sim::Sim;
 use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_model::record::RunKind;
 
-pub(super) fn linear_displacement(session: &mut Session<'_>) -> Done {
-    for (axis, p) in session.axes() {
+pub(super) fn linear_displacement(experiment: &mut ExperimentRun<'_>) -> Done {
+    for (axis, p) in experiment.axes() {
         // ISO 230-2: targets over the travel, each off an even pitch by a random amount, so that no period is
         // hidden.
         let [lo, hi] = axis.travel_mm.map(|t| t * 0.95);
         let pitch = (hi - lo) / 12.0;
-        let mut noise = NoiseGenerator::new(session.setting.seed, 0x150 + p as u64);
+        let mut noise = NoiseGenerator::new(experiment.setting.seed, 0x150 + p as u64);
         let targets: Vec<f64> = (0..13)
             .map(|k| ((lo + pitch * f64::from(k) + 3.0 * (noise.uniform() - 0.5)) * 1000.0).round() / 1000.0)
             .collect();
@@ -21,7 +21,7 @@ pub(super) fn linear_displacement(session: &mut Session<'_>) -> Done {
         let mm_min = 64.0 * 25.4;
         let over = 4.0;
         let name = format!("linear-displacement-{}", axis.name);
-        let runs = session.both(&name, |sim, log| {
+        let runs = experiment.both(&name, |sim, log| {
             sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
             for cycle in 0..5 {
                 for up in [true, false] {
@@ -41,14 +41,14 @@ pub(super) fn linear_displacement(session: &mut Session<'_>) -> Done {
             Ok(())
         })?;
         let x = |r: &Row| r.now.axes[p].position_mm;
-        session.publish(&runs, RunKind::Positioning, (&[p], 0.1), ("position (mm)", &x))?;
+        experiment.publish(&runs, RunKind::Positioning, (&[p], 0.1), ("position (mm)", &x))?;
     }
     Ok(())
 }
 
-pub(super) fn ballbar(session: &mut Session<'_>) -> Done {
+pub(super) fn ballbar(experiment: &mut ExperimentRun<'_>) -> Done {
     let radius = 150.0;
-    let there = places(session.setting.spec);
+    let there = places(experiment.setting.spec);
     let planes = [(0, 1), (1, 2), (2, 0)].into_iter().filter(|(i, j)| there.contains(i) && there.contains(j));
     for (i, j) in planes {
         for inches in [10.0, 50.0, 100.0] {
@@ -56,7 +56,7 @@ pub(super) fn ballbar(session: &mut Session<'_>) -> Done {
             let mut start = [0.0; AXES];
             start[i] = radius;
             let name = format!("ballbar-{}{}-{inches}", AXIS_NAMES[i], AXIS_NAMES[j]);
-            let runs = session.both(&name, |sim, log| {
+            let runs = experiment.both(&name, |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {
                     let arc =
@@ -84,14 +84,14 @@ pub(super) fn ballbar(session: &mut Session<'_>) -> Done {
                 Ok(())
             })?;
             let x = |r: &Row| r.angle.unwrap_or(0.0);
-            session.publish(&runs, RunKind::Ballbar, (&[i.min(j), i.max(j)], 0.1), ("angle, rad", &x))?;
+            experiment.publish(&runs, RunKind::Ballbar, (&[i.min(j), i.max(j)], 0.1), ("angle, rad", &x))?;
         }
     }
     Ok(())
 }
 
-pub(super) fn plate(session: &mut Session<'_>) -> Done {
-    let runs = session.both("plate", |sim, log| {
+pub(super) fn plate(experiment: &mut ExperimentRun<'_>) -> Done {
+    let runs = experiment.both("plate", |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
                 let column = if row % 2 == 0 { k } else { 8 - k };
@@ -104,13 +104,13 @@ pub(super) fn plate(session: &mut Session<'_>) -> Done {
         Ok(())
     })?;
     let x = |r: &Row| r.now.axes[0].position_mm;
-    session.publish(&runs, RunKind::Plate, (&[0, 1], 0.3), ("X (mm)", &x))
+    experiment.publish(&runs, RunKind::Plate, (&[0, 1], 0.3), ("X (mm)", &x))
 }
 
-pub(super) fn feed_sweep(session: &mut Session<'_>) -> Done {
-    for (axis, p) in session.axes() {
+pub(super) fn feed_sweep(experiment: &mut ExperimentRun<'_>) -> Done {
+    for (axis, p) in experiment.axes() {
         let name = format!("feed-sweep-{}", axis.name);
-        let runs = session.both(&name, |sim, log| {
+        let runs = experiment.both(&name, |sim, log| {
             let half = 60.0;
             sim.run([Block::Rapid { to: along(p, -half) }])?;
             for (n, mm_min) in
@@ -132,15 +132,15 @@ pub(super) fn feed_sweep(session: &mut Session<'_>) -> Done {
             Ok(())
         })?;
         let x = |r: &Row| r.now.axes[p].velocity_mm_s;
-        session.publish(&runs, RunKind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x))?;
+        experiment.publish(&runs, RunKind::FeedSweep, (&[p], 0.1), ("speed, mm/s", &x))?;
     }
     Ok(())
 }
 
-pub(super) fn dynamics(session: &mut Session<'_>) -> Done {
-    for (axis, p) in session.axes() {
+pub(super) fn dynamics(experiment: &mut ExperimentRun<'_>) -> Done {
+    for (axis, p) in experiment.axes() {
         let name = format!("dynamics-{}", axis.name);
-        let runs = session.both(&name, |sim, log| {
+        let runs = experiment.both(&name, |sim, log| {
             for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
                 for way in [40.0 + 10.0 * n as f64, -40.0] {
                     sim.machine.load([feed(along(p, way), mm_min)]);
@@ -154,7 +154,7 @@ pub(super) fn dynamics(session: &mut Session<'_>) -> Done {
             Ok(())
         })?;
         let x = |r: &Row| r.now.t_s;
-        session.publish(&runs, RunKind::Dynamics, (&[p], 5.0), ("time, s", &x))?;
+        experiment.publish(&runs, RunKind::Dynamics, (&[p], 5.0), ("time, s", &x))?;
     }
     Ok(())
 }

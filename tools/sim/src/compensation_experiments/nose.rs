@@ -1,6 +1,6 @@
 //! The loop of NISTIR 4854: a nose turned and probed.
 
-use super::runs::{Done, SUFFIXES, Session, digits, seed_of};
+use super::runs::{Done, ExperimentRun, SUFFIXES, digits, seed_of};
 use crate::turning::TurningExperiment;
 use rtec_files::InputError;
 use rtec_model::record::{Record, Role, RunKind, span};
@@ -35,8 +35,8 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
 
 /// The loop of NISTIR 4854 without and with correction.
 /// It corrects by the known form of the part, or otherwise by the errors probed after the semi-finish cut.
-pub(super) fn hemisphere(session: &mut Session<'_>) -> Done {
-    let setting = session.setting;
+pub(super) fn hemisphere(experiment: &mut ExperimentRun<'_>) -> Done {
+    let setting = experiment.setting;
     let setup = TurningExperiment {
         machine: setting.truth.clone(),
         design: "c".to_owned(),
@@ -59,7 +59,7 @@ pub(super) fn hemisphere(session: &mut Session<'_>) -> Done {
             record.columns.iter().find(|c| c.role == Role::Angle).map_or_else(Vec::new, |c| c.data.clone());
         records.push((record, angles));
     }
-    session.publish_records("hemisphere", records, "angle from Z, rad")?;
-    session.findings.summary.insert("form".to_owned(), Value::Object(figures));
+    experiment.publish_records("hemisphere", records, "angle from Z, rad")?;
+    experiment.findings.summary.insert("form".to_owned(), Value::Object(figures));
     Ok(())
 }

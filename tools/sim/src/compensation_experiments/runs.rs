@@ -147,12 +147,12 @@ pub(super) fn seed_of(setting: &ExperimentInputs<'_>, run: &str) -> u64 {
 pub(super) type Done = Result<(), ExperimentError>;
 
 /// An experiment under way.
-pub(super) struct Session<'a> {
+pub(super) struct ExperimentRun<'a> {
     pub(super) setting: &'a ExperimentInputs<'a>,
     pub(super) findings: ExperimentResults,
 }
 
-impl<'a> Session<'a> {
+impl<'a> ExperimentRun<'a> {
     pub(super) fn new(setting: &'a ExperimentInputs<'a>) -> Self {
         Self { setting, findings: ExperimentResults::default() }
     }
@@ -171,7 +171,7 @@ impl<'a> Session<'a> {
         self.both_on(self.setting.spec, [0.0; AXES], name, run)
     }
 
-    /// As [`Session::both`], on another machine from another place.
+    /// As [`ExperimentRun::both`], on another machine from another place.
     pub(super) fn both_on(
         &self,
         spec: &MachineSpec,
