@@ -3,7 +3,7 @@
 
 use crate::card::CardError;
 use crate::clock::Clock;
-use crate::profile::{Profile, Width};
+use crate::profile::{CardProfile, Width};
 use crate::register_card::{RegisterAccess, RegisterCard, SetUpError};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
 use std::ffi::c_void;
@@ -115,7 +115,7 @@ impl Registers {
     /// Reads a register of 8, 16 or 32 bits at a byte offset.
     ///
     /// # Panics
-    /// When the offset is outside the mapping or not aligned to the width; a checked [`Profile`] never is.
+    /// When the offset is outside the mapping or not aligned to the width; a checked [`CardProfile`] never is.
     #[inline]
     pub fn read(&self, offset: usize, width: Width) -> u32 {
         // SAFETY: `at` has checked that the register lies inside the live mapping and is aligned.
@@ -174,7 +174,7 @@ impl<K: Clock> MappedCard<K> {
     ///
     /// # Errors
     /// As [`Registers::open_map`] and [`RegisterCard::new`].
-    pub fn open(path: &Path, profile: &Profile, clock: K) -> Result<Self, MapError> {
+    pub fn open(path: &Path, profile: &CardProfile, clock: K) -> Result<Self, MapError> {
         Self::open_map(path, 0, profile, clock)
     }
 
@@ -182,7 +182,7 @@ impl<K: Clock> MappedCard<K> {
     ///
     /// # Errors
     /// As [`Registers::open_map`] and [`RegisterCard::new`].
-    pub fn open_map(path: &Path, map: u8, profile: &Profile, clock: K) -> Result<Self, MapError> {
+    pub fn open_map(path: &Path, map: u8, profile: &CardProfile, clock: K) -> Result<Self, MapError> {
         Ok(Self::new(Registers::open_map(path, map, profile.size(), &profile.name)?, profile, clock)?)
     }
 }
@@ -196,7 +196,7 @@ mod tests {
     fn card(bytes: usize) -> (tempfile::NamedTempFile, Result<MappedCard<Virtual>, MapError>) {
         let file = tempfile::NamedTempFile::new().unwrap();
         file.as_file().set_len(bytes as u64).unwrap();
-        let card = MappedCard::open(file.path(), &Profile::shared_memory(), Virtual { now_ns: 7 });
+        let card = MappedCard::open(file.path(), &CardProfile::shared_memory(), Virtual { now_ns: 7 });
         (file, card)
     }
 
@@ -217,7 +217,8 @@ mod tests {
     fn outputs_left_on_by_a_dead_process_are_taken_over() {
         let (file, first) = card(4096);
         first.unwrap().write(3, 3).unwrap();
-        let mut again = MappedCard::open(file.path(), &Profile::shared_memory(), Virtual::default()).unwrap();
+        let mut again =
+            MappedCard::open(file.path(), &CardProfile::shared_memory(), Virtual::default()).unwrap();
         again.write(4, 4).unwrap();
         assert_eq!(again.outputs().unwrap(), 7);
     }
@@ -231,14 +232,18 @@ mod tests {
 
     #[test]
     fn a_device_without_a_size_is_refused() {
-        let card = MappedCard::open(Path::new("/dev/null"), &Profile::shared_memory(), Virtual::default());
+        let card =
+            MappedCard::open(Path::new("/dev/null"), &CardProfile::shared_memory(), Virtual::default());
         assert!(matches!(card.unwrap_err(), MapError::NoSize { .. }));
     }
 
     #[test]
     fn a_missing_file_is_named() {
-        let e =
-            MappedCard::open(Path::new("/nonexistent/card"), &Profile::shared_memory(), Virtual::default());
+        let e = MappedCard::open(
+            Path::new("/nonexistent/card"),
+            &CardProfile::shared_memory(),
+            Virtual::default(),
+        );
         assert!(e.unwrap_err().to_string().contains("/nonexistent/card"));
     }
 }

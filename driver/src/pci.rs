@@ -90,7 +90,7 @@ pub struct Bar {
 
 /// A function on the bus.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Function {
+pub struct PciFunction {
     /// Its place, `0000:00:04.0`.
     pub address: String,
     /// Vendor and device.
@@ -100,11 +100,11 @@ pub struct Function {
 
 /// All functions on the bus, in the order of their addresses.
 /// Empty on a machine without a PCI bus.
-pub fn functions() -> Vec<Function> {
+pub fn functions() -> Vec<PciFunction> {
     functions_in(Path::new(SYSFS))
 }
 
-fn functions_in(sysfs: &Path) -> Vec<Function> {
+fn functions_in(sysfs: &Path) -> Vec<PciFunction> {
     let number = |path: PathBuf| {
         let text = fs::read_to_string(path).ok()?;
         u16::from_str_radix(text.trim().trim_start_matches("0x"), 16).ok()
@@ -114,7 +114,7 @@ fn functions_in(sysfs: &Path) -> Vec<Function> {
         .filter_map(|entry| {
             let directory = entry.path();
             let id = (number(directory.join("vendor"))?, number(directory.join("device"))?);
-            Some(Function { address: entry.file_name().into_string().ok()?, id, directory })
+            Some(PciFunction { address: entry.file_name().into_string().ok()?, id, directory })
         })
         .collect();
     all.sort_by(|a, b| a.address.cmp(&b.address));
@@ -125,7 +125,7 @@ fn functions_in(sysfs: &Path) -> Vec<Function> {
 ///
 /// # Errors
 /// When it is not there, or there is more than one.
-pub fn find(which: &PciId) -> Result<Function, PciError> {
+pub fn find(which: &PciId) -> Result<PciFunction, PciError> {
     find_in(Path::new(SYSFS), which)
 }
 
@@ -133,12 +133,12 @@ pub fn find(which: &PciId) -> Result<Function, PciError> {
 ///
 /// # Errors
 /// As [`find`].
-pub fn find_in(sysfs: &Path, which: &PciId) -> Result<Function, PciError> {
+pub fn find_in(sysfs: &Path, which: &PciId) -> Result<PciFunction, PciError> {
     choose(functions_in(sysfs), which)
 }
 
-fn choose(all: Vec<Function>, which: &PciId) -> Result<Function, PciError> {
-    let is = |f: &Function| match which {
+fn choose(all: Vec<PciFunction>, which: &PciId) -> Result<PciFunction, PciError> {
+    let is = |f: &PciFunction| match which {
         PciId::Card(vendor, device) => f.id == (*vendor, *device),
         PciId::Address(address) => f.address == *address,
     };
@@ -150,7 +150,7 @@ fn choose(all: Vec<Function>, which: &PciId) -> Result<Function, PciError> {
     found.pop().ok_or_else(|| PciError::Absent(which.clone()))
 }
 
-impl Function {
+impl PciFunction {
     /// Reads one of the function's BARs.
     ///
     /// # Errors
@@ -180,7 +180,7 @@ impl Function {
         Ok(Bar { start: *start, size: end - start + 1, space, file })
     }
 
-    /// Enables the card and checks its BAR as [`Function::check`] does.
+    /// Enables the card and checks its BAR as [`PciFunction::check`] does.
     ///
     /// # Errors
     /// When it is not as wanted, or the system refuses.

@@ -123,7 +123,7 @@ pub struct PciBarSpec {
 
 /// A card's registers and lines, checked.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Profile {
+pub struct CardProfile {
     /// Name of the card.
     pub name: String,
     /// Document that describes the register map.
@@ -156,7 +156,7 @@ pub fn pci_id(text: &str) -> Option<(u16, u16)> {
     Some((word(vendor)?, word(device)?))
 }
 
-impl Profile {
+impl CardProfile {
     /// The profile of the shared-memory test card.
     /// 32 inputs `in0`… are at byte 0, 32 outputs `out0`… at byte 4.
     pub fn shared_memory() -> Self {
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn the_test_card_has_its_lines() {
-        let p = Profile::shared_memory();
+        let p = CardProfile::shared_memory();
         assert_eq!((p.size(), p.lines.len()), (8, 64));
         assert_eq!(p.lines["in3"], WordBit::Input(3));
         assert_eq!(p.lines["out31"], WordBit::Output(31));
@@ -219,7 +219,7 @@ mod tests {
             error: Some(flag(0x16)),
             clear: Some(order(0x18)),
         };
-        let mut p = Profile::shared_memory();
+        let mut p = CardProfile::shared_memory();
         p.setup = vec![RegisterPreset { order: order(0xa), after_reset: 0 }];
         assert_eq!(p.size(), 0xc);
         let least = Counter { latch: None, overflow: None, error: None, clear: None, ..counter };

@@ -2,7 +2,7 @@
 
 use crate::card::{Card, CardError, CardFault, CardFaultKind, Sample};
 use crate::clock::Clock;
-use crate::profile::{Counter, Flag, Profile, Register, RegisterPreset, RegisterWrite, Width};
+use crate::profile::{CardProfile, Counter, Flag, Register, RegisterPreset, RegisterWrite, Width};
 
 /// Access to registers.
 /// An implementation that cannot fail costs nothing.
@@ -140,7 +140,7 @@ impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
     ///
     /// # Errors
     /// When a register cannot be read, or is not what the profile states.
-    pub fn new(bus: B, profile: &Profile, clock: K) -> Result<Self, SetUpError> {
+    pub fn new(bus: B, profile: &CardProfile, clock: K) -> Result<Self, SetUpError> {
         for RegisterPreset {
             order: RegisterWrite { register: Register { offset, width }, value },
             after_reset,
@@ -336,7 +336,7 @@ mod tests {
             error: Some(Flag { register: at(20), bit: 2 * n + 1 }),
             clear: Some(RegisterWrite { register: at(20), value: 3 << (2 * n) }),
         };
-        let profile = Profile { counters: vec![counter(0), counter(1)], ..Profile::shared_memory() };
+        let profile = CardProfile { counters: vec![counter(0), counter(1)], ..CardProfile::shared_memory() };
         let card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
         (bench, card)
     }
@@ -418,7 +418,7 @@ mod tests {
     fn inputs_that_are_active_low_are_shown_as_what_they_mean() {
         let bench = Bench::default();
         bench.0.borrow_mut().0 = vec![0; 8];
-        let profile = Profile { input_invert: 0b1010, ..Profile::shared_memory() };
+        let profile = CardProfile { input_invert: 0b1010, ..CardProfile::shared_memory() };
         let mut card = RegisterCard::new(bench.clone(), &profile, Virtual::default()).unwrap();
         for (register, shown) in [(0, 0b1010), (0b1111, 0b0101), (0b0011, 0b1001)] {
             bench.set(0, register);
@@ -470,10 +470,10 @@ mod tests {
     fn every_write_changes_its_own_lines_and_no_others() {
         let output = |offset, width| Register { offset, width };
         let invert = 0b1010_0110_1100;
-        let profile = Profile {
+        let profile = CardProfile {
             outputs: vec![output(4, Width::Bits8), output(8, Width::Bits8)],
             output_invert: invert,
-            ..Profile::shared_memory()
+            ..CardProfile::shared_memory()
         };
         let bench = Bench::default();
         bench.0.borrow_mut().0 = vec![0; 8];
@@ -505,7 +505,7 @@ mod tests {
     fn setting_up_is_done_once_and_only_on_the_card_that_was_meant() {
         let order = RegisterWrite { register: Register { offset: 12, width: Width::Bits32 }, value: 0x92 };
         let setup = vec![RegisterPreset { order, after_reset: 0x9b }];
-        let profile = Profile { setup, ..Profile::shared_memory() };
+        let profile = CardProfile { setup, ..CardProfile::shared_memory() };
         let bench = Bench::default();
         bench.0.borrow_mut().0 = vec![0; 8];
         let open = || RegisterCard::new(bench.clone(), &profile, Virtual::default());

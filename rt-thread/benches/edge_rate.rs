@@ -12,7 +12,7 @@
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_driver::mapped::MappedCard;
-use rtec_driver::profile::Profile;
+use rtec_driver::profile::CardProfile;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
@@ -31,7 +31,7 @@ fn measure() -> Result<Vec<u32>, Box<dyn std::error::Error>> {
     }
     let file = tempfile::NamedTempFile::new_in("/dev/shm")?;
     file.as_file().set_len(4096)?;
-    let mut card = MappedCard::open(file.path(), &Profile::shared_memory(), Monotonic)?;
+    let mut card = MappedCard::open(file.path(), &CardProfile::shared_memory(), Monotonic)?;
     let mut gaps = Vec::with_capacity(40_000_000);
     let end_ns = Monotonic.now_ns() + 2_000_000_000;
     let mut last_ns = card.sample(0)?.t_ns;

@@ -197,7 +197,7 @@ extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _co
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::journal::{MachineRecord, StateRecord};
+    use crate::journal::{MachineStateRecord, StateRecord};
     use crate::link_messages::{Faults, HeldBy};
 
     type Deed<'a> = (StateFileLoss, Box<dyn Fn() + 'a>);
@@ -209,11 +209,12 @@ mod tests {
         let at = |name: &str| folder.path().join(name);
         let path = at("state");
         let axis = |completed| StateRecord { inverters: 0, completed, faults: Faults::NONE, mtc_known: true };
-        let held = MachineRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
+        let held =
+            MachineStateRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
         let open = || Journal::open(&path, "lost").unwrap();
         let (mut journal, _) = open();
         journal.record(0, axis(0), 1_000_000);
-        journal.record_machine(MachineRecord { held: None, hold_output: false, ..held }, 1_000_000);
+        journal.record_machine(MachineStateRecord { held: None, hold_output: false, ..held }, 1_000_000);
         journal.place().unwrap();
         let mut file = StateFileWatch::watch(&journal).unwrap();
         file.outlive_truncation().unwrap();

@@ -34,12 +34,12 @@ pub struct RunningThread<C> {
     pub timing: LoopHistograms,
     /// The report of the set-up; `None` where none was wanted.
     pub report: Option<SetupReport>,
-    thread: JoinHandle<ThreadEnd<C>>,
+    thread: JoinHandle<ThreadExit<C>>,
 }
 
 /// What the thread returns at its end.
 #[derive(Debug)]
-pub struct ThreadEnd<C> {
+pub struct ThreadExit<C> {
     /// The card, with its outputs unchanged.
     pub card: C,
     /// The last status.
@@ -93,7 +93,7 @@ impl<C> RunningThread<C> {
     ///
     /// # Panics
     /// When the real-time thread itself panicked.
-    pub fn stop(self) -> (ThreadEnd<C>, ControlEnd) {
+    pub fn stop(self) -> (ThreadExit<C>, ControlEnd) {
         self.control.stop();
         match self.thread.join() {
             Ok(ended) => (ended, self.control),
@@ -105,7 +105,7 @@ impl<C> RunningThread<C> {
 /// Runs the loop until it is asked to stop or the card fails.
 /// Nothing in it allocates, locks, logs or (on a card of mapped registers) calls the system. A panic in it latches a
 /// fault, and feed hold is written.
-pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> ThreadEnd<C> {
+pub fn run<C: Card>(engine: Engine, card: C, rt: RtEnd, stale_after_ns: u64) -> ThreadExit<C> {
     let mut turns = SteppedLoop::new(engine, card, rt, stale_after_ns);
     // After a panic the engine is only asked to latch a fault and to write the hold line.
     let ended = catch_unwind(AssertUnwindSafe(|| {
@@ -180,14 +180,14 @@ impl<C: Card> SteppedLoop<C> {
     }
 
     /// Publishes the last status and hands back the card.
-    pub fn end(mut self, error: Option<CardError>) -> ThreadEnd<C> {
+    pub fn end(mut self, error: Option<CardError>) -> ThreadExit<C> {
         let status = self.engine.status();
         self.rt.publish(status);
         self.rt.end();
-        ThreadEnd { card: self.card, status, error }
+        ThreadExit { card: self.card, status, error }
     }
 
-    fn end_after_panic(mut self) -> ThreadEnd<C> {
+    fn end_after_panic(mut self) -> ThreadExit<C> {
         let Self { engine, card, rt, .. } = &mut self;
         // The cause of the panic may break this too. The end is reported anyway.
         let _ = catch_unwind(AssertUnwindSafe(|| engine.panicked(card, &mut |e| rt.report(e))));

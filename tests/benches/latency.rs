@@ -5,7 +5,7 @@
 //! it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_platform::latency_test::{Backend, SelftestOptions, run};
+use rtec_platform::latency_test::{SelftestOptions, SimulatedBackend, run};
 use rtec_rt::histogram::{HistogramSnapshot, histogram};
 use rtec_rt::setup::{RtSettings, SystemRoot, apply};
 use std::process::Command;
@@ -16,7 +16,8 @@ fn main() -> anyhow::Result<()> {
     let cpu = SystemRoot::live().default_cpu();
     let priority = 80;
     let options = SelftestOptions { cpu, priority, run: Duration::from_secs(3 * seconds), seed: 1 };
-    let measured = run(options, Backend::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
+    let measured =
+        run(options, SimulatedBackend::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
     let separations_ns = measured.separations_ns();
     let (floor, windows) =

@@ -5,8 +5,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_files::{Sheet, csv};
-use rtec_part::batch::{Batch, SignificanceLimits, evaluate_text};
+use rtec_files::{CsvTable, csv};
+use rtec_part::batch::{BatchEvaluation, SignificanceLimits, evaluate_text};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -33,7 +33,7 @@ fuzz_target!(|data: &[u8]| {
         evaluated(&anew).unwrap_or_else(|finding| panic!("{finding}\n{anew}"))
     });
     assert_eq!(format!("{same:?}"), format!("{batch:?}"));
-    let means = |batch: &Batch, sign: f64| -> Vec<_> {
+    let means = |batch: &BatchEvaluation, sign: f64| -> Vec<_> {
         let of = |p: &rtec_part::batch::PlaceStatistics| {
             let of_sign = |[low, high]: [f64; 2]| if sign < 0.0 { [-high, -low] } else { [low, high] };
             let interval = p.interval_um.map(of_sign);
@@ -55,7 +55,7 @@ fuzz_target!(|data: &[u8]| {
 /// The same rows in another form, with all errors times `sign`.
 /// The columns have another order, there are comments and blanks, and errors replace nominal and measured values.
 fn written(text: &str, sign: f64) -> String {
-    let sheet = Sheet::parse(Path::new(rtec_fuzz::NAME), text, &[], |_| true).expect("it was read");
+    let sheet = CsvTable::parse(Path::new(rtec_fuzz::NAME), text, &[], |_| true).expect("it was read");
     let words = |name| sheet.words(name).expect("it was read");
     let numbers = |name| sheet.optional(name).expect("it was read");
     let errors = numbers("error_um").unwrap_or_else(|| {

@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_part::error_cor_file::{FeatureErrors, error_cor};
-use rtec_part::errors::ProbedPoints;
+use rtec_part::part_errors::ProbedPoints;
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {

@@ -7,7 +7,7 @@ use rtec_fuzz::checked;
 use rtec_measure::{export, import, iso230};
 use rtec_model::chain::Chain;
 use rtec_model::effect::Dictionary;
-use rtec_part::program::{Controller, Parameters};
+use rtec_part::probing_program::{DialectWithTemplate, Parameters};
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
@@ -24,7 +24,7 @@ fuzz_target!(|data: &[u8]| {
         "dialect" => {
             _ = checked({
                 let dialect = rtec_fuzz::put("d.toml", text.as_bytes());
-                Controller::read(&dialect, &dialect)
+                DialectWithTemplate::read(&dialect, &dialect)
             })
         }
         _ => {}

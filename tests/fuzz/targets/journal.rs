@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_rt::journal::{Journal, MachineRecord, StateRecord};
+use rtec_rt::journal::{Journal, MachineStateRecord, StateRecord};
 use rtec_rt::link_messages::{Faults, HeldBy, MAX_AXES};
 
 const OURS: &str = "machine \"fuzz\"";
@@ -28,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
         mtc_known: completed > 4,
     });
     noted.iter().for_each(|record| journal.record(2, *record, 1000));
-    let machine = MachineRecord { held: Some(HeldBy::User(1)), hold_output: true, faults: Faults::NONE };
+    let machine = MachineStateRecord { held: Some(HeldBy::User(1)), hold_output: true, faults: Faults::NONE };
     journal.record_machine(machine, 1000);
     journal.place().expect("it is there already");
     drop(journal);

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_part::path::{pathfin, read_expected, read_pathfin};
+use rtec_part::probe_path::{pathfin, read_expected, read_pathfin};
 use rtec_part::unit::Unit;
 
 fuzz_target!(|data: &[u8]| {

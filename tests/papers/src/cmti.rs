@@ -7,7 +7,7 @@ use crate::{PaperError, Progress};
 use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::ecc::{MAX_PULSES, Pll};
+use rtec_sim::ecc::{MAX_PULSES, PllLimits};
 use serde::Deserialize;
 
 /// The machine as its file describes it.
@@ -19,7 +19,7 @@ struct Circuit {
     fastest_m_min: f64,
     shown_pulses: u8,
     shown_encoder_hz: f64,
-    pll: Pll,
+    pll: PllLimits,
 }
 
 impl Circuit {

@@ -5,8 +5,8 @@
 use rtec_driver::card::{AxisLines, Card, CardError, Sample};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_sim::bench::Edge;
-use rtec_sim::ecc::{BeyondFourBits, ControlLines, Ecc, Pll};
-use rtec_sim::insertion::{CorrectedAxis, MtcDecoder};
+use rtec_sim::corrected_axis::{CorrectedAxis, MtcDecoder};
+use rtec_sim::ecc::{BeyondFourBits, ControlLines, Ecc, PllLimits};
 use rtec_sim::insertion_designs::trace;
 use std::fmt::Write as _;
 
@@ -122,7 +122,7 @@ const STEP_NS: u64 = 1000;
 /// # Errors
 /// An order of more than four bits; these wires never fail.
 pub fn run(
-    pll: Pll,
+    pll: PllLimits,
     edges: [&[Edge]; 2],
     orders: &[Order],
     (from_ns, idle_ns): (u64, u64),

@@ -6,11 +6,11 @@ use crate::{PaperError, Progress};
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose;
 use rtec_part::error_cor_file::PointError;
-use rtec_part::errors::{ErrorReport, MAGNIFICATION};
+use rtec_part::finish_table::ArcFinishTable;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{PathRole, ProbeGeometry, ProbingMotion, ProbingPlan};
-use rtec_part::program::{Controller, Parameters};
-use rtec_part::table::FinishTable;
+use rtec_part::part_errors::{MAGNIFICATION, PartErrorReport};
+use rtec_part::probe_path::{PathRole, ProbeGeometry, ProbingMotion, ProbingPlan};
+use rtec_part::probing_program::{DialectWithTemplate, Parameters};
 use rtec_sim::axis::AxisSpec;
 use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::lathe::{self, LatheSpec};
@@ -204,12 +204,12 @@ fn corrected(rows: &mut Rows, o: &TurningOutcome) {
     rows.given().number((place, what, "mm"), 0.254, gets, Within(0.005), "between the two fitted radii");
 }
 
-fn report_radius(report: &ErrorReport) -> f64 {
+fn report_radius(report: &PartErrorReport) -> f64 {
     report.radius_mm.unwrap_or(0.0)
 }
 
 /// Largest component of an error along Z or X.
-fn component(report: &ErrorReport) -> f64 {
+fn component(report: &PartErrorReport) -> f64 {
     let of = |e: &PointError| {
         let n = Zx::at_angle(e.angle_rad) * e.error_um;
         n.z.abs().max(n.x.abs())
@@ -224,9 +224,9 @@ fn rewritten(lathe: &Lathe, setup: &TurningExperiment) -> usize {
         error_um: 0.0,
         along_mm: None,
     });
-    let design = lathe::design(&lathe.design).unwrap_or(rtec_sim::insertion::GateDesign::C);
+    let design = lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateDesign::C);
     let table =
-        FinishTable::new(setup.cut(lathe.radius_mm), lathe::axes(&lathe.bench, design), round.collect());
+        ArcFinishTable::new(setup.cut(lathe.radius_mm), lathe::axes(&lathe.bench, design), round.collect());
     table.straight_moves(lathe.g01_um * 1e-3, 4).len().saturating_sub(1)
 }
 
@@ -271,13 +271,15 @@ pub fn size_and_form(
     let session = setup.probe(&part, &setup.plan(semi_mm), feed, setup.seed + 1)?;
     let semi = setup.errors(&session, semi_mm)?;
     let size_um = semi.size_error_um.unwrap_or(0.0);
-    let axes =
-        lathe::axes(&lathe.bench, lathe::design(&lathe.design).unwrap_or(rtec_sim::insertion::GateDesign::C));
+    let axes = lathe::axes(
+        &lathe.bench,
+        lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateDesign::C),
+    );
     let table = |with_um: f64| {
         let sized = semi.errors.iter().map(|e| PointError { error_um: e.error_um + with_um, ..*e });
-        FinishTable::new(setup.cut(lathe.radius_mm), axes, sized.collect())
+        ArcFinishTable::new(setup.cut(lathe.radius_mm), axes, sized.collect())
     };
-    let finish = |offset_um: f64, table: Option<&FinishTable>| -> Result<[f64; 2], PaperError> {
+    let finish = |offset_um: f64, table: Option<&ArcFinishTable>| -> Result<[f64; 2], PaperError> {
         let mut part = part.clone();
         setup.turn(&mut part, lathe.radius_mm + off_mm - offset_um * 1e-3, table, setup.seed + 2)?;
         let session = setup.probe(&part, &setup.plan(lathe.radius_mm), feed, setup.seed + 3)?;
@@ -340,7 +342,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
     let what = "longest line of general comments";
     let gets = longest.unwrap_or(0) as f64;
     rows.given().number(("Operating Procedure", what, "characters"), 66.0, gets, Within(0.0), "");
-    let controller = Controller::built_in("report").transpose()?;
+    let controller = DialectWithTemplate::built_in("report").transpose()?;
     let template = controller.map(|c| c.template).unwrap_or_default();
     let says = ["N0010", "N0150", "T00", "G92 X", "M14", "M02", "(END, PROG)"];
     let there = says.iter().filter(|w| template.contains(**w)).count();

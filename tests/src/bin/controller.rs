@@ -9,9 +9,9 @@
 use anyhow::{Context, ensure};
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{ProbeGeometry, ProbingMotion, ProbingPlan};
-use rtec_part::probe::assign;
-use rtec_part::program::{Controller, Parameters, ProbingProgram};
+use rtec_part::probe_path::{ProbeGeometry, ProbingMotion, ProbingPlan};
+use rtec_part::probing_program::{DialectWithTemplate, Parameters, ProbingProgramInputs};
+use rtec_part::trip_check::assign;
 use rtec_part::unit::Unit;
 use rtec_sim::lathe_program::captured;
 use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
@@ -154,8 +154,8 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
             .set(name, value)
             .map_err(|(found, expected)| anyhow::anyhow!("{found}, expected {expected}"))?;
     }
-    let controller = Controller::built_in("linuxcnc").context("no dialect linuxcnc")??;
-    let program = ProbingProgram {
+    let controller = DialectWithTemplate::built_in("linuxcnc").context("no dialect linuxcnc")??;
+    let program = ProbingProgramInputs {
         controller: &controller,
         parameters: &parameters,
         records: &plan.records(),

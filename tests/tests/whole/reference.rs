@@ -93,9 +93,9 @@ fn keys_of_the_files_stand_on_their_pages() {
         &quantities.split("(\"").skip(1).map(|q| q.split('"').next().unwrap()).collect::<Vec<_>>(),
         13,
     );
-    all_stand("part-files.md", &fields(&source("tools/part/src/program.rs"), "Dialect"), 13);
+    all_stand("part-files.md", &fields(&source("tools/part/src/probing_program.rs"), "Dialect"), 13);
     all_stand("part-files.md", &fields(&source("tools/sim/src/lathe.rs"), "LatheSpec"), 13);
-    all_stand("part-files.md", &rtec_part::program::PARAMETERS.map(|p| p.name), 22);
+    all_stand("part-files.md", &rtec_part::probing_program::PARAMETERS.map(|p| p.name), 22);
 }
 
 #[test]
@@ -278,7 +278,7 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
         "tools/correct/src/corrector.rs",
         "tools/correct/src/part_table.rs",
         "tools/sensors/src/sensor_monitor.rs",
-        "tools/correct/src/source.rs",
+        "tools/correct/src/model_source.rs",
         "tools/correct/src/total.rs",
         "tools/model/src/machine/check.rs",
     ]));

@@ -7,7 +7,7 @@ use rtec_driver::gpio::{GpioCard, GpioError, GpioSetup};
 use rtec_driver::mapped::{MapError, MappedCard, Registers};
 use rtec_driver::pci::{self, PciError};
 use rtec_driver::port::{Parport, PortError, Ports};
-use rtec_driver::profile::{AddressSpace, Profile};
+use rtec_driver::profile::{AddressSpace, CardProfile};
 use rtec_driver::register_card::{RegisterAccess, RegisterCard, SetUpError};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ pub fn with<W: CardOperation>(
 
 fn on_registers<B: RegisterAccess + Send + 'static, W: CardOperation>(
     bus: B,
-    profile: &Profile,
+    profile: &CardProfile,
     access: CardAccess,
     what: W,
 ) -> Result<W::Output, OpenError> {
@@ -132,7 +132,7 @@ pub enum LocatedRegisters {
 /// When the PCI card is not as it should be.
 pub fn find(
     place: &RegisterPlace,
-    profile: &Profile,
+    profile: &CardProfile,
     access: CardAccess,
 ) -> Result<LocatedRegisters, OpenError> {
     Ok(match place {
@@ -155,7 +155,7 @@ pub fn find(
     })
 }
 
-pub(crate) fn open_map(file: &Path, map: u8, profile: &Profile) -> Result<Registers, OpenError> {
+pub(crate) fn open_map(file: &Path, map: u8, profile: &CardProfile) -> Result<Registers, OpenError> {
     Ok(Registers::open_map(file, map, profile.size(), &profile.name)?)
 }
 
@@ -163,7 +163,7 @@ pub(crate) fn open_map(file: &Path, map: u8, profile: &Profile) -> Result<Regist
 ///
 /// # Errors
 /// As [`MappedCard::open_map`].
-pub fn mapped(file: &Path, map: u8, profile: &Profile) -> Result<MappedCard<Monotonic>, OpenError> {
+pub fn mapped(file: &Path, map: u8, profile: &CardProfile) -> Result<MappedCard<Monotonic>, OpenError> {
     Ok(MappedCard::open_map(file, map, profile, Monotonic)?)
 }
 
@@ -171,7 +171,7 @@ pub fn mapped(file: &Path, map: u8, profile: &Profile) -> Result<MappedCard<Mono
 ///
 /// # Errors
 /// When it cannot be claimed, or is not as the profile says.
-pub fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, Monotonic>, OpenError> {
+pub fn parport(file: &Path, profile: &CardProfile) -> Result<RegisterCard<Parport, Monotonic>, OpenError> {
     Ok(RegisterCard::new(Parport::open(file)?, profile, Monotonic)?)
 }
 
@@ -179,6 +179,6 @@ pub fn parport(file: &Path, profile: &Profile) -> Result<RegisterCard<Parport, M
 ///
 /// # Errors
 /// When the kernel refuses them, or the card is not as the profile says.
-pub fn ports(base: u16, profile: &Profile) -> Result<RegisterCard<Ports, Monotonic>, OpenError> {
+pub fn ports(base: u16, profile: &CardProfile) -> Result<RegisterCard<Ports, Monotonic>, OpenError> {
     Ok(RegisterCard::new(Ports::open(base, profile.size())?, profile, Monotonic)?)
 }

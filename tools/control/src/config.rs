@@ -11,18 +11,18 @@ mod card;
 mod control;
 mod keys;
 mod latency;
-mod reference_checks;
+mod named_resource_checks;
 
 pub use control::{ConfiguredSocket, ControlConfig, LONGEST_SOCKET, RoleSocket, default_directory, derived};
 pub use keys::reference;
 pub use latency::{LatencyTestConditions, floors_ns};
 
-use card::Kind;
+use card::CardBackend;
 use rtec_driver::card::MachineLines;
 use rtec_driver::gpio::GpioSetup;
 use rtec_driver::pci::PciId;
-use rtec_driver::profile::{AddressSpace, Profile};
-use rtec_files::keys::{LocatedValue, Section, SourceFile};
+use rtec_driver::profile::{AddressSpace, CardProfile};
+use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
 use rtec_files::toml::Document;
 use rtec_files::{InputError, nearest};
 use rtec_model::file_kind::FileKind;
@@ -70,7 +70,7 @@ pub enum CardConfig {
         /// Location of the registers.
         place: RegisterPlace,
         /// Meaning of each register and bit.
-        profile: Profile,
+        profile: CardProfile,
     },
     /// Recorded traces in real time, one per axis.
     Replay {
@@ -280,7 +280,7 @@ impl Config {
             return Err(ConfigFindings(vec![finding], Vec::new()));
         }
         let (document, findings) = Document::parse_all(file, text);
-        let mut source = SourceFile { file, text, findings: first_causes(text, findings) };
+        let mut source = FileWithFindings { file, text, findings: first_causes(text, findings) };
         let config = if source.findings.is_empty() { read(&mut source, &document, here) } else { None };
         source.findings.sort_by_key(|f| (f.line, f.column));
         match config {
@@ -378,7 +378,7 @@ fn text_of(file: &Path) -> Result<String, ConfigFindings> {
 
 /// Reads the whole file.
 /// Findings go to `source`; `None` if reading cannot continue.
-fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Option<Config> {
+fn read(source: &mut FileWithFindings<'_>, document: &Document<'_>, here: bool) -> Option<Config> {
     let mut root = Section::root(document);
     let mut notes = Vec::new();
 
@@ -446,10 +446,10 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
     root.finish(source);
 
     let kind = match card.kind? {
-        Kind::Mock => CardConfig::Mock,
-        Kind::Gpio => CardConfig::Gpio(card.gpio.setup),
-        Kind::Registers(_) => CardConfig::Registers { place: card.place?, profile: card.profile? },
-        Kind::Replay => CardConfig::Replay { traces },
+        CardBackend::Mock => CardConfig::Mock,
+        CardBackend::Gpio => CardConfig::Gpio(card.gpio.setup),
+        CardBackend::Registers(_) => CardConfig::Registers { place: card.place?, profile: card.profile? },
+        CardBackend::Replay => CardConfig::Replay { traces },
     };
     latency::check_floors(source, &kind, detect_ns, write_ns);
     if kind.may_drive_a_machine() {
@@ -477,12 +477,12 @@ fn read(source: &mut SourceFile<'_>, document: &Document<'_>, here: bool) -> Opt
         notes,
     };
     if here {
-        reference_checks::look(source, document, &mut config);
+        named_resource_checks::look(source, document, &mut config);
     }
     Some(config)
 }
 
-fn read_model(source: &mut SourceFile<'_>, root: &mut Section<'_>) -> ModelConfig {
+fn read_model(source: &mut FileWithFindings<'_>, root: &mut Section<'_>) -> ModelConfig {
     let mut table = root.table(source, "model", "[model]").with(keys::MODEL);
     let file = table.text(source, "file").map(|at| beside(source.file, at.value));
     let model = ModelConfig {

@@ -102,7 +102,7 @@ impl LedgerExportSummary {
         request: &mut dyn FnMut(u64, i64),
     ) -> io::Result<()> {
         let Some(first) = kept.rows.first() else { return Ok(()) };
-        let mut at = Stretch { t_ns: Self::start_ns(first), counts: first.position_counts };
+        let mut at = ReconstructedAxis { t_ns: Self::start_ns(first), counts: first.position_counts };
         // The total before the first row is requested at once, with edges to insert it at.
         self.ask(at.t_ns, 0, first.completed, request);
         at.go(first.t_ns, first.position_counts, lead_edges(first), &mut |_, t, p| edge(t, p))?;
@@ -193,12 +193,12 @@ fn lead_edges(first: &LedgerRow) -> u64 {
 }
 
 /// The reconstructed axis: time and position.
-struct Stretch {
+struct ReconstructedAxis {
     t_ns: u64,
     counts: i64,
 }
 
-impl Stretch {
+impl ReconstructedAxis {
     /// Moves evenly to a position, with an overshoot if too few edges lie on the way.
     fn go(
         &mut self,

@@ -1,7 +1,7 @@
 //! Names of card lines in a configuration.
 
 use rtec_driver::gpio::{Bias, Drive, GpioLine, LineId};
-use rtec_files::keys::{LocatedValue, Section, SourceFile};
+use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
 use rtec_files::toml::Entry;
 
 /// Name of a line in a configuration.
@@ -23,7 +23,7 @@ pub(crate) const DRIVES: [(&str, Drive); 3] =
 /// Reads a line given by name or bit.
 pub(crate) fn line<'a>(
     section: &mut Section<'a>,
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     key: &'static str,
 ) -> Option<LocatedValue<LineName<'a>>> {
     section.value(source, key, "the name of a line of the card's profile, or its bit from 0 to 63", |v| {
@@ -36,7 +36,7 @@ pub(crate) fn line<'a>(
 /// Keys that the table omits are taken from `card`.
 pub(crate) fn gpio_line(
     section: &mut Section<'_>,
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     key: &'static str,
     card: &GpioLine,
 ) -> Option<LocatedValue<GpioLine>> {

@@ -5,7 +5,7 @@ use crate::config::{CardConfig, Config};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::gpio::{self, GpioSetup};
 use rtec_driver::port::{Parport, Ports};
-use rtec_driver::profile::{Profile, Register};
+use rtec_driver::profile::{CardProfile, Register};
 use rtec_driver::register_card::RegisterAccess;
 use serde::Serialize;
 use std::time::Duration;
@@ -121,7 +121,7 @@ pub fn read(config: &Config) -> Result<CardReading, OpenError> {
 fn read_registers(
     config: &Config,
     bus: &impl RegisterAccess,
-    profile: &Profile,
+    profile: &CardProfile,
 ) -> Result<CardReading, OpenError> {
     let mut registers = Vec::new();
     let mut read = |r: Register, purpose, means: &dyn Fn(u32) -> String| -> Result<u32, CardError> {

@@ -5,7 +5,7 @@
 //! rule thus needs no text. The two formats differ in the names of counters' families, in the type `info` and
 //! in the last line.
 
-use crate::protocol::{AxisReport, DaemonSnapshot, DaemonStatus, LogState, RtStatus, word};
+use crate::protocol::{AuditState, AxisReport, DaemonSnapshot, DaemonStatus, RtStatus, word};
 use rtec_rt::link_messages::Fault;
 use std::fmt::Write as _;
 
@@ -165,7 +165,7 @@ fn times(out: &mut Out, seen: &DaemonSnapshot) {
 }
 
 /// Metrics of the record of commands.
-fn record(out: &mut Out, log: &LogState) {
+fn record(out: &mut Out, log: &AuditState) {
     let lost = [(vec![], log.lost as f64)];
     out.family("counter", "rtec_commands_not_recorded_total", "Commands that could not be recorded", lost);
     let trouble = [(vec![], flag(log.trouble.is_some()))];

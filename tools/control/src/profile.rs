@@ -30,7 +30,7 @@
 //! ```
 
 use rtec_driver::profile::{
-    AddressSpace, Counter, Flag, PciBarSpec, Profile, Register, RegisterPreset, RegisterWrite, Width,
+    AddressSpace, CardProfile, Counter, Flag, PciBarSpec, Register, RegisterPreset, RegisterWrite, Width,
     WordBit, pci_id,
 };
 use rtec_files::file_kind::FileKind;
@@ -48,7 +48,7 @@ pub const SHIPPED: [(&str, &str); 5] = [
 ];
 
 /// A profile that comes with the program.
-pub fn shipped(name: &str) -> Option<Profile> {
+pub fn shipped(name: &str) -> Option<CardProfile> {
     let (file, text) = SHIPPED.iter().find(|(shipped, _)| *shipped == name)?;
     match parse(Path::new(file), text) {
         Ok(profile) => Some(profile),
@@ -68,7 +68,7 @@ pub fn names_for(named: &str) -> String {
 ///
 /// # Errors
 /// The first finding, with its line.
-pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
+pub fn parse(file: &Path, text: &str) -> Result<CardProfile, InputError> {
     let mistaken = |e: InputError| FileKind::Profile.finding(file, text, e);
     let document = Document::parse(file, text).map_err(mistaken)?;
     let root = document.root();
@@ -81,7 +81,7 @@ pub fn parse(file: &Path, text: &str) -> Result<Profile, InputError> {
     let tables = |key| root.get(key).map(|e| e.tables(&format!("[[{key}]] tables"))).transpose();
     let setup = tables("setup")?.unwrap_or_default();
     let counters = tables("counter")?.unwrap_or_default();
-    let mut profile = Profile {
+    let mut profile = CardProfile {
         name,
         source: source.unwrap_or_default().to_owned(),
         inputs,
@@ -229,13 +229,13 @@ fn line(entry: Entry<'_>, input_bits: u32, output_bits: u32) -> Result<(WordBit,
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Profile, InputError> {
+    fn parse(text: &str) -> Result<CardProfile, InputError> {
         super::parse(Path::new("card.toml"), text)
     }
 
     #[test]
     fn the_test_cards_file_says_what_the_driver_says() {
-        assert_eq!(shipped("shared-memory").unwrap(), Profile::shared_memory());
+        assert_eq!(shipped("shared-memory").unwrap(), CardProfile::shared_memory());
     }
 
     #[test]

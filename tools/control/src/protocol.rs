@@ -292,7 +292,7 @@ pub struct DaemonSnapshot {
     /// Distributions of times.
     pub histograms: Histograms,
     /// The record of commands.
-    pub log: LogState,
+    pub log: AuditState,
     /// Connections, by role.
     pub clients: Vec<ConnectedClients>,
 }
@@ -326,7 +326,7 @@ pub struct Histograms {
 
 /// State of the record of commands.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LogState {
+pub struct AuditState {
     /// Its file.
     pub file: String,
     /// Number of its last line; 0 before the first.
@@ -340,7 +340,7 @@ pub struct LogState {
     pub trouble: Option<String>,
 }
 
-impl LogState {
+impl AuditState {
     /// What prevents recording now, in words.
     pub fn in_words(&self) -> Option<String> {
         let why = self.trouble.as_ref()?;

@@ -4,7 +4,7 @@ use crate::config::{CardConfig, Config};
 use rtec_files::InputError;
 use rtec_files::toml::Document;
 use rtec_model::machine::Machine;
-use rtec_sensors::{SensorSource, log};
+use rtec_sensors::{SensorSource, temperature_log};
 use std::path::{Path, PathBuf};
 
 /// A file that belongs to a machine.
@@ -67,7 +67,7 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<SetupFile>, InputError> {
 /// The first is the state itself: counts in effect, faults, hold.
 pub fn state(config: &Config) -> Vec<(&'static str, PathBuf)> {
     let state = config.control.state_path();
-    let [now, old] = log::NAMES;
+    let [now, old] = temperature_log::NAMES;
     let beside = ["model.taken", "model.unloaded", "model.kept", now, old]
         .map(|name| ("loaded", state.with_file_name(name)));
     [("state", state.clone())].into_iter().chain(beside).collect()

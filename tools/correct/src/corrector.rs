@@ -5,13 +5,13 @@ use crate::AxisSetup;
 use crate::explain::{
     AxisExplanation, AxisTotalChange, Contribution, ModelPreview, RunningModel, SensorReading,
 };
+use crate::model_source::{ModelSource, acts};
 use crate::motion::Motion;
 use crate::part_table::{LoadedPartTable, NEAR_MM, PartTable, PartTableState};
-use crate::source::{ModelSource, acts};
 use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_model::effect::Difference;
+use rtec_model::effect::TemperatureDifference;
 use rtec_model::live::AxisMotionState;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Axis;
@@ -532,7 +532,7 @@ impl Corrector {
             let Some(um) = own.and_then(|k| p.value.get(k)).filter(|_| acts(p.effect, own)) else {
                 continue;
             };
-            let read = p.effect.delta.iter().flat_map(Difference::sensors);
+            let read = p.effect.delta.iter().flat_map(TemperatureDifference::sensors);
             let find = |name: &str| self.seen.watches.iter().find(|w| w.config().name == name);
             parts.push(Contribution {
                 sensors: read.filter_map(find).map(|w| SensorReading::of(w, self.seen.sensed_s)).collect(),

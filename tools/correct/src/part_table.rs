@@ -3,9 +3,9 @@
 
 use crate::AxisSetup;
 use rtec_part::error_cor_file::FeatureErrors;
+use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::straight_table::StraightTable;
-use rtec_part::table::{AxisCounts, FinishArc, FinishTable};
+use rtec_part::straight_table::StraightFinishTable;
 use serde::{Deserialize, Serialize};
 
 /// Distances from a feature, mm, for a part table's full effect and for its end.
@@ -63,16 +63,16 @@ pub struct PartTableState {
 }
 
 #[derive(Debug)]
-enum Table {
-    Arc(FinishTable),
-    Line(StraightTable),
+enum FeatureTable {
+    Arc(ArcFinishTable),
+    Line(StraightFinishTable),
 }
 
 /// The loaded part table.
 #[derive(Debug)]
 pub(crate) struct LoadedPartTable {
     pub(crate) shown: PartTable,
-    table: Table,
+    table: FeatureTable,
     /// The table's two axes (Z and X of the part) as indices of the corrector's axes.
     pub(crate) axes: [usize; 2],
 }
@@ -120,7 +120,7 @@ impl LoadedPartTable {
                                 errors bring their places"
                         .to_owned());
                 }
-                Table::Line(StraightTable { errors, axes: counts, nose_mm, origin })
+                FeatureTable::Line(StraightFinishTable { errors, axes: counts, nose_mm, origin })
             }
             FeatureErrors::Arc(errors) => {
                 let arc = shown.centre_mm.zip(shown.radius_mm);
@@ -137,7 +137,7 @@ impl LoadedPartTable {
                 }
                 let nose_mm = if shown.hollow { -nose_mm } else { nose_mm };
                 let cut = FinishArc { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
-                Table::Arc(FinishTable::new(cut, counts, errors))
+                FeatureTable::Arc(ArcFinishTable::new(cut, counts, errors))
             }
         };
         Ok(Self { shown, table, axes })
@@ -150,8 +150,8 @@ impl LoadedPartTable {
         let [near, far] = NEAR_MM;
         let share = ((far - off_mm) / (far - near)).clamp(0.0, 1.0);
         let um = match &self.table {
-            Table::Arc(table) => table.components_um(place, velocity_mm_s, lead_s),
-            Table::Line(table) => table.components_um(place, velocity_mm_s, lead_s),
+            FeatureTable::Arc(table) => table.components_um(place, velocity_mm_s, lead_s),
+            FeatureTable::Line(table) => table.components_um(place, velocity_mm_s, lead_s),
         };
         um * share
     }
@@ -159,19 +159,19 @@ impl LoadedPartTable {
     /// Distance of a machine position from the path of the tool's nose, mm.
     pub(crate) fn off_mm(&self, place: Zx) -> f64 {
         match &self.table {
-            Table::Arc(table) => {
+            FeatureTable::Arc(table) => {
                 let cut = &table.cut;
                 ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
             }
-            Table::Line(table) => table.off_mm(place),
+            FeatureTable::Line(table) => table.off_mm(place),
         }
     }
 
     /// Number of probed points that the table was made from.
     pub(crate) fn points(&self) -> usize {
         match &self.table {
-            Table::Arc(table) => table.points(),
-            Table::Line(table) => table.errors.len(),
+            FeatureTable::Arc(table) => table.points(),
+            FeatureTable::Line(table) => table.errors.len(),
         }
     }
 }

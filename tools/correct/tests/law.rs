@@ -12,7 +12,7 @@ mod sensors;
 use bench::{Bench, GROWTH, LAG, SCALE, TICK_S, machine, part, part_errors, sensor};
 use rtec_correct::part_table::PartTable;
 use rtec_model::record::{Axis, Role};
-use rtec_part::error_cor_file::{FeatureErrors, LineError};
+use rtec_part::error_cor_file::{FeatureErrors, StraightPointError};
 use rtec_part::geometric_fit::Zx;
 use rtec_rt::link_messages::{AxisStatus, Fault, MAX_AXES, Mode, Status};
 

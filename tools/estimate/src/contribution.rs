@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 /// A shape that is in no dictionary.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Shape {
+pub struct UnnamedShape {
     /// The response in which it is seen.
     pub response: String,
     /// The variables it depends on: roles, as in `where`.
@@ -20,7 +20,7 @@ pub struct Shape {
     pub manner: String,
 }
 
-impl Shape {
+impl UnnamedShape {
     /// Its variables and its manner.
     #[must_use]
     pub fn label(&self) -> String {
@@ -66,7 +66,7 @@ pub enum Contribution {
         directions: Arc<Vec<Vec<f64>>>,
     },
     /// A shape without a name: its columns at one standard deviation.
-    Shape(Arc<(Shape, Vec<Vec<f64>>)>),
+    Shape(Arc<(UnnamedShape, Vec<Vec<f64>>)>),
 }
 
 impl Contribution {

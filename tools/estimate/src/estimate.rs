@@ -3,10 +3,10 @@
 mod candidates;
 mod final_fit;
 
-use crate::contribution::Shape;
+use crate::contribution::UnnamedShape;
 use crate::hypothesis_family::HypothesisFamilies;
 use crate::priors::{KNOWN_SHARE, MOST_PHI};
-use crate::problem::{EstimationProblem, Units, in_step};
+use crate::problem::{EstimationProblem, UnitAssumption, in_step};
 use crate::rows::{Noise, Rows};
 use crate::search::{HypothesisSearch, HypothesisSet, Member, fit, known_again};
 use crate::search_limits::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
@@ -15,7 +15,7 @@ use crate::wander::{self, Wander, wanders};
 use candidates::place;
 use final_fit::FinalFit;
 use rtec_least_squares::dot;
-use rtec_model::effect::{Dictionary, Difference, Effect};
+use rtec_model::effect::{Dictionary, Effect, TemperatureDifference};
 use rtec_model::record::{Record, Role};
 
 /// An alternative explanation of the same errors.
@@ -24,7 +24,7 @@ pub struct Rival {
     /// Name of the effect.
     pub name: String,
     /// Its temperature difference, if it has one.
-    pub sensor: Option<Difference>,
+    pub sensor: Option<TemperatureDifference>,
     /// If the name is the same, the parameter that differs, in its own unit.
     pub differs: Option<(String, f64)>,
     /// Log odds of the accepted explanation against this one.
@@ -47,7 +47,7 @@ pub struct EstimatedMember {
     /// The effect with its values; none for a shape.
     pub effect: Option<Effect>,
     /// The shape; none for an effect.
-    pub shape: Option<Shape>,
+    pub shape: Option<UnnamedShape>,
     /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
     /// Half widths of its 95 % intervals, value by value.
@@ -92,7 +92,7 @@ pub struct SetUpEstimate {
     /// The response.
     pub response: String,
     /// Kind of the term.
-    pub what: setup::SetUpKind,
+    pub what: setup::SetUpTermKind,
     /// Its value, in its unit.
     pub value: f64,
     /// Half width of its 95 % interval.
@@ -185,7 +185,7 @@ pub fn score(
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],
     start: &[Member],
-    units: Units,
+    units: UnitAssumption,
     enough: f64,
 ) -> f64 {
     let rows = Rows::new(records);
@@ -383,7 +383,7 @@ fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) 
 impl EstimatedMember {
     /// A walk without a name.
     fn wander(rows: &Rows<'_>, w: &Wander) -> Self {
-        let shape = Shape {
+        let shape = UnnamedShape {
             response: rows.responses[w.response].to_string(),
             against: vec!["time".to_owned()],
             manner: format!("wanders, over some {:.0} rows", w.rows),
@@ -429,7 +429,8 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
     left
 }
 
-/// Log evidence of one record if it is of another machine, which has the model's effects in any sizes.
+/// Log evidence of one record if it is of another machine.
+/// That machine has the model's effects in any sizes.
 #[must_use]
 pub fn of_other_machine(record: &Record, model: &[Effect]) -> f64 {
     let rows = Rows::new(std::slice::from_ref(record));
@@ -439,7 +440,7 @@ pub fn of_other_machine(record: &Record, model: &[Effect]) -> f64 {
     without_hypotheses(problem).0
 }
 
-/// Log evidence of a problem of one record without hypotheses, with the noise that is left.
+/// Log evidence of one record without hypotheses, with the noise that is left.
 fn without_hypotheses(mut problem: EstimationProblem<'_>) -> (f64, Noise) {
     // Relative to other records the plate may be rotated.
     problem.terms.extend(setup::turns(problem.rows));
@@ -462,7 +463,7 @@ pub fn alone(
     record: &Record,
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],
-    units: Units,
+    units: UnitAssumption,
 ) -> (f64, Vec<(Role, f64)>) {
     let rows = Rows::new(std::slice::from_ref(record));
     let problem = EstimationProblem::new(&rows, model, intervals).in_units(units);

@@ -2,17 +2,17 @@
 //! Each is a family of hypotheses over its non-linear parameters. Effects that the rows cannot show are left
 //! out.
 
-use crate::contribution::{Contribution, Shape, sizes};
+use crate::contribution::{Contribution, UnnamedShape, sizes};
+use crate::gaussian_process::{Kernel, directions, knots, shares};
 use crate::hypothesis_columns::HypothesisColumns;
 use crate::priors::{IMPLAUSIBLE, JUMP_UM_PROBABILITY, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, Segment, is_placed};
 use crate::setup;
 use crate::shapes::shapes;
-use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::WaveVariable;
 use rtec_model::effect::{
-    Dictionary, Difference, Effect, GridHypothesis, ParameterSearch, Quantity, Refine, RequiredInput,
-    ThermalDependence,
+    Dictionary, Effect, GridHypothesis, ParameterSearch, Quantity, Refine, RequiredInput,
+    TemperatureDifference, ThermalDependence,
 };
 use rtec_model::record::{Axis, Record, Role};
 use std::sync::Arc;
@@ -25,7 +25,7 @@ pub struct HypothesisFamily {
     /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
     /// The shape; `None` for an effect.
-    pub shape: Option<Shape>,
+    pub shape: Option<UnnamedShape>,
     /// It belongs to the instrument, so it is never reported as missing.
     pub set_up: bool,
     /// Log prior of the name.
@@ -64,7 +64,7 @@ pub enum Scan {
 }
 
 impl HypothesisFamily {
-    fn unnamed(shape: Shape, scan: Scan) -> Self {
+    fn unnamed(shape: UnnamedShape, scan: Scan) -> Self {
         Self { effect: None, replaces: None, shape: Some(shape), set_up: false, prior: 0.0, scan }
     }
 
@@ -143,8 +143,11 @@ impl HypothesisFamilies {
         for t in setup::jumps(rows) {
             let segment = rows.segments.iter().find(|s| t.column[s.rows.end - 1] != 0.0);
             let response = segment.map_or(String::new(), |s| rows.responses[s.response].to_string());
-            let shape =
-                Shape { response, against: vec!["time".to_owned()], manner: "a jump at a pause".to_owned() };
+            let shape = UnnamedShape {
+                response,
+                against: vec!["time".to_owned()],
+                manner: "a jump at a pause".to_owned(),
+            };
             let columns = vec![t.column.iter().map(|x| x * JUMP_UM_PROBABILITY.0).collect::<Vec<f64>>()];
             let cause = Contribution::Shape(Arc::new((shape.clone(), columns.clone())));
             let scan = Scan::Grid(vec![(all.bank.push(columns), 0.0, cause)]);
@@ -263,7 +266,7 @@ impl HypothesisFamilies {
                 let mut columns = Vec::new();
                 for s in &sensors {
                     let mut e = effect.clone();
-                    e.delta = Some(Difference::single(s));
+                    e.delta = Some(TemperatureDifference::single(s));
                     let mut c = rows.basis(&e).swap_remove(0);
                     let size = sizes(&e)[0];
                     for x in &mut c {
@@ -372,7 +375,8 @@ impl HypothesisFamilies {
         }
         let Some(along) = WaveVariable::new(along, [0.0, fastest]) else { return };
         let response = rows.responses[response].to_string();
-        let shape = Shape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
+        let shape =
+            UnnamedShape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
         self.list.push(HypothesisFamily::unnamed(shape, Scan::Wave { along, unit: 1.0 }));
     }
 

@@ -11,7 +11,7 @@
 //! | [`setup`] | set-up terms, in one list |
 //! | [`shapes`] | shapes without a name, in one list |
 //! | `contribution`, `hypothesis_family` | contribution of a hypothesis to the rows; all hypotheses |
-//! | `smooth`, `wave` | smooth functions as columns; frequencies that rows show |
+//! | `gaussian_process`, `wave` | smooth functions as columns; frequencies that rows show |
 //! | `wander` | walks that last longer than the noise's correlation |
 //! | `hypothesis_columns` | a quick look at many columns |
 //! | `problem` | the measurement model without hypotheses; the noise |
@@ -21,6 +21,7 @@
 
 pub mod contribution;
 pub mod estimate;
+pub mod gaussian_process;
 pub mod hypothesis_columns;
 pub mod hypothesis_family;
 pub mod priors;
@@ -31,11 +32,10 @@ pub mod search;
 pub mod search_limits;
 pub mod setup;
 pub mod shapes;
-pub mod smooth;
 pub mod wander;
 pub mod wave;
 
-pub use contribution::Shape;
+pub use contribution::UnnamedShape;
 pub use estimate::{
     Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, alone, estimate,
     of_other_machine, score, unexplained,

@@ -12,7 +12,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// A direction in which a known effect may deviate a little.
 #[derive(Debug, Clone)]
-pub struct Known {
+pub struct KnownEffectDeviation {
     /// Index of the effect in the model.
     pub effect: usize,
     /// Indices of the values that move, each with its change at one standard deviation.
@@ -24,7 +24,7 @@ pub struct Known {
 /// Deviations of the model's known effects.
 /// Amplitudes, phases and time constants are known to some per cent, periods as given.
 #[must_use]
-pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Vec<Known> {
+pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Vec<KnownEffectDeviation> {
     let mut out = Vec::new();
     for (e, effect) in model.iter().enumerate() {
         let law = effect.description();
@@ -36,7 +36,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
             for x in &mut column {
                 *x *= KNOWN_SHARE;
             }
-            out.push(Known { effect: e, along, column });
+            out.push(KnownEffectDeviation { effect: e, along, column });
             continue;
         }
         let slopes = rows.slopes(effect);
@@ -52,7 +52,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
                 let sd = stated.map_or(share, |half| half / rtec_model::machine::NORMAL_95);
                 if sd > 0.0 {
                     let column = slope.iter().map(|x| x * sd).collect();
-                    out.push(Known { effect: e, along: vec![(v, sd)], column });
+                    out.push(KnownEffectDeviation { effect: e, along: vec![(v, sd)], column });
                 }
             }
         }
@@ -63,7 +63,7 @@ pub fn known(rows: &Rows<'_>, model: &[Effect], intervals: &[Vec<Option<f64>>]) 
             let mut column = vec![0.0; rows.n];
             add(&mut column, sd, &slopes[0]);
             add(&mut column, turned, &slopes[phase]);
-            out.push(Known { effect: e, along: vec![(0, sd), (phase, turned)], column });
+            out.push(KnownEffectDeviation { effect: e, along: vec![(0, sd), (phase, turned)], column });
         }
     }
     out.retain(|k| k.column.iter().any(|x| *x != 0.0));
@@ -170,7 +170,7 @@ pub fn is_beyond_chance(distance: f64, parameters: usize) -> bool {
 
 /// Whether a unit is in question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Units {
+pub enum UnitAssumption {
     /// The unit is what the record states.
     AsWritten,
     /// Set-up terms do not prefer one unit to another, of a response or of time.
@@ -198,7 +198,7 @@ pub struct EstimationProblem<'r> {
     /// The set-up terms.
     pub terms: Vec<SetUpTerm>,
     /// The known effects.
-    pub known: Vec<Known>,
+    pub known: Vec<KnownEffectDeviation>,
     /// Smallest size of the noise, per segment.
     pub floors: Vec<f64>,
     /// Root of each row's weight, before outliers are weighted down.
@@ -226,7 +226,7 @@ impl<'r> EstimationProblem<'r> {
     #[must_use]
     pub fn unrounded(rows: &'r Rows<'r>, model: &[Effect], intervals: &[Vec<Option<f64>>]) -> Self {
         let mut terms = setup::terms(rows, model);
-        terms.retain(|t| t.what != setup::SetUpKind::Rounding);
+        terms.retain(|t| t.what != setup::SetUpTermKind::Rounding);
         Self::with_terms(rows, model, intervals, terms)
     }
 
@@ -290,16 +290,16 @@ impl<'r> EstimationProblem<'r> {
     /// Lines and jumps in time are then part of what a record shows.
     #[must_use]
     pub fn by_hand(mut self) -> Self {
-        use setup::SetUpKind::{CentreFirst, CentreSecond, Unplaced, Zero};
+        use setup::SetUpTermKind::{CentreFirst, CentreSecond, Unplaced, Zero};
         self.terms.retain(|t| matches!(t.what, Zero | CentreFirst | CentreSecond | Unplaced));
         self
     }
 
     /// The same problem with units in question, or not.
     #[must_use]
-    pub fn in_units(mut self, units: Units) -> Self {
-        use setup::SetUpKind::{Air, CentreFirst, CentreSecond, Line, Zero};
-        if units == Units::AsWritten {
+    pub fn in_units(mut self, units: UnitAssumption) -> Self {
+        use setup::SetUpTermKind::{Air, CentreFirst, CentreSecond, Line, Zero};
+        if units == UnitAssumption::AsWritten {
             return self;
         }
         let noise = self.first_noise();

@@ -289,7 +289,8 @@ impl Noise {
         Self { sigma, phi, share: vec![1.0; rows.segments.len()], weight: vec![1.0; rows.n] }
     }
 
-    /// Updates the sizes of the noise from the squares of each segment's new noise, in the response's unit.
+    /// Updates the sizes of the noise from the squares of each segment's new noise.
+    /// The squares are in the response's unit.
     /// A segment's size has an inverse gamma prior about its response's size, so that size is the harmonic
     /// mean of its segments.
     pub fn resize(&mut self, rows: &Rows<'_>, squares: &[f64]) {
@@ -399,7 +400,8 @@ impl Noise {
         own().map(|(s, phi)| s.rows.len() as f64 * phi).sum::<f64>() / rows.count(response).max(1) as f64
     }
 
-    /// Standard deviation of a response's noise over all its rows, with its autocorrelation.
+    /// Standard deviation of a response's noise over all its rows.
+    /// It includes the part that the autocorrelation adds.
     #[must_use]
     pub fn scatter(&self, rows: &Rows<'_>, response: usize) -> f64 {
         let own = rows.segments.iter().enumerate().filter(|(_, s)| s.response == response);

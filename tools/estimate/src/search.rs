@@ -12,7 +12,7 @@ use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
 use crate::problem::{Baseline, EstimationProblem};
 use crate::search_limits::{MOST_MEMBERS, MOST_SHAPES};
 use rtec_least_squares::{Factor, add, dot};
-use rtec_model::effect::{Difference, Effect};
+use rtec_model::effect::{Effect, TemperatureDifference};
 use screening::turns_back;
 use std::cell::{OnceCell, RefCell};
 use std::collections::HashMap;
@@ -129,7 +129,7 @@ type Screenings = HashMap<(Vec<u64>, bool), Rc<[ScreenedHypothesis]>>;
 
 /// Evidence of columns at each level of their size.
 #[derive(Debug, Clone, Copy)]
-pub struct Gain {
+pub struct SizeEvidence {
     /// Log Bayes factor, summed over the levels.
     pub total: f64,
     /// The best level.
@@ -156,18 +156,18 @@ pub fn fit(left: f64, freedom: f64) -> f64 {
 }
 
 /// Gain of columns from ½ log |I + t²S| and t²hᵀ(I + t²S)⁻¹h at each level.
-fn gain_of(at_level: impl Fn(f64) -> (f64, f64), left: f64, freedom: f64) -> Gain {
+fn gain_of(at_level: impl Fn(f64) -> (f64, f64), left: f64, freedom: f64) -> SizeEvidence {
     let now = fit(left, freedom);
     let at = LEVELS.map(|(level, weight)| {
         let (half_log_det, less) = at_level(level * level);
         weight.ln() - half_log_det + fit(left - less, freedom) - now
     });
     let best = (0..at.len()).max_by(|a, b| at[*a].total_cmp(&at[*b])).unwrap_or(0);
-    Gain { total: log_sum(at), level: LEVELS[best].0, best: at[best] }
+    SizeEvidence { total: log_sum(at), level: LEVELS[best].0, best: at[best] }
 }
 
 /// Gain of one column.
-fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> Gain {
+fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> SizeEvidence {
     let of = |t: f64| {
         let l = 1.0 + t * square.max(0.0);
         (0.5 * l.ln(), t * along * along / l)
@@ -177,7 +177,7 @@ fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> Gain {
 
 /// Gain of columns with these products with the residual and among each other.
 #[must_use]
-pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> Gain {
+pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> SizeEvidence {
     let p = along.len();
     if p == 1 {
         return gain_of_one(among[0], along[0], left, freedom);
@@ -241,7 +241,7 @@ impl<'p> HypothesisSearch<'p> {
 
     /// Gain of columns added to a factor.
     #[must_use]
-    pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> Gain {
+    pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> SizeEvidence {
         let (along, among) = Self::products(factor, columns);
         gain(&along, &among, factor.left(), self.base.freedom)
     }
@@ -252,7 +252,7 @@ impl<'p> HypothesisSearch<'p> {
     }
 
     /// As [`Self::gain`], for columns whose products with the factor are known.
-    fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> Gain {
+    fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> SizeEvidence {
         let (along, among) = Self::products_of(factor, columns, shares);
         gain(&along, &among, factor.left(), self.base.freedom)
     }
@@ -311,7 +311,7 @@ impl<'p> HypothesisSearch<'p> {
     /// One more member of a set, and the set's score with it.
     /// The score is without the correction for whole counts.
     fn weighed(&self, set: &HypothesisSet, seed: &ScreenedHypothesis) -> Option<(f64, Member)> {
-        rtec_files::computation::step();
+        rtec_files::cancellable_computation::step();
         if set.members.len() >= MOST_MEMBERS {
             return None;
         }
@@ -556,6 +556,10 @@ fn push(factor: &mut Factor, member: &Member) {
 
 /// A temperature difference of these sensors: one alone, or one against another.
 #[must_use]
-pub fn difference(sensors: &[String], i: usize, j: usize) -> Difference {
-    if i == j { Difference::single(&sensors[i]) } else { Difference::pair(&sensors[i], &sensors[j]) }
+pub fn difference(sensors: &[String], i: usize, j: usize) -> TemperatureDifference {
+    if i == j {
+        TemperatureDifference::single(&sensors[i])
+    } else {
+        TemperatureDifference::pair(&sensors[i], &sensors[j])
+    }
 }

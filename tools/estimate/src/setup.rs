@@ -2,13 +2,13 @@
 //! They are free in every record, never named, never written into a model and never corrected live. Each term
 //! has one function; a new one needs its function and a line in [`TERMS`].
 
+use crate::gaussian_process::{Kernel, directions, knots, shares};
 use crate::priors::{
     AIR_UM_S, CENTRE_UM, CONTRIBUTION, KNOTS, LINE_HOURS, LINE_UM_PER_H, NOISE, PAUSE_STEPS, PLACE_MM,
     SMOOTH_RANK, TURN_URAD, ZERO_UM,
 };
 use crate::rows::{Rows, Segment, is_placed};
 use crate::search_limits::{AIR_DIRECTIONS, CIRCLE_PLACES, MOST_PAUSES, MOST_PLACES, PLACES_PER_MM};
-use crate::smooth::{Kernel, directions, knots, shares};
 use rtec_least_squares::projected_eigen;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Effect, ParameterSearch};
@@ -16,7 +16,7 @@ use rtec_model::record::{Column, Record, Role, RunKind};
 
 /// Kind of a set-up term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SetUpKind {
+pub enum SetUpTermKind {
     /// The gauge's zero, or the length or size of a bar or ring, µm.
     Zero,
     /// The circle's centre along the first axis of the plane, µm.
@@ -46,7 +46,7 @@ pub enum SetUpKind {
 #[derive(Debug, Clone)]
 pub struct SetUpTerm {
     /// Its kind.
-    pub what: SetUpKind,
+    pub what: SetUpTermKind,
     /// Index of its record; the first if several share it.
     pub record: usize,
     /// Its column over all rows.
@@ -95,7 +95,7 @@ fn zeros(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
             }
             shared.push((name, s.response, out.len()));
         }
-        out.push(SetUpTerm { what: SetUpKind::Zero, record: s.record, column: own, sd: ZERO_UM });
+        out.push(SetUpTerm { what: SetUpTermKind::Zero, record: s.record, column: own, sd: ZERO_UM });
     }
 }
 
@@ -106,9 +106,10 @@ fn centres(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
         let radial = rows.responses[s.response].axis().is_some_and(|a| a.as_str() == "r");
         let only = record.responses().count() == 1 && matches!(record.kind, RunKind::Probing | RunKind::Part);
         let Some(angle) = record.data(&Role::Angle).filter(|_| radial || only) else { continue };
-        for (what, f) in
-            [(SetUpKind::CentreFirst, f64::cos as fn(f64) -> f64), (SetUpKind::CentreSecond, f64::sin)]
-        {
+        for (what, f) in [
+            (SetUpTermKind::CentreFirst, f64::cos as fn(f64) -> f64),
+            (SetUpTermKind::CentreSecond, f64::sin),
+        ] {
             out.push(SetUpTerm {
                 what,
                 record: s.record,
@@ -147,7 +148,7 @@ fn lines(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
         let hours = column(rows, s, |i| t[i] / 3600.0);
         // A creep does not keep its direction for longer.
         let sd = longest_creep(&hours).min(LINE_UM_PER_H);
-        out.push(SetUpTerm { what: SetUpKind::Line, record: s.record, column: hours, sd });
+        out.push(SetUpTerm { what: SetUpTermKind::Line, record: s.record, column: hours, sd });
     }
 }
 
@@ -161,7 +162,7 @@ fn air(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
         for d in directions(&places, Kernel::Rough(length), &[vec![1.0; places.len()]], AIR_DIRECTIONS) {
             let at = |i: usize| shares(&places, t[i]).iter().map(|(k, w)| w * d[*k]).sum();
             out.push(SetUpTerm {
-                what: SetUpKind::Air,
+                what: SetUpTermKind::Air,
                 record: s.record,
                 column: column(rows, s, at),
                 sd: AIR_UM_S.0,
@@ -195,7 +196,7 @@ pub fn jumps(rows: &Rows<'_>) -> Vec<SetUpTerm> {
         }
         for p in pauses {
             let step = column(rows, s, |i| f64::from(u8::from(i > p)));
-            out.push(SetUpTerm { what: SetUpKind::Jump, record: s.record, column: step, sd: 1.0 });
+            out.push(SetUpTerm { what: SetUpTermKind::Jump, record: s.record, column: step, sd: 1.0 });
         }
     }
     out
@@ -274,7 +275,7 @@ pub fn rounding(rows: &Rows<'_>) -> Vec<SetUpTerm> {
                 own[s.rows.start + i] = 1.0;
             }
             out.push(SetUpTerm {
-                what: SetUpKind::Rounding,
+                what: SetUpTermKind::Rounding,
                 record: s.record,
                 column: own,
                 sd: q / 12f64.sqrt(),
@@ -317,7 +318,7 @@ fn dithered(rows: &Rows<'_>, _: &[Effect], out: &mut Vec<SetUpTerm>) {
             for i in g {
                 own[s.rows.start + i] = 1.0;
             }
-            out.push(SetUpTerm { what: SetUpKind::Rounding, record: s.record, column: own, sd });
+            out.push(SetUpTerm { what: SetUpTermKind::Rounding, record: s.record, column: own, sd });
         }
     }
 }
@@ -526,7 +527,7 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
     for effect in model {
         if let Some((along, range_mm)) = effect.stretch_mm() {
             for (record, column) in somewhere_within(rows, effect, along, range_mm) {
-                out.push(SetUpTerm { what: SetUpKind::Unplaced, record, column, sd: 1.0 });
+                out.push(SetUpTerm { what: SetUpTermKind::Unplaced, record, column, sd: 1.0 });
             }
             continue;
         }
@@ -537,14 +538,14 @@ fn unplaced(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
         for (record, column) in unknown_centre_columns(rows, effect, &sizes) {
             // Equal lobes of several effects are merged into one term, whose variance is their sum.
             let same = |t: &&mut SetUpTerm| {
-                t.what == SetUpKind::Unplaced && t.record == record && proportional(&t.column, &column)
+                t.what == SetUpTermKind::Unplaced && t.record == record && proportional(&t.column, &column)
             };
             if let Some(t) = out.iter_mut().find(same) {
                 let by = rms(&column) / rms(&t.column);
                 t.sd = t.sd.hypot(by);
                 continue;
             }
-            out.push(SetUpTerm { what: SetUpKind::Unplaced, record, column, sd: 1.0 });
+            out.push(SetUpTerm { what: SetUpTermKind::Unplaced, record, column, sd: 1.0 });
         }
     }
 }
@@ -591,7 +592,7 @@ pub fn turns(rows: &Rows<'_>) -> Vec<SetUpTerm> {
                 *x = by * p / 1000.0;
             }
         }
-        Some(SetUpTerm { what: SetUpKind::Turn, record: r, column: own, sd: TURN_URAD })
+        Some(SetUpTerm { what: SetUpTermKind::Turn, record: r, column: own, sd: TURN_URAD })
     };
     rows.records.iter().enumerate().filter(|(_, r)| r.kind == RunKind::Plate).filter_map(of).collect()
 }
@@ -628,7 +629,7 @@ fn begins(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
                 here * effect.scalar(um) * (-travel / effect.scalar(length)).exp()
             };
             out.push(SetUpTerm {
-                what: SetUpKind::AfterTurn,
+                what: SetUpTermKind::AfterTurn,
                 record: s.record,
                 column: column(rows, s, spike),
                 sd: 1.0,
@@ -656,6 +657,6 @@ fn after_turns(rows: &Rows<'_>, model: &[Effect], out: &mut Vec<SetUpTerm>) {
         let own_um =
             spikes.filter_map(|e| Some(e.scalar(e.description().place(ParameterSearch::Linear)?).abs()));
         let sd = own_um.fold(0.3 * CONTRIBUTION, f64::max);
-        out.push(SetUpTerm { what: SetUpKind::AfterTurn, record: s.record, column: own, sd });
+        out.push(SetUpTerm { what: SetUpTermKind::AfterTurn, record: s.record, column: own, sd });
     }
 }

@@ -1,7 +1,8 @@
 //! Shapes without a name: errors that no effect of the dictionary describes.
 //! Each kind has one function; a new one needs its function and a line in [`SHAPES`].
 
-use crate::contribution::Shape;
+use crate::contribution::UnnamedShape;
+use crate::gaussian_process::{Kernel, directions, knots, shares};
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
 use crate::rows::{Rows, Segment};
 use crate::search_limits::{
@@ -9,7 +10,6 @@ use crate::search_limits::{
     SHAPE_RANK,
 };
 use crate::setup::place_of;
-use crate::smooth::{Kernel, directions, knots, shares};
 use crate::wave::WaveVariable;
 use rtec_least_squares::{add, dot};
 use rtec_model::effect::sign;
@@ -20,7 +20,7 @@ use std::f64::consts::TAU;
 /// A function of one variable that a named effect has.
 type Curve = fn(f64) -> f64;
 /// A shape with its columns, each at one standard deviation.
-pub type Shaped = (Shape, Vec<Vec<f64>>);
+pub type Shaped = (UnnamedShape, Vec<Vec<f64>>);
 
 /// A response and the quantities that its rows log.
 pub struct Response<'r> {
@@ -137,9 +137,9 @@ impl<'r> Response<'r> {
         out
     }
 
-    fn shape(&self, against: &[&str], manner: &str) -> Shape {
+    fn shape(&self, against: &[&str], manner: &str) -> UnnamedShape {
         let against = against.iter().map(|a| (*a).to_owned()).collect();
-        Shape { response: self.name.clone(), against, manner: manner.to_owned() }
+        UnnamedShape { response: self.name.clone(), against, manner: manner.to_owned() }
     }
 
     fn over(&self, f: &dyn Fn(usize) -> f64) -> Vec<f64> {

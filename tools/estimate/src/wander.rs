@@ -2,12 +2,12 @@
 //! It lasts longer than the noise's correlation and does not repeat. The residual's spectrum decides, which
 //! is flat for noise alone (Whittle 1953).
 
+use crate::gaussian_process::{Kernel, directions, knots, shares};
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
 use crate::problem::EstimationProblem;
 use crate::rows::{Noise, Rows, Segment};
 use crate::search_limits::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
-use crate::setup::{SetUpKind, SetUpTerm};
-use crate::smooth::{Kernel, directions, knots, shares};
+use crate::setup::{SetUpTerm, SetUpTermKind};
 use crate::wave::transformed;
 use realfft::RealFftPlanner;
 
@@ -110,7 +110,7 @@ pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<SetUpTerm> {
             for (i, x) in order.iter().enumerate() {
                 column[s.rows.start + i] = shares(&places, *x).iter().map(|(k, w)| w * d[*k]).sum();
             }
-            out.push(SetUpTerm { what: SetUpKind::Wander, record: s.record, column, sd: wander.size });
+            out.push(SetUpTerm { what: SetUpTermKind::Wander, record: s.record, column, sd: wander.size });
         }
     }
     out

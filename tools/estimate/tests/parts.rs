@@ -2,12 +2,12 @@
 //!
 //! For tests beside the code Cargo compiles all of it a second time, which takes far longer than they run.
 
+use rtec_estimate::gaussian_process::{Kernel, directions, knots};
 use rtec_estimate::hypothesis_family::HypothesisFamilies;
 use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Rows, needs_place};
 use rtec_estimate::search::{HypothesisSearch, Member};
 use rtec_estimate::setup::step_of;
-use rtec_estimate::smooth::{Kernel, directions, knots};
 use rtec_estimate::wave::WaveVariable;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::Dictionary;

@@ -89,14 +89,14 @@ impl std::error::Error for InputError {}
 /// A message about input that is accepted nevertheless.
 /// It is a line on a terminal, or a warning in a notebook.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum InputMessage {
+pub enum InputNotice {
     /// A fact to know before the result is used.
     Warning(String),
     /// What was done with the input, or what else could be done with it.
     Note(String),
 }
 
-impl fmt::Display for InputMessage {
+impl fmt::Display for InputNotice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Warning(text) => write!(f, "warning: {text}"),

@@ -11,7 +11,7 @@ use std::str::FromStr;
 
 /// One key: how it is read, checked and described.
 #[derive(Debug, Clone, Copy)]
-pub struct Key {
+pub struct KeySpec {
     /// The key's name, with its unit.
     pub name: &'static str,
     /// The values that it takes.
@@ -31,7 +31,7 @@ macro_rules! keys {
     ($(#[$doc:meta])* $visible:vis $table:ident:
      $($name:ident: $takes:expr, $unit:expr, $default:expr, $meaning:expr;)*) => {
         $(#[$doc])*
-        $visible const $table: &[$crate::keys::Key] = &[$($crate::keys::Key {
+        $visible const $table: &[$crate::keys::KeySpec] = &[$($crate::keys::KeySpec {
             name: stringify!($name),
             takes: $takes,
             unit: $unit,
@@ -88,7 +88,7 @@ impl Display for AcceptedValue {
     }
 }
 
-impl Key {
+impl KeySpec {
     /// Its meaning, as a terminal shows it.
     fn in_words(&self) -> String {
         self.meaning.replace('`', "")
@@ -96,9 +96,9 @@ impl Key {
 }
 
 /// The reference page's table of a section.
-pub fn markdown(title: &str, keys: &[Key]) -> String {
+pub fn markdown(title: &str, keys: &[KeySpec]) -> String {
     let mut page = format!("| `{title}` | takes | default | meaning |\n|---|---|---|---|\n");
-    for Key { name, takes, unit, default, meaning } in keys {
+    for KeySpec { name, takes, unit, default, meaning } in keys {
         let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
         // Writing to a String does not fail.
         let _ = writeln!(page, "| `{name}` | {takes}{unit} | {default} | {meaning} |");
@@ -113,7 +113,7 @@ fn quoted(words: &[&str]) -> String {
 
 /// A file with a list of all its findings.
 #[derive(Debug)]
-pub struct SourceFile<'a> {
+pub struct FileWithFindings<'a> {
     /// The file, as the user named it.
     pub file: &'a Path,
     /// The file's whole text, from which findings take their line and column.
@@ -122,7 +122,7 @@ pub struct SourceFile<'a> {
     pub findings: Vec<InputError>,
 }
 
-impl SourceFile<'_> {
+impl FileWithFindings<'_> {
     /// Adds a finding at a byte of the text.
     pub fn finding(&mut self, offset: usize, found: impl Into<String>, expected: impl Into<String>) {
         self.findings.push(InputError::at_offset(self.file, self.text, offset, found, expected));
@@ -152,7 +152,7 @@ pub struct Section<'a> {
     pub offset: usize,
     table: Option<Table<'a>>,
     asked: Vec<&'static str>,
-    keys: &'static [Key],
+    keys: &'static [KeySpec],
 }
 
 impl<'a> Section<'a> {
@@ -168,7 +168,7 @@ impl<'a> Section<'a> {
 
     /// Adds the table of the section's keys.
     #[must_use]
-    pub fn with(self, keys: &'static [Key]) -> Self {
+    pub fn with(self, keys: &'static [KeySpec]) -> Self {
         Self { keys, ..self }
     }
 
@@ -191,7 +191,12 @@ impl<'a> Section<'a> {
 
     /// The table under a key, or an absent one.
     #[must_use]
-    pub fn table(&mut self, source: &mut SourceFile<'_>, key: &'static str, title: &'static str) -> Self {
+    pub fn table(
+        &mut self,
+        source: &mut FileWithFindings<'_>,
+        key: &'static str,
+        title: &'static str,
+    ) -> Self {
         let Some(entry) = self.take(key) else { return Self::of(title, self.offset, None) };
         let table = source.keep(entry.table(&format!("a table, written {title}")));
         Self::of(title, entry.offset(), table)
@@ -200,7 +205,7 @@ impl<'a> Section<'a> {
     /// The tables of an array of tables.
     pub fn tables(
         &mut self,
-        source: &mut SourceFile<'_>,
+        source: &mut FileWithFindings<'_>,
         key: &'static str,
         title: &'static str,
     ) -> Vec<Self> {
@@ -212,7 +217,7 @@ impl<'a> Section<'a> {
     /// The value of a key, if it exists and `parse` accepts it.
     pub fn value<T>(
         &mut self,
-        source: &mut SourceFile<'_>,
+        source: &mut FileWithFindings<'_>,
         key: &'static str,
         expected: impl Display,
         parse: impl FnOnce(Entry<'a>) -> Option<T>,
@@ -225,7 +230,7 @@ impl<'a> Section<'a> {
     /// One of several words. Messages show only the first `offered` of them.
     pub fn choice<T: Copy>(
         &mut self,
-        source: &mut SourceFile<'_>,
+        source: &mut FileWithFindings<'_>,
         key: &'static str,
         offered: usize,
         choices: &[(&str, T)],
@@ -243,7 +248,7 @@ impl<'a> Section<'a> {
     }
 
     /// Reports that a key is missing, with its meaning.
-    pub fn say_missing(&self, source: &mut SourceFile<'_>, key: &str, meaning: &str) {
+    pub fn say_missing(&self, source: &mut FileWithFindings<'_>, key: &str, meaning: &str) {
         let found = format!("no {key} in {}", self.title);
         source.finding(self.offset, found, format!("{key}: {meaning}"));
     }
@@ -253,7 +258,7 @@ impl<'a> Section<'a> {
     }
 
     /// Reports every key that was not taken.
-    pub fn finish(self, source: &mut SourceFile<'_>) {
+    pub fn finish(self, source: &mut FileWithFindings<'_>) {
         for entry in self.table.iter().flat_map(Table::entries) {
             if !self.asked.contains(&entry.key()) {
                 source.findings.push(entry.unknown(&self.title, &self.asked));
@@ -261,7 +266,7 @@ impl<'a> Section<'a> {
         }
     }
 
-    fn declared(&self, name: &str) -> Key {
+    fn declared(&self, name: &str) -> KeySpec {
         match self.keys.iter().find(|key| key.name == name) {
             Some(key) => *key,
             None => unreachable!("{name} is not in the table of keys of {}", self.title),
@@ -269,7 +274,7 @@ impl<'a> Section<'a> {
     }
 
     /// Reports that a declared key is missing.
-    pub fn missing(&self, source: &mut SourceFile<'_>, name: &str) {
+    pub fn missing(&self, source: &mut FileWithFindings<'_>, name: &str) {
         let key = self.declared(name);
         let mut meaning = key.in_words();
         if let AcceptedValue::Choice(words) = key.takes {
@@ -281,19 +286,23 @@ impl<'a> Section<'a> {
     }
 
     /// The value of a required key; reports it if it is missing.
-    pub fn required<T>(&self, source: &mut SourceFile<'_>, name: &str, value: Option<T>) -> Option<T> {
+    pub fn required<T>(&self, source: &mut FileWithFindings<'_>, name: &str, value: Option<T>) -> Option<T> {
         if value.is_none() && self.lacks(name) {
             self.missing(source, name);
         }
         value
     }
 
-    fn checked<T>(&self, source: &mut SourceFile<'_>, key: &Key, value: Option<T>) -> Option<T> {
+    fn checked<T>(&self, source: &mut FileWithFindings<'_>, key: &KeySpec, value: Option<T>) -> Option<T> {
         if key.default == REQUIRED { self.required(source, key.name, value) } else { value }
     }
 
     /// The text of a declared key.
-    pub fn text(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<LocatedValue<&'a str>> {
+    pub fn text(
+        &mut self,
+        source: &mut FileWithFindings<'_>,
+        name: &'static str,
+    ) -> Option<LocatedValue<&'a str>> {
         let key = self.declared(name);
         let expected = format!("text in quotes: {}", key.in_words());
         let at = self.value(source, name, expected, |v| v.as_str().filter(|s| !s.trim().is_empty()));
@@ -310,12 +319,16 @@ impl<'a> Section<'a> {
     }
 
     /// The truth value of a declared key; false if it is missing.
-    pub fn flag(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> bool {
+    pub fn flag(&mut self, source: &mut FileWithFindings<'_>, name: &'static str) -> bool {
         self.value(source, name, "true or false", |v| v.as_bool()).is_some_and(|at| at.value)
     }
 
     /// The whole number of a declared key.
-    pub fn whole(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<LocatedValue<i64>> {
+    pub fn whole(
+        &mut self,
+        source: &mut FileWithFindings<'_>,
+        name: &'static str,
+    ) -> Option<LocatedValue<i64>> {
         let key = self.declared(name);
         let AcceptedValue::Whole(low, high) = key.takes else { unreachable!("{name} takes no whole number") };
         let mut expected = format!("a whole number from {low} to {high}");
@@ -331,7 +344,11 @@ impl<'a> Section<'a> {
     }
 
     /// The number of a declared key.
-    pub fn number(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> Option<LocatedValue<f64>> {
+    pub fn number(
+        &mut self,
+        source: &mut FileWithFindings<'_>,
+        name: &'static str,
+    ) -> Option<LocatedValue<f64>> {
         let key = self.declared(name);
         let AcceptedValue::Number(low, high) = key.takes else { unreachable!("{name} takes no number") };
         let value = self.value(source, name, format!("a number from {low} to {high}"), |v| {
@@ -343,7 +360,7 @@ impl<'a> Section<'a> {
     /// The two numbers of a declared key.
     pub fn range(
         &mut self,
-        source: &mut SourceFile<'_>,
+        source: &mut FileWithFindings<'_>,
         name: &'static str,
     ) -> Option<LocatedValue<[f64; 2]>> {
         let key = self.declared(name);
@@ -356,7 +373,7 @@ impl<'a> Section<'a> {
     /// The value for the word of a declared key; `values` are in the words' order.
     pub fn pick<T: Copy>(
         &mut self,
-        source: &mut SourceFile<'_>,
+        source: &mut FileWithFindings<'_>,
         name: &'static str,
         values: &[T],
     ) -> Option<LocatedValue<T>> {
@@ -376,12 +393,12 @@ impl<'a> Section<'a> {
     }
 
     /// The whole number of a declared key, or its default.
-    pub fn whole_or_default(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> i64 {
+    pub fn whole_or_default(&mut self, source: &mut FileWithFindings<'_>, name: &'static str) -> i64 {
         self.whole(source, name).map_or_else(|| self.default(name), |at| at.value)
     }
 
     /// The number of a declared key, or its default.
-    pub fn number_or_default(&mut self, source: &mut SourceFile<'_>, name: &'static str) -> f64 {
+    pub fn number_or_default(&mut self, source: &mut FileWithFindings<'_>, name: &'static str) -> f64 {
         self.number(source, name).map_or_else(|| self.default(name), |at| at.value)
     }
 }
@@ -461,7 +478,7 @@ mod tests {
     fn read(text: &str) -> (Found, Vec<String>) {
         let file = Path::new("f.toml");
         let document = Document::parse(file, text).unwrap();
-        let mut source = SourceFile { file, text, findings: Vec::new() };
+        let mut source = FileWithFindings { file, text, findings: Vec::new() };
         let mut s = Section::root(&document).with(KEYS);
         let found = (
             s.text(&mut source, "name").map(|at| at.value.to_owned()),

@@ -7,8 +7,8 @@
 //!
 //! An example: `cargo run -p rtec-files --example read_trace`. The tests run it too.
 
-pub mod clock; // clocks whose zero is not the start of the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times
-pub mod computation; // a long computation that another thread waits for
+pub mod cancellable_computation; // a long computation that another thread waits for
+pub mod clock_column; // clocks whose zero is not the start of the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times
 pub mod csv; // CSV: rows of cells with their places, columns by name
 pub mod date; // calendar days
 mod decimal; // numbers, parsed
@@ -31,7 +31,7 @@ pub mod untrusted_folder; // a folder that other users may write to: no link in 
 mod vcd; // the VCD half of `trace`
 pub mod write; // files that appear whole or not at all
 
-pub use input_error::{InputError, InputMessage, Result};
+pub use input_error::{InputError, InputNotice, Result};
 pub use message_text::nearest;
 pub use numbers::{DecimalMarks, TableMarks};
-pub use sheet::{Columns, Sheet};
+pub use sheet::{ColumnAssignment, CsvTable};

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// A CSV file read whole.
 #[derive(Debug, Clone)]
-pub struct Sheet {
+pub struct CsvTable {
     file: PathBuf,
     header: Header,
     names: Vec<String>,
@@ -30,9 +30,9 @@ struct Row {
 /// The user's assignment of columns, if a file has other names.
 /// It holds pairs of the known name and the file's name or number, from 1.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Columns(Vec<(String, String)>);
+pub struct ColumnAssignment(Vec<(String, String)>);
 
-impl Columns {
+impl ColumnAssignment {
     /// Parses words such as `z_mm=3` or `z_mm=Z position`.
     ///
     /// # Errors
@@ -91,7 +91,7 @@ fn record_beside(file: &Path) -> Option<String> {
     })
 }
 
-impl Sheet {
+impl CsvTable {
     /// Reads a file whose columns are all in `known`, or match `also`.
     /// `also` may accept temperature columns, for example.
     ///
@@ -99,34 +99,34 @@ impl Sheet {
     /// Unreadable, no regular file, no header, unknown or repeated column, a row that is too short or too
     /// long, a file of another kind.
     pub fn read(file: &Path, known: &[&str], also: fn(&str) -> bool) -> Result<Self, InputError> {
-        Self::of(file, &crate::text::bytes(file)?, known, also, &Columns::default())
+        Self::of(file, &crate::text::bytes(file)?, known, also, &ColumnAssignment::default())
     }
 
-    /// As [`Sheet::read`], with the columns that the user has assigned.
+    /// As [`CsvTable::read`], with the columns that the user has assigned.
     /// All other columns are ignored.
     ///
     /// # Errors
-    /// As [`Sheet::read`]; an assigned column that is missing.
+    /// As [`CsvTable::read`]; an assigned column that is missing.
     pub fn read_columns(
         file: &Path,
         known: &[&str],
         also: fn(&str) -> bool,
-        columns: &Columns,
+        columns: &ColumnAssignment,
     ) -> Result<Self, InputError> {
         Self::of(file, &crate::text::bytes(file)?, known, also, columns)
     }
 
-    /// As [`Sheet::read`], from text already in memory; `file` only names it.
+    /// As [`CsvTable::read`], from text already in memory; `file` only names it.
     ///
     /// # Errors
-    /// As [`Sheet::read`].
+    /// As [`CsvTable::read`].
     pub fn parse(
         file: &Path,
         text: &str,
         known: &[&str],
         also: fn(&str) -> bool,
     ) -> Result<Self, InputError> {
-        Self::of(file, text.as_bytes(), known, also, &Columns::default())
+        Self::of(file, text.as_bytes(), known, also, &ColumnAssignment::default())
     }
 
     fn of(
@@ -134,7 +134,7 @@ impl Sheet {
         bytes: &[u8],
         known: &[&str],
         also: fn(&str) -> bool,
-        columns: &Columns,
+        columns: &ColumnAssignment,
     ) -> Result<Self, InputError> {
         let expected = format!("a header: {}", known.join(","));
         let mut reader = Reader::new(file, bytes)?;
@@ -252,7 +252,7 @@ impl Sheet {
     /// A column of numbers that the file may leave out.
     ///
     /// # Errors
-    /// As [`Sheet::numbers`], if the column exists.
+    /// As [`CsvTable::numbers`], if the column exists.
     pub fn optional(&self, name: &str) -> Result<Option<Vec<f64>>, InputError> {
         if self.names.iter().any(|n| n == name) { self.numbers(name).map(Some) } else { Ok(None) }
     }
@@ -270,12 +270,12 @@ impl Sheet {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Sheet, InputError> {
-        Sheet::parse(Path::new("p.csv"), text, &["z_mm", "x_mm"], |_| false)
+    fn parse(text: &str) -> Result<CsvTable, InputError> {
+        CsvTable::parse(Path::new("p.csv"), text, &["z_mm", "x_mm"], |_| false)
     }
 
-    fn of_bytes(bytes: &[u8]) -> Result<Sheet, InputError> {
-        Sheet::of(Path::new("p.csv"), bytes, &["z_mm", "x_mm"], |_| false, &Columns::default())
+    fn of_bytes(bytes: &[u8]) -> Result<CsvTable, InputError> {
+        CsvTable::of(Path::new("p.csv"), bytes, &["z_mm", "x_mm"], |_| false, &ColumnAssignment::default())
     }
 
     #[test]
@@ -283,10 +283,10 @@ mod tests {
         let known = ["z_mm", "x_mm", "point"];
         let columns = |words: &[&str]| {
             let words: Vec<String> = words.iter().map(|w| (*w).to_owned()).collect();
-            Columns::parse(&words, &known, |_| false)
+            ColumnAssignment::parse(&words, &known, |_| false)
         };
         let read = |bytes: &[u8], words: &[&str]| {
-            Sheet::of(Path::new("p.csv"), bytes, &known, |_| false, &columns(words)?)
+            CsvTable::of(Path::new("p.csv"), bytes, &known, |_| false, &columns(words)?)
         };
         let spare = b"Punkt;Radius X;Laenge Z\n1;2,5;10,25\n2;3,5;11\n";
         for words in [["z_mm=3", "x_mm=2"], ["z_mm=Laenge Z", "x_mm=Radius X"], ["x_mm=2", "z_mm=Laenge Z"]] {
@@ -317,7 +317,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let csv = folder.path().join("axis.csv");
         std::fs::write(&csv, "t,e\n0,1\n").unwrap();
-        let read = || Sheet::read(&csv, &["z_mm", "x_mm"], |_| false).unwrap_err().found;
+        let read = || CsvTable::read(&csv, &["z_mm", "x_mm"], |_| false).unwrap_err().found;
         assert_eq!(read(), "column 't'");
         std::fs::write(csv.with_extension("run.toml"), "file = \"axis.csv\"\n[columns]\n").unwrap();
         assert!(read().starts_with("the rows of the run record "), "{}", read());

@@ -5,16 +5,16 @@
 //! rising times. A row in which both signals change is passed on, because the engine reports illegal
 //! transitions.
 //!
-//! Other programs use other names, and times in seconds: [`Columns`] assigns them. If a table has other
+//! Other programs use other names, and times in seconds: [`ColumnAssignment`] assigns them. If a table has other
 //! columns too, rows in which neither a nor b changes belong to those, and are skipped.
 
-use crate::clock::{self, ClockColumn};
+use crate::clock_column::{self, ClockColumn};
 use crate::csv::{self, Cell, Header};
 use crate::file_kind::FileKind;
 use crate::input_error::InputError;
 use crate::lines::BUFFER;
 use crate::numbers::{DecimalMarks, TableMarks};
-use crate::sheet::Columns;
+use crate::sheet::ColumnAssignment;
 use crate::text::{open_regular, opened};
 use crate::units;
 use crate::vcd::Vcd;
@@ -74,7 +74,7 @@ enum Points {
     /// Rows of a table.
     /// It is plain if it has `t_ns,a,b` in this order and nothing else.
     Csv {
-        table: Box<Table<3>>,
+        table: Box<TraceColumns<3>>,
         is_plain: bool,
     },
     Vcd(Vcd),
@@ -82,7 +82,7 @@ enum Points {
 
 /// The places of a table's columns, and the format of its whole numbers.
 #[derive(Debug)]
-struct Table<const N: usize> {
+struct TraceColumns<const N: usize> {
     header: Header,
     places: [usize; N],
     /// Number of decimals that turn the time's unit into ns.
@@ -106,13 +106,13 @@ struct Table<const N: usize> {
 /// Names of a time column, each with the decimals that turn it into ns.
 const TIMES: [(&str, usize); 4] = [("t_ns", 0), ("t_us", 3), ("t_ms", 6), ("t_s", 9)];
 
-impl<const N: usize> Table<N> {
+impl<const N: usize> TraceColumns<N> {
     /// A table with a time and these columns.
     /// They are in this order unless the user has assigned them.
     fn new<R: Read>(
         rows: &mut csv::Reader<R>,
         names: [&str; N],
-        columns: &Columns,
+        columns: &ColumnAssignment,
         file: Option<&Path>,
     ) -> Result<Self, InputError> {
         let option = if N == COLUMNS.len() { "--columns" } else { "--request-columns" };
@@ -205,10 +205,10 @@ impl<const N: usize> Table<N> {
             let is_number = plain.as_deref().and_then(crate::decimal::number).is_some();
             if !is_number && (first || self.moments.start().is_some()) {
                 let ns = self.moments.absolute(cell.text()).and_then(|ns| ns.to_string().parse().ok());
-                let expected = clock::expected_instead(cell.text()).unwrap_or(expected);
+                let expected = clock_column::expected_instead(cell.text()).unwrap_or(expected);
                 return ns.ok_or_else(|| cell.finding(expected));
             }
-            let unix = plain.as_deref().and_then(|plain| clock::unix(plain.parse().ok()?));
+            let unix = plain.as_deref().and_then(|plain| clock_column::unix(plain.parse().ok()?));
             if let Some((unit, _)) = unix.filter(|(unit, _)| first && *unit != &TIMES[shift / 3].0[2..]) {
                 let found = format!("{}, Unix time in {unit}", cell.text());
                 return Err(cell.said(found, format!("a time in its own unit: t_{unit}=COLUMN")));
@@ -232,7 +232,8 @@ impl<const N: usize> Table<N> {
     /// The zero of the times in words, if they are dates or times of the day.
     /// It also says if times begin before a trigger.
     fn said(&self) -> Option<String> {
-        let since = |start| if clock::of_day_ns(start).is_some() { "midnight" } else { "1970-01-01 UTC" };
+        let since =
+            |start| if clock_column::of_day_ns(start).is_some() { "midnight" } else { "1970-01-01 UTC" };
         let start = self
             .moments
             .start()
@@ -288,14 +289,14 @@ impl TraceReader<File> {
     /// # Errors
     /// The file cannot be read, its extension is unknown, or its header is wrong.
     pub fn open(file: &Path) -> Result<Self, InputError> {
-        Self::open_columns(file, &Columns::default())
+        Self::open_columns(file, &ColumnAssignment::default())
     }
 
     /// As [`TraceReader::open`], with columns or signals that the user has assigned.
     ///
     /// # Errors
     /// As [`TraceReader::open`]; an assigned column or signal that is missing.
-    pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
+    pub fn open_columns(file: &Path, columns: &ColumnAssignment) -> Result<Self, InputError> {
         let format = TraceFormat::of(file)?;
         let again = file.is_file().then_some(file);
         let open = || Self::of(format, file, opened(file)?, columns, again);
@@ -320,17 +321,17 @@ impl TraceReader<File> {
 /// The columns of a trace, assigned by words such as `t_s=1` or `a=Channel 0`.
 ///
 /// # Errors
-/// As [`Columns::parse`].
-pub fn trace_columns(words: &[String]) -> Result<Columns, InputError> {
-    Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "a", "b"], |_| false)
+/// As [`ColumnAssignment::parse`].
+pub fn trace_columns(words: &[String]) -> Result<ColumnAssignment, InputError> {
+    ColumnAssignment::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "a", "b"], |_| false)
 }
 
 /// As [`trace_columns`], for requested totals.
 ///
 /// # Errors
-/// As [`Columns::parse`].
-pub fn request_columns(words: &[String]) -> Result<Columns, InputError> {
-    Columns::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "requested"], |_| false)
+/// As [`ColumnAssignment::parse`].
+pub fn request_columns(words: &[String]) -> Result<ColumnAssignment, InputError> {
+    ColumnAssignment::parse(words, &["t_ns", "t_us", "t_ms", "t_s", "requested"], |_| false)
 }
 
 impl<R: Read> TraceReader<R> {
@@ -339,20 +340,20 @@ impl<R: Read> TraceReader<R> {
     /// # Errors
     /// The header is missing or wrong.
     pub fn new(format: TraceFormat, file: &Path, input: R) -> Result<Self, InputError> {
-        Self::of(format, file, input, &Columns::default(), None)
+        Self::of(format, file, input, &ColumnAssignment::default(), None)
     }
 
     fn of(
         format: TraceFormat,
         file: &Path,
         input: R,
-        columns: &Columns,
+        columns: &ColumnAssignment,
         again: Option<&Path>,
     ) -> Result<Self, InputError> {
         let mut rows = csv::Reader::new(file, input)?;
         let points = match format {
             TraceFormat::Csv => {
-                let table = Table::new(&mut rows, COLUMNS, columns, again)?;
+                let table = TraceColumns::new(&mut rows, COLUMNS, columns, again)?;
                 let is_plain = table.places == [0, 1, 2] && table.shift == 0 && !table.has_others();
                 Points::Csv { table: Box::new(table), is_plain }
             }
@@ -481,30 +482,30 @@ impl<R: Read> Iterator for TraceReader<R> {
 /// Reads requested totals (`t_ns,requested`), times never falling.
 /// After an error it yields nothing more.
 #[derive(Debug)]
-pub struct RequestReader<R> {
+pub struct TotalRequestReader<R> {
     rows: csv::Reader<R>,
-    table: Table<2>,
+    table: TraceColumns<2>,
     last_ns: u64,
     done: bool,
 }
 
-impl RequestReader<File> {
+impl TotalRequestReader<File> {
     /// Opens a file of requests, with the columns that the user has assigned.
     ///
     /// # Errors
     /// The file cannot be read, its header is wrong, or an assigned column is missing.
-    pub fn open_columns(file: &Path, columns: &Columns) -> Result<Self, InputError> {
+    pub fn open_columns(file: &Path, columns: &ColumnAssignment) -> Result<Self, InputError> {
         Self::of(file, opened(file)?, columns, file.is_file().then_some(file))
     }
 
-    /// As [`RequestReader::open_columns`], for totals on a trace's clock.
+    /// As [`TotalRequestReader::open_columns`], for totals on a trace's clock.
     /// If the trace begins before a trigger, both count from its first time.
     ///
     /// # Errors
-    /// As [`RequestReader::open_columns`].
+    /// As [`TotalRequestReader::open_columns`].
     pub fn open_beside(
         file: &Path,
-        columns: &Columns,
+        columns: &ColumnAssignment,
         trace: &TraceReader<impl Read>,
     ) -> Result<Self, InputError> {
         let mut reader = Self::open_columns(file, columns)?;
@@ -515,18 +516,23 @@ impl RequestReader<File> {
     }
 }
 
-impl<R: Read> RequestReader<R> {
+impl<R: Read> TotalRequestReader<R> {
     /// Reads requests from `input`; `file` is its name in error messages.
     ///
     /// # Errors
     /// The header is missing or wrong.
     pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
-        Self::of(file, input, &Columns::default(), None)
+        Self::of(file, input, &ColumnAssignment::default(), None)
     }
 
-    fn of(file: &Path, input: R, columns: &Columns, again: Option<&Path>) -> Result<Self, InputError> {
+    fn of(
+        file: &Path,
+        input: R,
+        columns: &ColumnAssignment,
+        again: Option<&Path>,
+    ) -> Result<Self, InputError> {
         let mut rows = csv::Reader::new(file, input)?;
-        let table = Table::new(&mut rows, ["t_ns", "requested"], columns, again)?;
+        let table = TraceColumns::new(&mut rows, ["t_ns", "requested"], columns, again)?;
         Ok(Self { rows, table, last_ns: 0, done: false })
     }
 
@@ -554,7 +560,7 @@ impl<R: Read> RequestReader<R> {
     }
 }
 
-impl<R: Read> Iterator for RequestReader<R> {
+impl<R: Read> Iterator for TotalRequestReader<R> {
     type Item = Result<RequestedTotal, InputError>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -701,7 +707,7 @@ const fn level(high: bool) -> u8 {
 
 fn csv_row<R: Read>(
     rows: &mut csv::Reader<R>,
-    table: &mut Table<3>,
+    table: &mut TraceColumns<3>,
     last: Option<TracePoint>,
 ) -> Result<Option<TracePoint>, InputError> {
     let by = rows.separator();

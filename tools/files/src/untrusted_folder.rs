@@ -22,12 +22,12 @@ const PIECE: usize = 1 << 20;
 
 /// An open folder.
 #[derive(Debug)]
-pub struct Folder {
+pub struct UntrustedFolder {
     fd: OwnedFd,
     path: PathBuf,
 }
 
-impl Folder {
+impl UntrustedFolder {
     /// Opens an existing folder.
     /// Links in `path` itself are followed, because the caller chose it.
     ///
@@ -77,7 +77,7 @@ impl Folder {
     /// Opens a folder in this one, and makes it if it is missing.
     ///
     /// # Errors
-    /// As [`Folder::folder`], or it cannot be made.
+    /// As [`UntrustedFolder::folder`], or it cannot be made.
     pub fn make_folder(&self, name: &str) -> io::Result<Self> {
         match self.new_folder(name) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => self.folder(name),
@@ -119,7 +119,7 @@ impl Folder {
     /// Reads a regular file; `None` if nothing has that name.
     ///
     /// # Errors
-    /// As [`Folder::file`], or it is longer than `longest` bytes.
+    /// As [`UntrustedFolder::file`], or it is longer than `longest` bytes.
     pub fn read(&self, name: &str, longest: u64) -> io::Result<Option<Vec<u8>>> {
         let file = match self.file(name) {
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -278,7 +278,7 @@ impl Folder {
     }
 }
 
-impl AsFd for Folder {
+impl AsFd for UntrustedFolder {
     fn as_fd(&self) -> std::os::fd::BorrowedFd<'_> {
         self.fd.as_fd()
     }
@@ -325,7 +325,7 @@ mod tests {
     #[test]
     fn follows_no_link_in_any_place() {
         let (there, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let folder = Folder::open(there.path()).unwrap();
+        let folder = UntrustedFolder::open(there.path()).unwrap();
         let precious = other.path().join("precious");
         std::fs::write(&precious, "mine").unwrap();
         symlink(other.path(), there.path().join("folder")).unwrap();
@@ -349,7 +349,7 @@ mod tests {
     #[test]
     fn leaves_nothing_behind_when_given_up_or_killed() {
         let there = tempfile::tempdir().unwrap();
-        let folder = Folder::open(there.path()).unwrap();
+        let folder = UntrustedFolder::open(there.path()).unwrap();
         let error = folder.write("a", &vec![0; 3 * PIECE], 0o600, &|| false).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::Interrupted);
         assert!(folder.names().unwrap().is_empty());
@@ -365,7 +365,7 @@ mod tests {
     #[test]
     fn renames_over_nothing() {
         let there = tempfile::tempdir().unwrap();
-        let folder = Folder::open(there.path()).unwrap();
+        let folder = UntrustedFolder::open(there.path()).unwrap();
         folder.write("a", b"1", 0o600, ALWAYS).unwrap();
         folder.write("b", b"2", 0o600, ALWAYS).unwrap();
         assert_eq!(folder.rename("a", &folder, "b").unwrap_err().kind(), io::ErrorKind::AlreadyExists);

@@ -4,7 +4,7 @@
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
 use rtec_files::trace::{TraceReader, trace_columns};
-use rtec_files::{InputError, Sheet};
+use rtec_files::{CsvTable, InputError};
 use std::path::Path;
 
 fn point(t_ns: u64, a: u8, b: u8) -> TracePoint {
@@ -59,7 +59,7 @@ fn dates_and_levels_unknown_at_first_are_read_and_said() {
 #[test]
 fn a_sheet_passes_over_what_is_unrelated() {
     let known = ["z_mm", "x_mm", "point"];
-    let read = |text: &str| Sheet::parse(Path::new("p.csv"), text, &known, |_| false);
+    let read = |text: &str| CsvTable::parse(Path::new("p.csv"), text, &known, |_| false);
     for text in [
         "; made by x; of y\nz_mm,x_mm\n1,2\n; end\n",
         "% of 3, 4\n% 5\nz_mm;x_mm\n1;2\n",
@@ -73,7 +73,8 @@ fn a_sheet_passes_over_what_is_unrelated() {
     let said = read("Program,7\n\nz_mm,x_mm,remark\n1,2,so\n").unwrap().written().unwrap();
     assert!(said.contains("passed over 2 lines") && said.contains("left out the columns remark"), "{said}");
     // A first cell may be empty, or begin with the mark of a comment, `%`.
-    let sheet = Sheet::parse(Path::new("p.csv"), "name;n\n;1\n%RH;2\n", &["name", "n"], |_| false).unwrap();
+    let sheet =
+        CsvTable::parse(Path::new("p.csv"), "name;n\n;1\n%RH;2\n", &["name", "n"], |_| false).unwrap();
     assert_eq!(sheet.numbers("n").unwrap(), [1.0, 2.0]);
     // A name nearly equal to a missing one is a mistake.
     let error = read("z_mm,x_mm,piont\n1,2,3\n").unwrap_err();

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_files::InputError;
-use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, TraceWriter};
+use rtec_files::trace::{TotalRequestReader, TraceFile, TraceFormat, TraceReader, TraceWriter};
 use std::io::Read;
 use std::path::Path;
 
@@ -269,7 +269,7 @@ fn a_reader_ends_after_its_error() {
 #[test]
 fn requests_and_their_errors() {
     let read =
-        |text: &str| RequestReader::new(Path::new("r"), text.as_bytes())?.collect::<Result<Vec<_>, _>>();
+        |text: &str| TotalRequestReader::new(Path::new("r"), text.as_bytes())?.collect::<Result<Vec<_>, _>>();
     assert_eq!(
         read("t_ns,requested\n0,2\n5,-40 # back\n5,-42\n").unwrap(),
         [(0, 2), (5, -40), (5, -42)].map(|(t_ns, requested)| RequestedTotal { t_ns, requested })

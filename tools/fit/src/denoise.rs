@@ -176,12 +176,17 @@ impl Bends {
     /// constant. Newton steps are halved until they improve it.
     fn most_likely(&self, cells: &[f64], noise: f64, penalty: f64, x: &mut Vec<f64>) -> (f64, Factor) {
         let loss = |x: &[f64]| {
-            let rounded: f64 = cells.iter().zip(x).map(|(c, x)| Cell::of(*c, *x, noise).log_likelihood).sum();
+            let rounded: f64 = cells
+                .iter()
+                .zip(x)
+                .map(|(c, x)| QuantisedReadingLikelihood::of(*c, *x, noise).log_likelihood)
+                .sum();
             penalty * self.roughness(x) - 2.0 * rounded
         };
         let mut now = loss(x);
         for left in (0..NEWTON).rev() {
-            let at: Vec<Cell> = cells.iter().zip(&*x).map(|(c, x)| Cell::of(*c, *x, noise)).collect();
+            let at: Vec<QuantisedReadingLikelihood> =
+                cells.iter().zip(&*x).map(|(c, x)| QuantisedReadingLikelihood::of(*c, *x, noise)).collect();
             let factor = self.factor(&at.iter().map(|c| c.weight).collect::<Vec<_>>(), penalty);
             let aim = factor.solve(at.iter().zip(&*x).map(|(c, x)| c.weight * x + c.slope).collect());
             let part = |share: f64| {
@@ -296,13 +301,13 @@ fn normal(state: &mut u64) -> f64 {
 
 /// Likelihood of one step as the reading of a value.
 /// The logarithm, its slope and its negative curvature.
-struct Cell {
+struct QuantisedReadingLikelihood {
     log_likelihood: f64,
     slope: f64,
     weight: f64,
 }
 
-impl Cell {
+impl QuantisedReadingLikelihood {
     /// For the reading `cell`, in steps of one, the value `x` and this noise.
     fn of(cell: f64, x: f64, noise: f64) -> Self {
         // Uses symmetry: on this side small differences keep their digits.

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`thermal`] | sensor selection (CASC) and the fit of equation 1 of WO 97/43703 |
 //! | [`linear_least_squares`] | least squares for named effects and chain terms |
-//! | `places` | residuals that repeat at a place |
+//! | `repeated_residuals` | residuals that repeat at a place |
 //! | [`denoise`] | temperatures without sensor noise |
 //! | `statistics` | means and quantiles |
 //! | [`workflow`] | a fit from records as users give them, and its document |
@@ -18,7 +18,7 @@
 pub mod chain;
 pub mod denoise;
 pub mod linear_least_squares;
-mod places;
+mod repeated_residuals;
 mod statistics;
 pub mod thermal;
 pub mod validate;

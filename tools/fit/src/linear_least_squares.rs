@@ -6,7 +6,7 @@
 //! shared by neighbouring rows therefore do not narrow them. The same is done with stretches of places of
 //! every axis, because an unexplained wave or bend repeats at its place. The widest interval is used.
 
-use crate::places::{self, StructuredResidual};
+use crate::repeated_residuals::{self, StructuredResidual};
 use crate::statistics::quantile;
 use crate::thermal::{FittedEffect, Intervals, jackknife_interval, provenance};
 use rtec_files::InputError;
@@ -16,7 +16,7 @@ use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::gauge_resolution::{ReadingResolution, is_coarse_cause, step_of};
 use rtec_model::effect::{
-    Dictionary, Difference, Effect, MissingInput, ParameterSearch, Quantity, RequiredInput,
+    Dictionary, Effect, MissingInput, ParameterSearch, Quantity, RequiredInput, TemperatureDifference,
 };
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, SourceRecord};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
@@ -244,7 +244,7 @@ impl LinearProblem {
     /// Records the positions of the axes that moved in the response pushed last.
     fn moved(&mut self, record: &Record) {
         let Some(piece) = self.pieces.last().cloned() else { return };
-        for (axis, p) in places::moving(record) {
+        for (axis, p) in repeated_residuals::moving(record) {
             let all = self.at_mm.entry(axis).or_default();
             all.resize(piece.start, None);
             all.extend(p.iter().copied().map(Some));
@@ -261,7 +261,7 @@ impl LinearProblem {
         };
         let in_time: Vec<usize> = (0..self.y.len()).map(block).collect();
         let of_axis = |p: &Vec<Option<f64>>| {
-            let own = places::stretches(p, BLOCKS)?;
+            let own = repeated_residuals::stretches(p, BLOCKS)?;
             Some(
                 in_time
                     .iter()
@@ -326,7 +326,7 @@ impl LinearProblem {
     /// Solves, or returns the first parameter that these rows do not determine.
     /// It is not determined together with those before it.
     pub(crate) fn solve(&self) -> Result<Vec<FittedValue>, usize> {
-        rtec_files::computation::step();
+        rtec_files::cancellable_computation::step();
         if self.y.is_empty() {
             return Err(0);
         }
@@ -388,7 +388,7 @@ pub struct Zero {
 
 /// The result of fitting named effects.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct NamedReport {
+pub struct EffectFitReport {
     /// The fitted effects with their intervals.
     pub effects: Vec<FittedEffect>,
     /// RMS per response over all records, before and after, µm.
@@ -441,8 +441,8 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
     match (effect.description().needs.contains(&RequiredInput::Delta), delta) {
         (true, Some(d)) => {
             effect.delta = Some(match d.split_once('-') {
-                Some((sensor, minus)) => Difference::pair(sensor, minus),
-                None => Difference::single(d),
+                Some((sensor, minus)) => TemperatureDifference::pair(sensor, minus),
+                None => TemperatureDifference::single(d),
             });
         }
         (true, None) => {
@@ -548,7 +548,7 @@ pub fn fit_named(
     records: &[&Record],
     date: &str,
     valid_days: i64,
-) -> Result<(Machine, NamedReport), InputError> {
+) -> Result<(Machine, EffectFitReport), InputError> {
     let usage = |found: String, expected: &str| InputError::whole(Path::new("--effects"), found, expected);
     let moving: Vec<Record> = records.iter().map(|r| in_motion(r)).collect();
     let records: &[&Record] = &moving.iter().collect::<Vec<_>>();
@@ -632,5 +632,5 @@ pub fn fit_named(
         Some(Zero { record: name, response: role.to_string(), um: problem.zero_um(&found, piece)? })
     };
     let zeros = owners.iter().zip(&piece_of).enumerate().filter_map(zero).collect();
-    Ok((machine, NamedReport { effects: fitted, rms_um, zeros, warnings }))
+    Ok((machine, EffectFitReport { effects: fitted, rms_um, zeros, warnings }))
 }

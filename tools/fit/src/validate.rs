@@ -3,8 +3,8 @@
 
 use crate::thermal::prediction_chart;
 use rtec_files::date;
-use rtec_files::{InputError, InputMessage};
-use rtec_measure::derive;
+use rtec_files::{InputError, InputNotice};
+use rtec_measure::derivatives;
 use rtec_measure::gauge_resolution;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
@@ -33,7 +33,7 @@ pub struct Validation {
 pub fn validate(
     machine: &Machine,
     records: &[Record],
-    say: &mut dyn FnMut(InputMessage),
+    say: &mut dyn FnMut(InputNotice),
 ) -> Result<Validation, InputError> {
     let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
     let doubts = plausible::said(records, say);
@@ -42,11 +42,11 @@ pub fn validate(
         let record = plausible::good_rows(record, all.rows(), say);
         let record = record.as_ref();
         for note in gauge_resolution::said(record, true) {
-            say(InputMessage::Warning(format!("{path}: {note}")));
+            say(InputNotice::Warning(format!("{path}: {note}")));
         }
-        let (prediction, notes) = derive::predict(machine, record)?;
+        let (prediction, notes) = derivatives::predict(machine, record)?;
         for note in notes {
-            say(InputMessage::Note(format!("{path}: {note}")));
+            say(InputNotice::Note(format!("{path}: {note}")));
         }
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
             let widths = machine.half_widths_um(record, &column.role);
@@ -60,14 +60,14 @@ pub fn validate(
             found.push(judged.figures);
         }
         for (effect, role) in &prediction.taken_as_zero {
-            say(InputMessage::Warning(format!("{path}: no {role}, taken as zero for {effect}")));
+            say(InputNotice::Warning(format!("{path}: no {role}, taken as zero for {effect}")));
         }
         for warning in machine.out_of_range(record) {
-            say(InputMessage::Warning(format!("{path}: {warning}")));
+            say(InputNotice::Warning(format!("{path}: {warning}")));
         }
     }
     for warning in machine.doubts(date::today()) {
-        say(InputMessage::Warning(format!("{}: {warning}", machine.path.display())));
+        say(InputNotice::Warning(format!("{}: {warning}", machine.path.display())));
     }
     let mut document = json!({ "responses": found, "no_better": no_better });
     plausible::enter(&mut document, &doubts);
@@ -86,7 +86,7 @@ fn judge(
     column: &Column,
     predicted: &[f64],
     widths: Option<&[f64]>,
-    say: &mut dyn FnMut(InputMessage),
+    say: &mut dyn FnMut(InputNotice),
 ) -> ResponseValidation {
     let (path, response) = (record.path.display(), column.role.to_string());
     let seen = machine.fits().iter().any(|f| f.from.iter().any(|s| s.sha256 == record.sha256));
@@ -106,7 +106,7 @@ fn judge(
         && inside < HOLDS
         && about >= HOLDS
     {
-        say(InputMessage::Note(format!(
+        say(InputNotice::Note(format!(
             "{path}: {response}: what is left is {zero:+.3} µm all along, the run's own zero (homing, the gauge's set-up) or a \
              lost count: the interval is of the shape, and holds {:.1} % about it",
             100.0 * about
@@ -114,7 +114,7 @@ fn judge(
     }
     let no_better = (after >= before && before > 0.0).then(|| format!("{path}: {response}"));
     if let (Some(response), Some(why)) = (&no_better, why_worse(column, predicted)) {
-        say(InputMessage::Warning(format!("{response}: {why}")));
+        say(InputNotice::Warning(format!("{response}: {why}")));
     }
     let width_key =
         if FitNote::unit_of(&response) == "N" { "mean_half_width_N" } else { "mean_half_width_um" };

@@ -2,14 +2,14 @@
 //! It reports and leaves out suspicious data, then selects sensors or fits named effects. It also makes the
 //! document for programs.
 
-use crate::linear_least_squares::{self, NamedReport};
+use crate::linear_least_squares::{self, EffectFitReport};
 use crate::thermal::{self, Options, ThermalFitReport};
 use rtec_files::date;
-use rtec_files::{InputError, InputMessage};
+use rtec_files::{InputError, InputNotice};
 use rtec_measure::gauge_resolution;
 use rtec_measure::plausible::{self, Suspicion};
 use rtec_measure::plot::Chart;
-use rtec_model::effect::Difference;
+use rtec_model::effect::TemperatureDifference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role, RunKind};
 use serde_json::Value;
@@ -33,7 +33,7 @@ pub struct FitRequest {
 
 /// A fit, and the suspicions against its records.
 #[derive(Debug)]
-pub struct Fit {
+pub struct ThermalFit {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// A report per response.
@@ -46,11 +46,11 @@ pub struct Fit {
 
 /// A fit of named effects.
 #[derive(Debug)]
-pub struct NamedFit {
+pub struct EffectFit {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// The report of the fit.
-    pub report: NamedReport,
+    pub report: EffectFitReport,
     /// Suspicions against the records.
     pub doubts: Vec<Suspicion>,
     /// The records as used for the fit.
@@ -63,7 +63,7 @@ pub struct NamedFit {
 const SHORT_S: f64 = 1800.0;
 
 /// Selects sensors and fits growth. `holdout` only affects the last figures.
-/// Messages go to `say`. A model of suspicious records is only for inspection: call [`Fit::is_to_be_written`]
+/// Messages go to `say`. A model of suspicious records is only for inspection: call [`ThermalFit::is_to_be_written`]
 /// before it is kept.
 ///
 /// # Errors
@@ -72,8 +72,8 @@ pub fn fit(
     train: Vec<Record>,
     holdout: Vec<Record>,
     asked: &FitRequest,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<Fit, InputError> {
+    say: &mut dyn FnMut(InputNotice),
+) -> Result<ThermalFit, InputError> {
     let doubts = plausible::said(&[train.as_slice(), &holdout].concat(), say);
     let (train, holdout) = plausible::once(train, holdout);
     if train.is_empty() {
@@ -87,14 +87,14 @@ pub fn fit(
     let holdout: Vec<Record> = usable.iter().zip(&holdout).map(good).collect();
     for record in train.iter().chain(&holdout).filter(|r| r.column(&Role::Time).is_none()) {
         let file = record.path.display();
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "{file}: no column of role time: lags and spans of time in it are numbers of rows"
         )));
     }
     for record in train.iter().filter(|r| r.kind == RunKind::Drift && r.column(&Role::Time).is_some()) {
         let span_s = record.time_s().last().zip(record.time_s().first()).map_or(0.0, |(b, a)| b - a);
         if span_s < SHORT_S {
-            say(InputMessage::Warning(format!(
+            say(InputNotice::Warning(format!(
                 "{}: the run lasts {:.1} min, in which hardly a machine warms: is its time in another unit than stated?",
                 record.path.display(),
                 span_s / 60.0
@@ -103,12 +103,12 @@ pub fn fit(
     }
     for record in &train {
         for note in gauge_resolution::said(record, true) {
-            say(InputMessage::Warning(format!("{}: {note}", record.path.display())));
+            say(InputNotice::Warning(format!("{}: {note}", record.path.display())));
         }
     }
     let sensors = asked.sensors.iter().map(|s| difference(s, &train[0])).collect::<Result<Vec<_>, _>>()?;
     for d in closed(&sensors) {
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "--sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
         )));
     }
@@ -118,10 +118,10 @@ pub fn fit(
         thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
     for r in &reports {
         for w in &r.warnings {
-            say(InputMessage::Warning(format!("{}: {w}", r.response)));
+            say(InputNotice::Warning(format!("{}: {w}", r.response)));
         }
     }
-    Ok(Fit { machine, reports, doubts, records: train })
+    Ok(ThermalFit { machine, reports, doubts, records: train })
 }
 
 /// Fits effects by their names, in addition to those of the base.
@@ -134,8 +134,8 @@ pub fn fit_named(
     records: Vec<Record>,
     effects: &[String],
     asked: &FitRequest,
-    say: &mut dyn FnMut(InputMessage),
-) -> Result<NamedFit, InputError> {
+    say: &mut dyn FnMut(InputNotice),
+) -> Result<EffectFit, InputError> {
     let paths: Vec<_> = records.iter().map(|r| r.path.clone()).collect();
     let doubts = plausible::said(&records, say);
     let (records, _) = plausible::once(records, Vec::new());
@@ -156,12 +156,12 @@ pub fn fit_named(
     let (machine, report) =
         linear_least_squares::fit_named(&base, effects, &borrowed, &day, asked.options.valid_days)?;
     for w in &report.warnings {
-        say(InputMessage::Warning(w.clone()));
+        say(InputNotice::Warning(w.clone()));
     }
-    Ok(NamedFit { machine, report, doubts, records })
+    Ok(EffectFit { machine, report, doubts, records })
 }
 
-impl Fit {
+impl ThermalFit {
     /// Whether the model may be kept.
     /// It may not if a unit, a sign, a direction or a column of a training record looks wrong.
     ///
@@ -202,7 +202,7 @@ impl Fit {
     }
 }
 
-impl NamedFit {
+impl EffectFit {
     /// The fit as a document for programs.
     ///
     /// # Errors
@@ -236,14 +236,14 @@ fn day_of(records: &[Record]) -> i64 {
 }
 
 /// Parses `T8-T18` or `T8`; names that contain a minus are tried whole first.
-fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
+fn difference(text: &str, record: &Record) -> Result<TemperatureDifference, InputError> {
     if record.temperature(text).is_some() {
-        return Ok(Difference::single(text));
+        return Ok(TemperatureDifference::single(text));
     }
     let known = |s: &str| record.temperature(s).is_some();
     let places = text.match_indices('-').map(|(i, _)| (&text[..i], &text[i + 1..]));
     let pair = places.into_iter().find(|(a, b)| known(a) && known(b));
-    pair.map(|(a, b)| Difference::pair(a, b)).ok_or_else(|| {
+    pair.map(|(a, b)| TemperatureDifference::pair(a, b)).ok_or_else(|| {
         let has = record.names(&Role::Temperature).collect::<Vec<_>>().join(", ");
         InputError::whole(
             Path::new("--sensors"),
@@ -254,7 +254,7 @@ fn difference(text: &str, record: &Record) -> Result<Difference, InputError> {
 }
 
 /// Differences that depend on those before them: T1-T0 beside T1-T2 and T2-T0.
-fn closed(differences: &[Difference]) -> Vec<String> {
+fn closed(differences: &[TemperatureDifference]) -> Vec<String> {
     // Sensors that differences connect form one group. A further difference within a group is redundant.
     let mut group: BTreeMap<String, usize> = BTreeMap::new();
     let mut out = Vec::new();
@@ -283,8 +283,8 @@ mod tests {
     fn a_difference_that_others_make_up_is_found() {
         let of = |all: &[(&str, &str)]| {
             let each = |(a, b): &(&str, &str)| match *b {
-                "" => Difference::single(a),
-                minus => Difference::pair(a, minus),
+                "" => TemperatureDifference::single(a),
+                minus => TemperatureDifference::pair(a, minus),
             };
             closed(&all.iter().map(each).collect::<Vec<_>>())
         };

@@ -11,9 +11,9 @@
 //! The diagnosis fits effects of the model (scale, squareness, reversal, spike, following error, screw) to
 //! the radial errors of all records of a plane. Each record has its own centre and mean radius.
 
-use crate::derive::noise;
+use crate::derivatives::noise;
 use crate::gauge_resolution::step_of;
-use crate::iso230::{Budget, FittedCircle, error_axes, lacks};
+use crate::iso230::{CircleAndDriftUncertainty, FittedCircle, error_axes, lacks};
 use rtec_files::Result;
 use rtec_model::ballbar_circle::{Circle, rates, turn_rad};
 use rtec_model::effect::{Dictionary, Effect, sign};
@@ -26,7 +26,7 @@ use std::ops::Range;
 mod diagnosis;
 mod search;
 mod spike;
-mod structure;
+mod unexplained_structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
 
@@ -98,7 +98,7 @@ pub struct Ballbar {
     pub diagnosis: Diagnosis,
     /// Uncertainty of the figures, if the conditions state contributors.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub uncertainty: Option<Budget>,
+    pub uncertainty: Option<CircleAndDriftUncertainty>,
     /// Every contour.
     pub contours: Vec<Contour>,
     /// Warnings about its use.

@@ -2,13 +2,13 @@
 //! The results are a document for programs and a report for people.
 
 use crate::gauge_resolution;
-use crate::iso230::{self, Conditions, LongDrift, Options};
+use crate::iso230::{self, Conditions, Options, StreamedDrift};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, ReportedRecord};
 use crate::{Sink, ballbar, plate, record};
 use rtec_files::text::short;
-use rtec_files::{InputError, InputMessage, Result};
+use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::record::{Column, Record, Role, RunKind, median, sha256_of};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -172,17 +172,17 @@ pub fn evaluate_files(paths: &[PathBuf], asked: &EvaluationRequest, say: Sink<'_
 pub const MOST_ROWS: usize = 1 << 18;
 
 /// The evaluation of a drift test of more rows; `None` for other records.
-fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<LongDrift>> {
+fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<StreamedDrift>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
         None => record::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == RunKind::Drift),
     };
-    if drift { LongDrift::of(path, more_than) } else { Ok(None) }
+    if drift { StreamedDrift::of(path, more_than) } else { Ok(None) }
 }
 
 fn in_pieces(
     path: &Path,
-    long: &mut LongDrift,
+    long: &mut StreamedDrift,
     asked: &EvaluationRequest,
     most_rows: usize,
     say: Sink<'_>,
@@ -250,10 +250,10 @@ fn doubted(
         report.doubt(&doubt.to_string(), doubt.is_of_rows());
     }
     for warning in report.warnings().iter().skip(doubts.len()) {
-        say(InputMessage::Warning(format!("{}: {warning}", file.display())));
+        say(InputNotice::Warning(format!("{}: {warning}", file.display())));
     }
     if doubts.iter().any(Suspicion::is_of_rows) {
-        say(InputMessage::Warning(report::LEFT_OUT.to_owned()));
+        say(InputNotice::Warning(report::LEFT_OUT.to_owned()));
     }
     plausible::enter(&mut document, &doubts);
     Evaluation { document, report, doubts }
@@ -366,7 +366,7 @@ fn by(
                 })?);
             }
             for record in records.iter().filter(|r| iso230::has_straightness(r)) {
-                say(InputMessage::Note(format!(
+                say(InputNotice::Note(format!(
                     "{}: errors across the moving axis too: --standard straightness evaluates them",
                     record.path.display()
                 )));
@@ -457,7 +457,8 @@ fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report)> 
         ));
     }
     let coarse = |column: &Column| {
-        let (step, of) = (gauge_resolution::step_of(&column.data)?, iso230::Returns::of(&column.data)?);
+        let (step, of) =
+            (gauge_resolution::step_of(&column.data)?, iso230::ReturnRepeatability::of(&column.data)?);
         let s_um = of.s_about_trend_um.unwrap_or(of.s_um);
         (s_um < step).then(|| (column.role.to_string(), short(step)))
     };

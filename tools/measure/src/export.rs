@@ -21,7 +21,7 @@ mod siemens_cec;
 pub mod user_format;
 
 use rtec_files::{InputError, Result, nearest};
-use rtec_model::effect::{Difference, Effect, Naming, Quantity, RequiredInput};
+use rtec_model::effect::{Effect, Naming, Quantity, RequiredInput, TemperatureDifference};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, LINEAR};
@@ -298,7 +298,7 @@ impl<'m> StaticErrors<'m> {
         let live = self.live()?;
         let parts = live.parts().filter(|p| self.is_in_table(p.effect));
         let read: Vec<&str> =
-            parts.filter_map(|p| p.effect.delta.as_ref()).flat_map(Difference::sensors).collect();
+            parts.filter_map(|p| p.effect.delta.as_ref()).flat_map(TemperatureDifference::sensors).collect();
         let all = self.layout.sensors.iter().zip(&self.degc);
         let chained = self.machine.chain().is_some();
         let own = all.filter(|(name, _)| chained || read.contains(&name.as_str()));

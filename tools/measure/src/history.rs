@@ -108,7 +108,7 @@ pub struct Trend {
 
 /// A figure over time.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Figure {
+pub struct FigureHistory {
     /// Axis (or plane) and figure, as `x.A`.
     pub name: String,
     /// Its unit.
@@ -143,7 +143,7 @@ pub struct History {
     /// The machine.
     pub machine: String,
     /// Its figures, by name.
-    pub figures: Vec<Figure>,
+    pub figures: Vec<FigureHistory>,
     /// Records without a date, or that cannot be read or evaluated.
     pub left_out: Vec<ExcludedRecord>,
     /// Suspicions against the records; their rows are in no figure.
@@ -157,7 +157,7 @@ pub struct History {
 /// One machine's history from its records, each by its path.
 /// Records that cannot be read are listed in `left_out`.
 pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &FigureTolerances) -> History {
-    let mut found: BTreeMap<String, Figure> = BTreeMap::new();
+    let mut found: BTreeMap<String, FigureHistory> = BTreeMap::new();
     let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
     let mut rows = |record: &Record| Rows::of(record, &mut suspicions);
     let records: Vec<(&String, Result<Rows, &InputError>)> =
@@ -180,7 +180,13 @@ pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Fig
                     let with_every_row = with.filter(|with| !is_same_figure(*with, value));
                     let limit = limits.for_figure(&name);
                     let figure = found.entry(name.clone());
-                    let figure = figure.or_insert(Figure { name, unit, sensor, limit, ..Figure::default() });
+                    let figure = figure.or_insert(FigureHistory {
+                        name,
+                        unit,
+                        sensor,
+                        limit,
+                        ..FigureHistory::default()
+                    });
                     let (date, record) = (record.date.clone().unwrap_or_default(), path.clone());
                     figure.points.push(FigureValue { date, record, value, with_every_row, day });
                 }
@@ -308,7 +314,7 @@ fn slope(x: &[f64], y: &[f64]) -> Option<(f64, f64, f64)> {
     Some((slope, (left / (x.len() as f64 - 2.0) / xx).sqrt(), gamma))
 }
 
-fn judged(mut figure: Figure) -> Figure {
+fn judged(mut figure: FigureHistory) -> FigureHistory {
     figure.points.sort_by(|a, b| (a.day, &a.record).cmp(&(b.day, &b.record)));
     let Some(last) = figure.points.last().cloned() else { return figure };
     figure.beyond = figure.limit.is_some_and(|l| last.value.abs() > l);
@@ -344,7 +350,7 @@ impl History {
     }
 
     /// Figures whose last value exceeds their limit.
-    pub fn beyond(&self) -> impl Iterator<Item = &Figure> {
+    pub fn beyond(&self) -> impl Iterator<Item = &FigureHistory> {
         self.figures.iter().filter(|f| f.beyond)
     }
 
@@ -357,7 +363,7 @@ impl History {
     }
 }
 
-impl Figure {
+impl FigureHistory {
     /// Its unit with the letter µ.
     pub(crate) fn written_unit(&self) -> String {
         self.unit.replace("um", "µm").replace("urad", "µrad")

@@ -16,10 +16,10 @@ mod positioning;
 mod straightness;
 
 pub use air::{Air, AirState, AirTemperature};
-pub use conditions::{Budget, Conditions, Contributor, Expansion, Uncertainty};
+pub use conditions::{CircleAndDriftUncertainty, Conditions, Contributor, Expansion, PositioningUncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
 pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
-pub(crate) use drift::{LongDrift, state_budget};
+pub(crate) use drift::{StreamedDrift, state_budget};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{
     Options, Positioning, Step, Target, Trend, has_positioning, positioning, positioning_with,
@@ -207,7 +207,7 @@ pub fn correlation(x: &[f64], y: &[f64]) -> f64 {
 /// Repeatability of returns to one position (tool changes, reference marks).
 /// Scatter with and without drift.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Returns {
+pub struct ReturnRepeatability {
     /// Number of returns.
     pub returns: usize,
     /// Standard deviation of all returns, µm.
@@ -408,7 +408,7 @@ pub(crate) fn is_alike(ratio: f64, n: usize) -> bool {
     ratio < 2.0 - ONE_IN_A_HUNDRED * 2.0 * ((n - 2.0) / (n * n - 1.0)).sqrt()
 }
 
-impl Returns {
+impl ReturnRepeatability {
     /// From errors in µm in the order of the returns; `None` for fewer than two.
     pub fn of(e: &[f64]) -> Option<Self> {
         let (_, s_um) = mean_and_s(e)?;
@@ -456,9 +456,9 @@ impl Returns {
 }
 
 /// Repeatability of returning to one position, from the record's first error per axis.
-pub fn returns(record: &Record) -> BTreeMap<String, Returns> {
+pub fn returns(record: &Record) -> BTreeMap<String, ReturnRepeatability> {
     let of = |(axis, e): (&Axis, &[f64])| {
-        let mut found = Returns::of(e)?;
+        let mut found = ReturnRepeatability::of(e)?;
         if let Some(step) = &mut found.step {
             step.row = record.row_number(step.row - 1);
         }

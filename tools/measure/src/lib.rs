@@ -3,7 +3,7 @@
 //! | module | contents |
 //! | [`export`] | one axis's errors as a table for a controller that compensates itself |
 //! | [`import`] | other tools' files as run records |
-//! | [`derive`](mod@derive) | velocity and acceleration from positions |
+//! | [`derivatives`] | velocity and acceleration from positions |
 //! | [`evaluation`] | evaluates runs by the standard that fits them: document and report
 //! | [`history`] | one machine's figures of merit over time
 //! | [`plan`] | the test sequence to characterise a machine |
@@ -20,7 +20,7 @@
 //! Example: `cargo run -p rtec-measure --example evaluate_axis`, which the tests run too.
 
 pub mod ballbar;
-pub mod derive;
+pub mod derivatives;
 pub mod evaluation;
 pub mod export;
 pub mod gauge_resolution;
@@ -37,4 +37,4 @@ pub mod report;
 pub use rtec_records::{record, spool};
 
 /// Where messages for people go.
-pub type Sink<'s> = &'s mut dyn FnMut(rtec_files::InputMessage);
+pub type Sink<'s> = &'s mut dyn FnMut(rtec_files::InputNotice);

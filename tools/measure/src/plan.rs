@@ -4,7 +4,7 @@
 
 use crate::Sink;
 use crate::iso230::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
-use rtec_files::{InputError, InputMessage, Result};
+use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::record::{Axis, LINEAR};
 use serde::Serialize;
 use std::path::Path;
@@ -107,7 +107,7 @@ pub fn for_machine(
     let shortest = shortest_mm(axes);
     let bar_mm = ballbar_mm.or_else(|| BARS_MM.into_iter().find(|r| 2.0 * r <= shortest));
     if bar_mm.is_none() && axes.len() > 1 {
-        say(InputMessage::Note(format!(
+        say(InputNotice::Note(format!(
             "no circles: none of the bars of 150, 100 and 50 mm fits an axis of {shortest} mm; --ballbar-mm names another"
         )));
     }

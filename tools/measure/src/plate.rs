@@ -23,7 +23,7 @@ pub const ALUMINIUM_PER_K: f64 = 23.1e-6;
 /// A plate's fit.
 /// Measured = scale · R(rotation) · nominal + offset, then a quadrupole.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Plate {
+pub struct PlateFit {
     /// Number of holes that the fit used.
     pub holes: usize,
     /// Offset of the measured holes, mm.
@@ -54,7 +54,7 @@ pub struct Plate {
     #[serde(rename = "scale_as_aluminium_K")]
     pub scale_as_aluminium_k: f64,
     /// Standard errors of offset, scale and rotation.
-    pub standard_error: PlateErrors,
+    pub standard_error: PlateStandardErrors,
     /// All linear terms fitted at once.
     pub joint: AffineFit,
     /// What the data cannot separate.
@@ -67,7 +67,7 @@ pub struct Plate {
 /// Error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AffineTerms<Angle> {
-    /// Offset of the measured holes, mm; that of [`Plate`] belongs to the other fit.
+    /// Offset of the measured holes, mm; that of [`PlateFit`] belongs to the other fit.
     pub offset_mm: [f64; 2],
     /// Scale of x, ppm, as the effect `scale.x`.
     pub scale_x_ppm: f64,
@@ -100,7 +100,7 @@ pub struct AffineFit {
 
 /// Standard errors of a plate's first fit, if the residual is random.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PlateErrors {
+pub struct PlateStandardErrors {
     /// Of the offset, mm.
     pub offset_mm: [f64; 2],
     /// Of the scale, ppm.
@@ -120,7 +120,7 @@ fn angle_error_deg(size: f64, error: f64) -> Option<f64> {
     (size > error).then(|| (error / size / 2.0).to_degrees())
 }
 
-impl PlateErrors {
+impl PlateStandardErrors {
     /// From the covariances of the similarity and of the quadrupole of this `size`.
     fn of(
         fit: &DMatrix<f64>,
@@ -233,7 +233,7 @@ fn solve(
 ///
 /// # Errors
 /// The record lacks position or error of x or y, has fewer than three holes, or holes on one line only.
-pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
+pub fn evaluate(record: &Record, norm: Norm) -> Result<PlateFit> {
     let get = |role: fn(Axis) -> Role, name: &str| {
         let expected = "columns position and error of x and y";
         let error = || InputError::whole(&record.path, format!("no {name} of a plate"), expected);
@@ -286,7 +286,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
     let rotation = b.atan2(a);
     let (scale_x, scale_y, size) = (joint.terms.scale_x_ppm, joint.terms.scale_y_ppm, quad[0].hypot(quad[1]));
     let as_k = (scale_x + scale_y) / 2e6 / ALUMINIUM_PER_K;
-    Ok(Plate {
+    Ok(PlateFit {
         holes: n,
         offset_mm: [fit[0], fit[1]],
         scale,
@@ -300,7 +300,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
         quadrupole_deg: (quad[1].atan2(quad[0]) / 2.0).to_degrees(),
         rms_quadrupole_um: rms_of(&left_quad, &all),
         scale_as_aluminium_k: as_k,
-        standard_error: PlateErrors::of(&covariance, &of_quad, scale, size, &joint.standard_error),
+        standard_error: PlateStandardErrors::of(&covariance, &of_quad, scale, size, &joint.standard_error),
         joint,
         remark: format!(
             "a scale of {:+.1} ppm (mean of x and y) cannot be told from an aluminium plate measured {as_k:+.2} K from where it was drilled",
@@ -313,7 +313,7 @@ pub fn evaluate(record: &Record, norm: Norm) -> Result<Plate> {
 /// Terms of the joint fit: offsets, scales, rotation and squareness.
 const JOINT_TERMS: usize = 6;
 
-impl Plate {
+impl PlateFit {
     /// Whether the joint scale differs from zero at 95 % (Student's t).
     /// Otherwise it does not imply a temperature.
     pub fn is_scale_beyond_chance(&self) -> bool {

@@ -1,8 +1,8 @@
 //! Predictions of a machine model for a record, with notes on their assumptions.
 
-use crate::{Sink, derive, plausible, record};
-use rtec_files::{InputError, InputMessage, Result};
-use rtec_model::machine::{FitRangeCheck, HalfWidths, Machine, RecordPiecePredictor, RecordRanges};
+use crate::{Sink, derivatives, plausible, record};
+use rtec_files::{InputError, InputNotice, Result};
+use rtec_model::machine::{FitRangeCheck, HalfWidthPredictor, Machine, RecordPiecePredictor, RecordRanges};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -14,9 +14,9 @@ use std::path::Path;
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
 pub fn predict(machine: &Machine, record: &Record, say: Sink<'_>) -> Result<Vec<(String, Vec<f64>)>> {
-    let (prediction, notes) = derive::predict(machine, record)?;
+    let (prediction, notes) = derivatives::predict(machine, record)?;
     for note in notes {
-        say(InputMessage::Note(format!("{}: {note}", record.path.display())));
+        say(InputNotice::Note(format!("{}: {note}", record.path.display())));
     }
     warn(&record.path, &prediction.taken_as_zero, &machine.out_of_range(record), say);
     Ok(prediction.columns)
@@ -25,10 +25,10 @@ pub fn predict(machine: &Machine, record: &Record, say: Sink<'_>) -> Result<Vec<
 fn warn(file: &Path, taken_as_zero: &[(String, String)], beyond: &[String], say: Sink<'_>) {
     let file = file.display();
     for (effect, role) in taken_as_zero {
-        say(InputMessage::Warning(format!("{file}: no {role} in the record, taken as zero for {effect}")));
+        say(InputNotice::Warning(format!("{file}: no {role} in the record, taken as zero for {effect}")));
     }
     for warning in beyond {
-        say(InputMessage::Warning(format!("{file}: {warning}")));
+        say(InputNotice::Warning(format!("{file}: {warning}")));
     }
 }
 
@@ -44,20 +44,20 @@ pub fn write(
     interval: bool,
     out: &mut impl Write,
     say: Sink<'_>,
-) -> Result<(), PredictionError> {
+) -> Result<(), PredictionFailure> {
     let Some(mut pieces) = record::RecordPieceReader::of(path)? else {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     };
     // Derived motion needs the positions of all rows, so the record is read as a whole.
     let first = pieces.next_record(PIECE_ROWS)?;
-    if first.is_some_and(|first| derive::reads_more_motion(machine, &first)) {
+    if first.is_some_and(|first| derivatives::reads_more_motion(machine, &first)) {
         return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
     }
     pieces.rewind()?;
     let (mut running, mut asked) = (RecordPiecePredictor::of(machine), FitRangeCheck::of(machine));
     let looked_over = if interval { Some(look_over(&mut pieces, &mut asked)?) } else { None };
     pieces.rewind()?;
-    let mut widths: Vec<HalfWidths<'_>> = Vec::new();
+    let mut widths: Vec<HalfWidthPredictor<'_>> = Vec::new();
     let style = pieces.style();
     let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
     let (mut not_taken, mut held) = (0, BTreeMap::new());
@@ -110,7 +110,7 @@ pub fn write(
 /// Reports readings that a sensor did not take.
 fn warn_of_readings(file: &Path, not_taken: usize, say: Sink<'_>) {
     if not_taken > 0 {
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "{}: {not_taken} readings that a sensor did not take (`characterise evaluate` names them): those rows are predicted from the \
              sensor's last good reading",
             file.display()
@@ -138,8 +138,9 @@ fn half_widths<'m>(
     machine: &'m Machine,
     reach: &RecordRanges,
     record: &Record,
-) -> Result<Vec<HalfWidths<'m>>> {
-    let of = |role: &Role| HalfWidths::of(machine, reach, role).ok_or_else(|| no_interval(machine, role));
+) -> Result<Vec<HalfWidthPredictor<'m>>> {
+    let of =
+        |role: &Role| HalfWidthPredictor::of(machine, reach, role).ok_or_else(|| no_interval(machine, role));
     record.responses().map(|response| of(&response.role)).collect()
 }
 
@@ -154,7 +155,7 @@ const PIECE_ROWS: usize = 4096;
 
 /// Why a prediction was not written.
 #[derive(Debug, thiserror::Error)]
-pub enum PredictionError {
+pub enum PredictionFailure {
     /// An error of the record or the model.
     #[error(transparent)]
     Input(#[from] InputError),

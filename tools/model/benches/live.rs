@@ -3,7 +3,7 @@
 //! Prints the times and asserts nothing: `cargo bench --workspace --bench live`.
 
 use rtec_builders::axis;
-use rtec_model::effect::{Dictionary, Difference, Effect, Naming, RequiredInput};
+use rtec_model::effect::{Dictionary, Effect, Naming, RequiredInput, TemperatureDifference};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use std::hint::black_box;
 use std::time::Instant;
@@ -23,7 +23,7 @@ fn every_law() -> Vec<Effect> {
         };
         let mut e = d.effect(&name).expect("the dictionary's own names");
         if e.description().needs.contains(&RequiredInput::Delta) {
-            e.delta = Some(Difference::pair("T1", "T2"));
+            e.delta = Some(TemperatureDifference::pair("T1", "T2"));
         }
         effects.push(e);
     }

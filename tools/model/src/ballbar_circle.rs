@@ -6,7 +6,7 @@
 //! 230-4; guide, "Run records").
 
 use crate::role::{Axis, Column, Role};
-use crate::values::median;
+use crate::statistics::median;
 use std::f64::consts::{PI, TAU};
 
 /// The circle of a run with a radial error.

@@ -6,7 +6,7 @@
 //! difference. The error is the tool point's place in the frame of the work, minus the place where it should
 //! be.
 
-use crate::effect::{Difference, DifferenceSource, MissingInput, read_difference};
+use crate::effect::{DifferenceSource, MissingInput, TemperatureDifference, read_difference};
 use crate::record::{Axis, LINEAR, Record, Role};
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
@@ -44,7 +44,7 @@ pub struct ErrorMotion {
     /// Which of the six motions it is: index into [`COMPONENTS`].
     pub kind: usize,
     /// The temperature difference of its terms; `None` if no term depends on it.
-    pub delta: Option<Difference>,
+    pub delta: Option<TemperatureDifference>,
     /// The terms, whose sum is the component.
     pub terms: Vec<Term>,
 }
@@ -138,7 +138,7 @@ pub fn transform(displacement_mm: [f64; 3], rotation_rad: [f64; 3]) -> Transform
 
 impl Chain {
     /// The temperature differences that its components read.
-    pub fn deltas(&self) -> impl Iterator<Item = &Difference> {
+    pub fn deltas(&self) -> impl Iterator<Item = &TemperatureDifference> {
         self.joints.iter().flat_map(|j| &j.components).filter_map(|c| c.delta.as_ref())
     }
 
@@ -172,7 +172,7 @@ impl Chain {
     pub fn error_um(
         &self,
         position_mm: impl Fn(&Axis) -> f64,
-        delta_k: impl Fn(&Difference) -> f64,
+        delta_k: impl Fn(&TemperatureDifference) -> f64,
     ) -> [f64; 3] {
         let position = |joint: usize| self.joints[joint].axis.as_ref().map_or(0.0, |(a, _)| position_mm(a));
         let delta = |joint: usize, component: usize| {

@@ -26,4 +26,4 @@ pub mod live;
 pub mod machine;
 pub mod record;
 mod role;
-mod values;
+mod statistics;

@@ -2,7 +2,7 @@
 //! The corrector evaluates it every 10–20 ms and the simulator at every step.
 //!
 //! [`LiveModel::new`] looks up everything by name once; [`LiveModel::evaluate`] allocates nothing. Effects with the
-//! same inputs (axes, temperature difference, channel) share one `Reading`, which is filled once per instant.
+//! same inputs (axes, temperature difference, channel) share one `SharedInputs`, which is filled once per instant.
 //!
 //! Outside the range of ΔT that an effect was fitted on, ΔT is held at the bound and the effect fades. Let e
 //! be its value at the bound, and u = |gain|·excess the part that holding leaves out. The weight is 1/(1 +
@@ -13,8 +13,8 @@
 
 use crate::chain::{Chain, JointIndices};
 use crate::effect::{
-    Basis, DifferenceSource, Effect, Input, MissingInput, Naming, Probing, Quantity, RequiredInput,
-    STANDARD_DEGC, State, sign,
+    Basis, DifferenceSource, Effect, EffectState, Input, MissingInput, Naming, ProbingDependence, Quantity,
+    RequiredInput, STANDARD_DEGC, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -93,7 +93,7 @@ struct InputIndices {
 
 /// The inputs that effects with the same places share at an instant.
 #[derive(Debug, Clone)]
-struct Reading {
+struct SharedInputs {
     places: InputIndices,
     /// The inputs, filled at every instant.
     /// While one of a thermal effect's axes is held, its time and ΔT do not change.
@@ -117,7 +117,7 @@ struct LiveEffect {
     weighed: bool,
     probing_only: bool,
     lagged: bool,
-    state: State,
+    state: EffectState,
     /// The present value of each component, µm or N.
     now: [f64; 2],
     /// How far ΔT is outside its fitted range, K, and the share of the effect left.
@@ -155,7 +155,7 @@ struct LiveChain {
 #[derive(Debug, Clone)]
 pub struct LiveModel {
     layout: StateLayout,
-    readings: Vec<Reading>,
+    readings: Vec<SharedInputs>,
     items: Vec<LiveEffect>,
     chain: Option<LiveChain>,
     scratch: Vec<f64>,
@@ -224,7 +224,7 @@ impl LiveModel {
         effects: impl IntoIterator<Item = &'e Effect>,
         layout: StateLayout,
     ) -> Result<Self, MissingInput> {
-        let (mut items, mut readings) = (Vec::new(), Vec::<Reading>::new());
+        let (mut items, mut readings) = (Vec::new(), Vec::<SharedInputs>::new());
         let mut longest = 0;
         let count = layout.axes.len();
         for effect in effects {
@@ -247,7 +247,7 @@ impl LiveModel {
             longest = longest.max(effect.coefficient_count());
             let places = InputIndices { axes, delta, channel };
             let reading = readings.iter().position(|r| r.places == places).unwrap_or_else(|| {
-                readings.push(Reading { places, now: Input::default() });
+                readings.push(SharedInputs { places, now: Input::default() });
                 readings.len() - 1
             });
             let law = effect.description();
@@ -259,7 +259,7 @@ impl LiveModel {
             };
             let coefficients = effect.coefficients();
             let components = if law.naming == Naming::Pair { 2 } else { 1 };
-            let weighed = effect.range_k.is_some() || law.probing == Probing::Only;
+            let weighed = effect.range_k.is_some() || law.probing == ProbingDependence::Only;
             let quick = match coefficients[..] {
                 [only] if components == 1 && !weighed => effect.law().stateless().map(|basis| (basis, only)),
                 _ => None,
@@ -271,9 +271,9 @@ impl LiveModel {
                 to: [to(0), to(1)],
                 components,
                 weighed,
-                probing_only: law.probing == Probing::Only,
+                probing_only: law.probing == ProbingDependence::Only,
                 lagged: law.lag.is_some(),
-                state: State::default(),
+                state: EffectState::default(),
                 now: [0.0; 2],
                 outside_k: 0.0,
                 weight: 1.0,
@@ -379,7 +379,7 @@ impl LiveModel {
     }
 }
 
-impl Reading {
+impl SharedInputs {
     fn fill(&mut self, frame: &MachineState<'_>) {
         let InputIndices { axes, delta, channel } = &self.places;
         let nowhere = AxisMotionState::default();

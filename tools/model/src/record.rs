@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 pub use crate::role::{Axis, Column, LINEAR, Role, RunKind};
-pub use crate::values::{mean, median, span};
+pub use crate::statistics::{mean, median, span};
 
 /// One run: its columns in the CSV's order, rows in order of acquisition.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,7 +2,7 @@
 //! The exact values are from `data/chain_reference.py`; the sum is the well-known one of a turning centre.
 
 use rtec_model::chain::{Chain, Transform, transform};
-use rtec_model::effect::{Difference, DifferenceReference, STANDARD_DEGC};
+use rtec_model::effect::{DifferenceReference, STANDARD_DEGC, TemperatureDifference};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -22,7 +22,7 @@ fn equal_to_the_symbolic_reference() {
         let numbers: Vec<f64> = words[1..].iter().map(|w| w.parse().unwrap()).collect();
         let chain = Chain::read(&data(words[0])).unwrap();
         let degc = |s: &str| numbers[3 + names.iter().position(|n| *n == s).unwrap()];
-        let delta = |d: &Difference| {
+        let delta = |d: &TemperatureDifference| {
             degc(&d.sensor)
                 - match &d.against {
                     DifferenceReference::Sensor(m) => degc(m),
@@ -93,7 +93,7 @@ fn live_and_by_rows_it_is_what_its_names_say() {
     for row in rows.clone() {
         let at = |n: usize| value(row, n);
         let degc = |s: &str| at(3 + sensors.iter().position(|n| *n == s).unwrap());
-        let delta = |d: &Difference| match &d.against {
+        let delta = |d: &TemperatureDifference| match &d.against {
             DifferenceReference::Sensor(m) => degc(&d.sensor) - degc(m),
             DifferenceReference::Reference(t) => degc(&d.sensor) - t,
             DifferenceReference::Standard => degc(&d.sensor) - STANDARD_DEGC,

@@ -348,7 +348,7 @@ fn a_centre_that_the_positions_contradict_is_refused() {
     assert!(expected.contains("no centre_mm"));
 }
 
-/// Positions that follow from a circle are no evidence against another centre of it.
+/// Positions that follow from a circle do not contradict another centre.
 #[test]
 fn a_circle_without_a_centre_may_be_given_one() {
     let nowhere = record(vec![]);

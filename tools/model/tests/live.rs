@@ -6,8 +6,8 @@
 
 use proptest::prelude::*;
 use rtec_model::effect::{
-    Dictionary, Difference, DifferenceReference, Effect, Input, Naming, Probing, Quantity, RequiredInput,
-    STANDARD_DEGC, State,
+    Dictionary, DifferenceReference, Effect, EffectState, Input, Naming, ProbingDependence, Quantity,
+    RequiredInput, STANDARD_DEGC, TemperatureDifference,
 };
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::record::Axis;
@@ -18,7 +18,7 @@ const SENSORS: [&str; 3] = ["T1", "T2", "T3"];
 /// One effect in its plain form: every name is looked up at every instant.
 struct Plain {
     effect: Effect,
-    state: State,
+    state: EffectState,
     thermal: (f64, f64),
 }
 
@@ -68,7 +68,7 @@ impl Plain {
             for (c, b) in coefficients.iter().zip(&basis).skip(1) {
                 value += c * b;
             }
-            if law.probing == Probing::Only && !frame.probing {
+            if law.probing == ProbingDependence::Only && !frame.probing {
                 value = 0.0;
             }
             if let Some([lo, hi]) = effect.range_k {
@@ -123,10 +123,10 @@ fn effect(n: usize, seed: u64) -> Effect {
     let _ = e.set_values(&values);
     if law.needs.contains(&RequiredInput::Delta) {
         e.delta = Some(match seed % 4 {
-            0 => Difference::pair("T1", "T2"),
-            1 => Difference { sensor: "T3".into(), against: DifferenceReference::Reference(21.5) },
-            2 => Difference { sensor: "T2".into(), against: DifferenceReference::Standard },
-            _ => Difference::pair("T3", "T1"),
+            0 => TemperatureDifference::pair("T1", "T2"),
+            1 => TemperatureDifference { sensor: "T3".into(), against: DifferenceReference::Reference(21.5) },
+            2 => TemperatureDifference { sensor: "T2".into(), against: DifferenceReference::Standard },
+            _ => TemperatureDifference::pair("T3", "T1"),
         });
         e.range_k = seed.is_multiple_of(3).then_some([-1.0, 2.0]);
     }
@@ -160,7 +160,7 @@ proptest! {
         };
         let mut live = LiveModel::new(&effects, layout).unwrap();
         let mut plain: Vec<Plain> = effects.into_iter()
-            .map(|effect| Plain { effect, state: State::default(), thermal: (0.0, 0.0) }).collect();
+            .map(|effect| Plain { effect, state: EffectState::default(), thermal: (0.0, 0.0) }).collect();
         let mut t_s = 0.0;
         for (axes, temperatures_degc, [step, channel, rpm, coolant, angle_rad], [hx, hy, hz, probing]) in instants {
             t_s += step.max(0.0);

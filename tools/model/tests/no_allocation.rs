@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_model::effect::{Dictionary, Difference};
+use rtec_model::effect::{Dictionary, TemperatureDifference};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::record::Axis;
 use std::alloc::{GlobalAlloc, Layout as Memory, System};
@@ -48,7 +48,7 @@ fn evaluating_a_model_allocates_nothing() {
     ] {
         let mut e = d.effect(name).unwrap();
         e.set_values(values).unwrap();
-        e.delta = (name == "thermal_lag.x").then(|| Difference::pair("T1", "T2"));
+        e.delta = (name == "thermal_lag.x").then(|| TemperatureDifference::pair("T1", "T2"));
         effects.push(e);
     }
     let axes = vec![Axis::new("x").unwrap(), Axis::new("z").unwrap()];

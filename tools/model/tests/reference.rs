@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_model::effect::{
-    Dictionary, LawDescription, MechanicalParameter, Naming, Owner, Parameter, Probing, Quantity,
+    Dictionary, LawDescription, MechanicalParameter, Naming, Owner, Parameter, ProbingDependence, Quantity,
     RequiredInput, ThermalDependence,
 };
 use std::fmt::Write as _;
@@ -73,9 +73,11 @@ fn describe(page: &mut String, law: &LawDescription) {
         Owner::Part => notes.push("of the part's own form"),
     }
     match law.probing {
-        Probing::Alike => {}
-        Probing::Only => notes.push("in records of kind `probing` only"),
-        Probing::Displaced => notes.push("in records of kind `probing` another effect takes its place"),
+        ProbingDependence::Alike => {}
+        ProbingDependence::Only => notes.push("in records of kind `probing` only"),
+        ProbingDependence::Displaced => {
+            notes.push("in records of kind `probing` another effect takes its place");
+        }
     }
     match law.heat {
         ThermalDependence::FromStart => {

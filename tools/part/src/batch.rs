@@ -6,7 +6,7 @@ use crate::error_cor_file::{MOST_RAD, MOST_UM, PointError, turned_near};
 use crate::error_determination::is_times;
 use crate::geometric_fit::sd;
 use crate::written_step::{left_in_mean, written_step_mm};
-use rtec_files::{Columns, InputError, Sheet};
+use rtec_files::{ColumnAssignment, CsvTable, InputError};
 use rtec_model::record::{mean, span};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -153,7 +153,7 @@ pub struct ProposedCorrection {
 
 /// A batch of parts, judged place by place.
 #[derive(Debug, Clone, Serialize)]
-pub struct Batch {
+pub struct BatchEvaluation {
     /// Every place, features and angles ascending.
     pub places: Vec<PlaceStatistics>,
     /// Systematic errors by angle, to be added to the table if the user decides so.
@@ -182,9 +182,9 @@ pub fn evaluate_columns(
     columns: &[String],
     seen: Option<&[PointError]>,
     judgement: SignificanceLimits,
-) -> Result<Batch, InputError> {
-    let columns = Columns::parse(columns, &COLUMNS, |_| false)?;
-    judge(file, &Sheet::read_columns(file, &COLUMNS, |_| false, &columns)?, seen, judgement)
+) -> Result<BatchEvaluation, InputError> {
+    let columns = ColumnAssignment::parse(columns, &COLUMNS, |_| false)?;
+    judge(file, &CsvTable::read_columns(file, &COLUMNS, |_| false, &columns)?, seen, judgement)
 }
 
 /// As [`evaluate_columns`], from text already in memory; `file` only names it.
@@ -196,18 +196,18 @@ pub fn evaluate_text(
     text: &str,
     seen: Option<&[PointError]>,
     judgement: SignificanceLimits,
-) -> Result<Batch, InputError> {
-    judge(file, &Sheet::parse(file, text, &COLUMNS, |_| false)?, seen, judgement)
+) -> Result<BatchEvaluation, InputError> {
+    judge(file, &CsvTable::parse(file, text, &COLUMNS, |_| false)?, seen, judgement)
 }
 
 const COLUMNS: [&str; 6] = ["part", "feature", "angle_rad", "error_um", "nominal_mm", "measured_mm"];
 
 fn judge(
     file: &Path,
-    sheet: &Sheet,
+    sheet: &CsvTable,
     seen: Option<&[PointError]>,
     judgement: SignificanceLimits,
-) -> Result<Batch, InputError> {
+) -> Result<BatchEvaluation, InputError> {
     let mut series = read(file, sheet)?;
     let places = series.len();
     for s in &mut series {
@@ -284,10 +284,16 @@ fn judge(
     let systematic = places.iter().filter(|p| p.finding == BatchFinding::Systematic);
     let offer_table = systematic.filter_map(proposed).collect();
     let offers = places.iter().filter_map(offer).collect();
-    Ok(Batch { places, offer_table, offers, step_um: is_coarse.then_some(step_um), written: sheet.written() })
+    Ok(BatchEvaluation {
+        places,
+        offer_table,
+        offers,
+        step_um: is_coarse.then_some(step_um),
+        written: sheet.written(),
+    })
 }
 
-fn read(file: &Path, sheet: &Sheet) -> Result<Vec<Series>, InputError> {
+fn read(file: &Path, sheet: &CsvTable) -> Result<Vec<Series>, InputError> {
     let (parts, features) = (sheet.words("part")?, sheet.words("feature")?);
     let angles = sheet.optional("angle_rad")?;
     let given = sheet.optional("error_um")?;
@@ -388,7 +394,7 @@ fn two_sided(t: f64, freedom: usize) -> f64 {
 }
 
 /// A straight line along the batch.
-struct Line {
+struct TrendLine {
     middle: f64,
     mean: f64,
     slope: f64,
@@ -396,7 +402,7 @@ struct Line {
     square: f64,
 }
 
-impl Line {
+impl TrendLine {
     /// Fits the line to errors, each at its place in the batch.
     fn through(points: &[(usize, f64)]) -> Self {
         let n = points.len() as f64;
@@ -431,8 +437,8 @@ const STATE_SHARE: f64 = 0.5;
 /// The distance is that from a straight line through them, or from their mean if not `sloped`.
 /// `least_um` is the smallest standard deviation of a reading.
 fn farthest(rest: &[(usize, f64)], sloped: bool, least_um: impl Fn(usize) -> f64) -> Option<(usize, f64)> {
-    let (n, line) = (rest.len() as f64, Line::through(rest));
-    let line = if sloped { line } else { Line { slope: 0.0, ..line } };
+    let (n, line) = (rest.len() as f64, TrendLine::through(rest));
+    let line = if sloped { line } else { TrendLine { slope: 0.0, ..line } };
     let freedom = rest.len().checked_sub(if sloped { 3 } else { 2 }).filter(|f| *f > 1)?;
     let squares = line.squares(rest);
     // Reduction of the sum of squares when a reading is left out.
@@ -472,7 +478,7 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
     out.truncate(found);
     let kept: Vec<(usize, f64)> =
         errors_um.iter().copied().enumerate().filter(|(k, _)| !out.contains(k)).collect();
-    let line = Line::through(&kept);
+    let line = TrendLine::through(&kept);
     let is_state = |k: usize| {
         let near = |other: usize| {
             out.contains(&other)
@@ -491,7 +497,7 @@ fn wild(errors_um: &[f64], places: usize) -> Vec<usize> {
 /// The probability is for a single place of the batch; `part` names the part of a reading.
 fn step(points: &[(usize, f64)], step_um: f64, part: impl Fn(usize) -> String) -> Option<BatchStep> {
     const SIDE: usize = 2;
-    let (n, line) = (points.len(), Line::through(points));
+    let (n, line) = (points.len(), TrendLine::through(points));
     let mean = |points: &[(usize, f64)]| points.iter().map(|(_, um)| um).sum::<f64>() / points.len() as f64;
     let squares = |points: &[(usize, f64)]| {
         let mean = mean(points);
@@ -520,7 +526,7 @@ fn statistics(series: &Series, seen: Option<&[PointError]>) -> PlaceStatistics {
     let (mean_um, sd_um) = (mean(&e), sd(&e, |_| true));
     let of_mean = sd_um / (n as f64).sqrt();
     let half = StudentsT::new(0.0, 1.0, (n - 1) as f64).map_or(0.0, |d| d.inverse_cdf(0.975)) * of_mean;
-    let line = Line::through(&kept);
+    let line = TrendLine::through(&kept);
     let slope = line.slope;
     let sd_about = (line.squares(&kept) / (n.saturating_sub(2).max(1)) as f64).sqrt();
     let slope_error = sd_about / line.square.sqrt();

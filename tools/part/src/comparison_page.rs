@@ -1,12 +1,12 @@
 //! A self-contained page that compares two probing sessions.
 
-use crate::errors::ErrorReport;
+use crate::part_errors::PartErrorReport;
 use rtec_files::message_text::escaped;
 use std::fmt::Write as _;
 
 /// The head of the page and its comparison of two sessions.
-pub fn side_by_side(before: &ErrorReport, after: &ErrorReport) -> String {
-    let row = |name: &str, r: &ErrorReport| {
+pub fn side_by_side(before: &PartErrorReport, after: &PartErrorReport) -> String {
+    let row = |name: &str, r: &PartErrorReport| {
         let largest = r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
         let (form, first, second) = (r.form_um, r.sd_before_um, r.sd_after_um);
         format!(

@@ -6,8 +6,8 @@
 
 use crate::contour::{Contour, Segment, Spline};
 use crate::dxf::{Drawing, Entity};
-use crate::errors::ErrorReport;
 use crate::geometric_fit::Zx;
+use crate::part_errors::PartErrorReport;
 use crate::unit::Unit;
 use rtec_files::InputError;
 use rtec_files::file_kind::FileKind;
@@ -59,7 +59,7 @@ impl Default for DxfOptions {
     }
 }
 
-impl ErrorReport {
+impl PartErrorReport {
     /// Outline and error bars as DXF (R2000, mm): layers `OUTLINE` and `WHISKER`.
     pub fn whisker_dxf(&self) -> String {
         let w = self.whiskers();

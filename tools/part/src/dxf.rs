@@ -323,13 +323,13 @@ fn unescaped(text: &str) -> String {
 }
 
 /// A position in a binary file, for reading.
-struct Bytes<'a> {
+struct ByteCursor<'a> {
     file: &'a Path,
     all: &'a [u8],
     at: usize,
 }
 
-impl Bytes<'_> {
+impl ByteCursor<'_> {
     fn take(&mut self, n: usize) -> Result<&[u8], InputError> {
         let (at, taken) = (self.at, self.all.get(self.at..self.at.saturating_add(n)));
         self.at += n;
@@ -354,7 +354,7 @@ impl Bytes<'_> {
 }
 
 fn of_binary(file: &Path, all: &[u8]) -> Result<Vec<Group>, InputError> {
-    let mut bytes = Bytes { file, all, at: BINARY.len() };
+    let mut bytes = ByteCursor { file, all, at: BINARY.len() };
     // Since AutoCAD 13 a group code has two bytes. The first code is 0, so there are two zeros.
     let wide = all.get(BINARY.len() + 1) == Some(&0);
     let mut groups = Vec::new();

@@ -51,12 +51,12 @@ pub enum FeatureErrors {
     /// Errors of an arc, angles ascending.
     Arc(Vec<PointError>),
     /// Errors of a straight feature, places ascending.
-    Line(Vec<LineError>),
+    Line(Vec<StraightPointError>),
 }
 
 /// One line of a straight feature's `error.cor`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LineError {
+pub struct StraightPointError {
     /// Direction of the surface normal from the part's +Z axis, in rad.
     pub angle_rad: f64,
     /// Deviation along that normal, in µm.
@@ -234,8 +234,8 @@ fn arc_of(file: &Path, rows: &[Row]) -> Result<Vec<PointError>, InputError> {
     Ok(errors)
 }
 
-fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
-    let mut errors: Vec<LineError> = Vec::new();
+fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<StraightPointError>, InputError> {
+    let mut errors: Vec<StraightPointError> = Vec::new();
     for row in rows {
         let expected = "angle in rad, error in µm, place along the feature, Z and X in mm";
         let [angle_rad, error_um, along_mm, z, x] = row.numbers(file, expected)?;
@@ -258,7 +258,7 @@ fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<LineError>, InputError> {
                 return Err(InputError::at(file, row.line, 1, row.text(), expected));
             }
         }
-        errors.push(LineError { angle_rad, error_um, along_mm, place });
+        errors.push(StraightPointError { angle_rad, error_um, along_mm, place });
     }
     if errors.len() < 2 {
         return Err(InputError::whole(file, "one point", "two points of a straight feature at least"));

@@ -1,19 +1,19 @@
 //! A feature's errors from probed points as users give them.
 //! It checks the request, reports what is left out, and refuses implausible numbers.
 
-use crate::errors::{ErrorReport, NominalShape, ProbedPoints};
 use crate::geometric_fit::{self, FitShape, FittedShape, Zx};
-use crate::path::{approaches, read_expected, read_pathfin};
+use crate::part_errors::{NominalShape, PartErrorReport, ProbedPoints};
+use crate::probe_path::{approaches, read_expected, read_pathfin};
 use crate::unit::Unit;
 #[cfg(feature = "clap")]
 use rtec_files::options::one_of;
-use rtec_files::{InputError, InputMessage};
+use rtec_files::{InputError, InputNotice};
 use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::machine::Machine;
 use std::path::{Path, PathBuf};
 
 /// Where messages for people go.
-pub type Sink<'s> = &'s mut dyn FnMut(InputMessage);
+pub type Sink<'s> = &'s mut dyn FnMut(InputNotice);
 
 rtec_files::choice! {
     /// The kind of feature that was probed.
@@ -27,7 +27,7 @@ rtec_files::choice! {
 /// The request for a feature's errors
 #[derive(Debug, Clone)]
 #[cfg_attr(feature = "clap", derive(clap::Args))]
-pub struct ErrorRequest {
+pub struct PartErrorRequest {
     /// Probed points: a CSV `z_mm,x_mm[,approach_z,approach_x]`, the tip's centre at each trip
     #[cfg_attr(feature = "clap", arg(long))]
     pub points: PathBuf,
@@ -83,7 +83,11 @@ const OTHER_TAPER_DEG: f64 = 1.0;
 const FALSE_TRIP_UM: f64 = 200.0;
 
 /// The nominal feature, as requested or as recognised from the points.
-fn nominal(args: &ErrorRequest, probed: &ProbedPoints, say: Sink<'_>) -> Result<NominalShape, InputError> {
+fn nominal(
+    args: &PartErrorRequest,
+    probed: &ProbedPoints,
+    say: Sink<'_>,
+) -> Result<NominalShape, InputError> {
     let straight = match args.feature {
         Some(feature) => feature == ProbedFeature::Line,
         None => probed.is_straight(args.radius_mm.is_some())?,
@@ -99,7 +103,7 @@ fn nominal(args: &ErrorRequest, probed: &ProbedPoints, say: Sink<'_>) -> Result<
         (true, _) => {
             if args.feature.is_none() {
                 let taken = "the points lie on a straight line: taken as a cylinder, face or taper";
-                say(InputMessage::Note(taken.to_owned()));
+                say(InputNotice::Note(taken.to_owned()));
             }
             Ok(NominalShape::Line { taper_deg: args.taper_deg })
         }
@@ -115,10 +119,10 @@ fn nominal(args: &ErrorRequest, probed: &ProbedPoints, say: Sink<'_>) -> Result<
 
 /// Reads the points, the side of each touch and the expected places.
 /// It subtracts the prediction of the machine's model.
-fn read(args: &ErrorRequest, say: Sink<'_>) -> Result<(ProbedPoints, Option<Vec<Zx>>), InputError> {
+fn read(args: &PartErrorRequest, say: Sink<'_>) -> Result<(ProbedPoints, Option<Vec<Zx>>), InputError> {
     let mut probed = ProbedPoints::read_columns(&args.points, &args.columns)?;
     if let Some(written) = probed.written() {
-        say(InputMessage::Note(written));
+        say(InputNotice::Note(written));
     }
     if let Some(file) = &args.path {
         let path = read_pathfin(file, args.path_units)?;
@@ -146,7 +150,7 @@ fn read(args: &ErrorRequest, say: Sink<'_>) -> Result<(ProbedPoints, Option<Vec<
                 let needs_place = |n: &RequiredInput| matches!(n, RequiredInput::Position(_));
                 let placed = |e: &&Effect| e.description().needs.iter().any(needs_place);
                 if let Some(effect) = machine.effects().find(placed) {
-                    say(InputMessage::Warning(format!(
+                    say(InputNotice::Warning(format!(
                         "no --origin-mm: the part's zero is taken as the machine's zero, and {} reads the machine's position",
                         effect.name()
                     )));
@@ -156,14 +160,14 @@ fn read(args: &ErrorRequest, say: Sink<'_>) -> Result<(ProbedPoints, Option<Vec<
         };
         let blind = probed.read_blind(&machine);
         if !blind.is_empty() {
-            say(InputMessage::Warning(format!(
+            say(InputNotice::Warning(format!(
                 "{} of the model: the points do not record what is read (approach_z,approach_x or --path for a direction, t_s \
                  for the time, no column for others); it counts as none, of the time as the row's number",
                 blind.join(", ")
             )));
         }
         for beyond in probed.beyond_stated(&machine, origin) {
-            say(InputMessage::Warning(format!(
+            say(InputNotice::Warning(format!(
                 "{beyond}; is --origin-mm Z,X, the machine's position at the part's zero?"
             )));
         }
@@ -173,7 +177,7 @@ fn read(args: &ErrorRequest, say: Sink<'_>) -> Result<(ProbedPoints, Option<Vec<
 }
 
 /// Reports places that were touched several times, and points that may be false.
-fn say_touches(args: &ErrorRequest, probed: &ProbedPoints, report: &ErrorReport, say: Sink<'_>) {
+fn say_touches(args: &PartErrorRequest, probed: &ProbedPoints, report: &PartErrorReport, say: Sink<'_>) {
     if let Some(repeats) = &report.repeats {
         let between = match repeats.sd_between_um {
             Some(um) => {
@@ -181,13 +185,13 @@ fn say_touches(args: &ErrorRequest, probed: &ProbedPoints, report: &ErrorReport,
             }
             None => "too few places for a standard error".to_owned(),
         };
-        say(InputMessage::Note(format!(
+        say(InputNotice::Note(format!(
             "{} points are touches of {} places: touches of one place scatter by {:.2} µm, {between}",
             report.points, repeats.places, repeats.sd_within_um
         )));
     }
     if let Some(row) = probed.at_zero() {
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "{}:{row}: a point at exactly Z 0 X 0: was no position captured there? Then take its row out",
             args.points.display()
         )));
@@ -212,7 +216,7 @@ fn radius_if_x_is_diameter(points: &[Zx]) -> Option<f64> {
 }
 
 /// Refuses points of a circle whose X is a diameter.
-fn refuse_diameters(args: &ErrorRequest, points: &[Zx]) -> Result<(), InputError> {
+fn refuse_diameters(args: &PartErrorRequest, points: &[Zx]) -> Result<(), InputError> {
     if let Some(nominal) = args.radius_mm
         && let Some(radius) = radius_if_x_is_diameter(points).filter(|r| ONE_SIZE.contains(&(r / nominal)))
     {
@@ -243,7 +247,7 @@ fn double_hint(nominal_to_found: f64) -> &'static str {
 ///
 /// # Errors
 /// A file that cannot be read, an implausible number, points that do not determine the feature.
-pub fn determine(args: &ErrorRequest, say: Sink<'_>) -> Result<ErrorReport, InputError> {
+pub fn determine(args: &PartErrorRequest, say: Sink<'_>) -> Result<PartErrorReport, InputError> {
     if let Some(taper) = args.taper_deg.filter(|t| !(t.is_finite() && t.abs() < 90.0)) {
         return Err(usage("--taper-deg", format!("{taper}"), "an angle in degrees, below 90"));
     }
@@ -258,24 +262,24 @@ pub fn determine(args: &ErrorRequest, say: Sink<'_>) -> Result<ErrorReport, Inpu
     refuse_diameters(args, &probed.tip_centre)?;
     let mut report = probed.errors(nominal(args, &probed, say)?, tip_mm)?;
     if let Some(step) = report.step_um {
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "the points are written in steps of {} µm, more than they scatter by: what rounding may do is in the standard errors",
             rtec_files::text::short(1e-6 * (1e6 * step).round())
         )));
     }
     say_touches(args, &probed, &report, say);
     if report.hollow {
-        say(InputMessage::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
+        say(InputNotice::Note("touched from inside, a hollow arc: a positive error is too little material; part table wants --hollow".to_owned()));
     }
     if let Some((off, hint)) = taper_slip(args, &report) {
-        say(InputMessage::Warning(format!("{off:+.3}° from --taper-deg{hint}")));
+        say(InputNotice::Warning(format!("{off:+.3}° from --taper-deg{hint}")));
     }
     if report.feature == "line" && probed.approach.is_none() {
-        say(InputMessage::Note("no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
+        say(InputNotice::Note("no approach_z,approach_x and no --path: taken as touched from outside, away from the part's axis; a bore's \
              errors would come out with the other sign".to_owned()));
     }
     if args.tip_mm.is_none() {
-        say(InputMessage::Note("no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
+        say(InputNotice::Note("no --tip-mm: the points are taken as on the part's surface; if they are the centres of a probe's tip, \
              the radius (a straight feature's place) is off by the tip's; the form is not".to_owned()));
     }
     if let (Some(nominal), Some(radius)) = (args.radius_mm, report.radius_mm)
@@ -298,7 +302,7 @@ pub fn determine(args: &ErrorRequest, say: Sink<'_>) -> Result<ErrorReport, Inpu
     let farthest =
         report.errors.iter().enumerate().max_by(|a, b| a.1.error_um.abs().total_cmp(&b.1.error_um.abs()));
     if let Some((n, e)) = farthest.filter(|(_, e)| e.error_um.abs() > FALSE_TRIP_UM) {
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "point {} is {:+.0} µm off the {}, and error.cor takes it as the part's: if it was a false trip, take its row \
              out, or give the expected trips (--expected)",
             n + 1,
@@ -315,14 +319,14 @@ pub fn determine(args: &ErrorRequest, say: Sink<'_>) -> Result<ErrorReport, Inpu
         } else {
             ": more than a cut part is off; look at --radius-mm and --tip-mm"
         };
-        say(InputMessage::Warning(format!("{off_um:+.0} µm from nominal{like}")));
+        say(InputNotice::Warning(format!("{off_um:+.0} µm from nominal{like}")));
         if args.with_size {
             let expected = "one that a finish cut takes out, within 500 µm";
             return Err(usage("--with-size", format!("a size error of {off_um:+.0} µm"), expected));
         }
     }
     if let Some((own, robust)) = sizes_differ(&report) {
-        say(InputMessage::Warning(format!(
+        say(InputNotice::Warning(format!(
             "the size is not certain: {own:+.1} µm by the fit of error.cor, {robust:+.1} µm by the robust fit, which leaves \
              out {} points; a form error over much of the arc pulls the first{}",
             report.robust.down_weighted.len(),
@@ -333,7 +337,7 @@ pub fn determine(args: &ErrorRequest, say: Sink<'_>) -> Result<ErrorReport, Inpu
 }
 
 /// A taper too far from nominal, and its possible meaning.
-fn taper_slip(args: &ErrorRequest, r: &ErrorReport) -> Option<(f64, &'static str)> {
+fn taper_slip(args: &PartErrorRequest, r: &PartErrorReport) -> Option<(f64, &'static str)> {
     let (asked, found) = args.taper_deg.zip(r.inclination_deg)?;
     let off = r.inclination_error_deg.filter(|off| off.abs() > OTHER_TAPER_DEG)?;
     let is = |meant: f64| ((found - meant + 90.0).rem_euclid(180.0) - 90.0).abs() <= OTHER_TAPER_DEG;
@@ -350,7 +354,7 @@ fn taper_slip(args: &ErrorRequest, r: &ErrorReport) -> Option<(f64, &'static str
 }
 
 /// The sizes of both fits, if they differ by more than the points scatter.
-fn sizes_differ(r: &ErrorReport) -> Option<(f64, f64)> {
+fn sizes_differ(r: &PartErrorReport) -> Option<(f64, f64)> {
     let both = r.size_error_um.zip(r.robust.size_error_um)?;
     ((both.0 - both.1).abs() > (2.0 * r.robust.scale_um).max(1.0)).then_some(both)
 }

@@ -3,13 +3,13 @@
 //! | module | content |
 //! |---|---|
 //! | [`contour`], [`mod@unit`], `drawing` | the part's features in probing order; read from DXF |
-//! | [`path`] | probing points, the probe's path, collisions |
-//! | [`program`] | the NC probing program: template, parameters, dialects |
-//! | [`probe`] | captured trips compared with the plan |
-//! | [`geometric_fit`], [`errors`] | circle and line through points; probed points to errors and whiskers |
+//! | [`probe_path`] | probing points, the probe's path, collisions |
+//! | [`probing_program`] | the NC probing program: template, parameters, dialects |
+//! | [`trip_check`] | captured trips compared with the plan |
+//! | [`geometric_fit`], [`part_errors`] | circle and line through points; probed points to errors and whiskers |
 //! | [`error_determination`] | errors from probed points as users give them
 //! | [`error_cor_file`] | `error.cor`, read and written |
-//! | [`table`], [`straight_table`] | the finish cut's corrections, or the same as G01 moves |
+//! | [`finish_table`], [`straight_table`] | the finish cut's corrections, or the same as G01 moves |
 //! | [`batch`] | the post-process loop: a batch measured off the machine |
 //! | [`svg`] | drawings as SVG |
 //! | [`comparison_page`] | two probing sessions side by side |
@@ -29,14 +29,14 @@ mod dxf;
 mod edge_tree;
 pub mod error_cor_file;
 pub mod error_determination;
-pub mod errors;
+pub mod finish_table;
 pub mod geometric_fit;
-pub mod path;
-pub mod probe;
-pub mod program;
+pub mod part_errors;
+pub mod probe_path;
+pub mod probing_program;
 mod repeats;
 pub mod straight_table;
 pub mod svg;
-pub mod table;
+pub mod trip_check;
 pub mod unit;
 mod written_step;

@@ -1,14 +1,14 @@
 //! The finish cut of a straight feature: errors by place become requested counts.
 
-use crate::error_cor_file::LineError;
+use crate::error_cor_file::StraightPointError;
+use crate::finish_table::{AxisCounts, FinishCorrectionRow, csv_of, interpolated};
 use crate::geometric_fit::Zx;
-use crate::table::{AxisCounts, FinishCorrectionRow, csv_of, interpolated};
 
 /// A straight feature's errors, ready for its finish cut.
 #[derive(Debug, Clone)]
-pub struct StraightTable {
+pub struct StraightFinishTable {
     /// Errors by place, places ascending.
-    pub errors: Vec<LineError>,
+    pub errors: Vec<StraightPointError>,
     /// The counts of Z and of X.
     pub axes: [AxisCounts; 2],
     /// Radius of the tool's nose, mm: the distance of its centre from the surface.
@@ -17,7 +17,7 @@ pub struct StraightTable {
     pub origin: Zx,
 }
 
-impl StraightTable {
+impl StraightFinishTable {
     /// Direction of the surface normal, and along the feature towards larger places.
     fn directions(&self) -> (Zx, Zx) {
         let n = self.errors.first().map_or(Zx::new(0.0, 0.0), |e| Zx::at_angle(e.angle_rad));
@@ -44,7 +44,7 @@ impl StraightTable {
 
     /// Components of the error, in µm, at a predicted machine position.
     /// It is reached in `lead_s` at a velocity in mm/s. For an arc see
-    /// [`crate::table::FinishTable::components_um`].
+    /// [`crate::finish_table::ArcFinishTable::components_um`].
     pub fn components_um(&self, machine: Zx, velocity_mm_s: Zx, lead_s: f64) -> Zx {
         let [along_mm, _] = self.at(machine + velocity_mm_s * lead_s);
         self.directions().0 * self.error_um(along_mm)
@@ -83,11 +83,12 @@ impl StraightTable {
     /// The same compensation as corners of straight moves in the NC program.
     /// They are in part coordinates.
     pub fn straight_moves(&self) -> Vec<Zx> {
-        let corner = |e: &LineError| e.place + Zx::at_angle(e.angle_rad) * (self.nose_mm - e.error_um * 1e-3);
+        let corner =
+            |e: &StraightPointError| e.place + Zx::at_angle(e.angle_rad) * (self.nose_mm - e.error_um * 1e-3);
         self.errors.iter().map(corner).collect()
     }
 
-    /// The table as CSV, with the columns of [`crate::table::csv`].
+    /// The table as CSV, with the columns of [`crate::finish_table::csv`].
     /// `lead_mm` is the distance before each position at which its totals are sent. The cut runs towards
     /// larger places, or with `backwards` towards smaller ones.
     pub fn csv(&self, rows: &[FinishCorrectionRow], lead_mm: f64, backwards: bool) -> String {

@@ -5,14 +5,14 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::InputError;
-use rtec_part::batch::{Batch, BatchFinding, SignificanceLimits, evaluate_columns};
+use rtec_part::batch::{BatchEvaluation, BatchFinding, SignificanceLimits, evaluate_columns};
 use rtec_part::error_cor_file::PointError;
 use std::fmt::Write as _;
 use test_needs::fewer;
 
 const JUDGEMENT: SignificanceLimits = SignificanceLimits { alpha: 0.01, least_um: 1.0 };
 
-fn judged(text: &str, seen: Option<&[PointError]>) -> Result<Batch, InputError> {
+fn judged(text: &str, seen: Option<&[PointError]>) -> Result<BatchEvaluation, InputError> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cmm.csv");
     std::fs::write(&file, text).unwrap();
@@ -25,7 +25,7 @@ fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-fn finding(batch: &Batch, feature: &str) -> BatchFinding {
+fn finding(batch: &BatchEvaluation, feature: &str) -> BatchFinding {
     batch.places.iter().find(|p| p.feature == feature).unwrap().finding
 }
 
@@ -328,7 +328,7 @@ fn clean_batches_have_no_wild_reading() {
 }
 
 /// Four places of some parts, one reading of which is mistyped.
-fn mistyped(rng: &mut Xoshiro256PlusPlus, parts: usize, typo: fn(f64) -> f64) -> (Batch, String) {
+fn mistyped(rng: &mut Xoshiro256PlusPlus, parts: usize, typo: fn(f64) -> f64) -> (BatchEvaluation, String) {
     let (place, part) = (rng.next_u64() as usize % 4, rng.next_u64() as usize % parts);
     let mut text = "part,feature,error_um,angle_rad\n".to_owned();
     for k in 0..4 {

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::format_collect, reason = "helpers and inputs of tests")]
 
 use rtec_part::batch::{self, SignificanceLimits};
-use rtec_part::errors::{NominalShape, ProbedPoints};
+use rtec_part::part_errors::{NominalShape, ProbedPoints};
 use std::path::PathBuf;
 
 fn field(name: &str) -> PathBuf {

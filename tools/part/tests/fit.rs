@@ -2,12 +2,12 @@
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
-use rtec_files::Sheet;
-use rtec_part::errors::{NominalShape, ProbedPoints};
+use rtec_files::CsvTable;
 use rtec_part::geometric_fit::{
     FitError, FitShape, FittedShape, TwoStepFit, Zx, beyond_noise, deviations_um, least_squares, robust, sd,
     standard_errors, two_step,
 };
+use rtec_part::part_errors::{NominalShape, ProbedPoints};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -66,13 +66,13 @@ fn centre(fitted: &FittedShape) -> Zx {
 #[test]
 fn scipy_finds_the_same_circles_and_lines() {
     let judges = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/judges");
-    let read = |name: &str, columns: &[&str]| -> Sheet {
+    let read = |name: &str, columns: &[&str]| -> CsvTable {
         let file: PathBuf = judges.join(name);
-        Sheet::read(&file, columns, |_| false).unwrap()
+        CsvTable::read(&file, columns, |_| false).unwrap()
     };
     let arcs = read("arcs.csv", &["set", "kind", "z_mm", "x_mm"]);
     let fits = read("arcs_scipy.csv", &["set", "kind", "z_mm", "x_mm", "size", "sd_um"]);
-    let column = |sheet: &Sheet, name: &str| sheet.numbers(name).unwrap();
+    let column = |sheet: &CsvTable, name: &str| sheet.numbers(name).unwrap();
     let (sets, z, x) = (column(&arcs, "set"), column(&arcs, "z_mm"), column(&arcs, "x_mm"));
     let kinds = fits.words("kind").unwrap();
     assert!(kinds.iter().any(|k| k == "circle") && kinds.iter().any(|k| k == "line"));

@@ -4,8 +4,8 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{
-    PathRole, ProbeGeometry, ProbingMotion, ProbingPlan, Stem, number_at, pathfin, read_pathfin,
+use rtec_part::probe_path::{
+    PathRole, ProbeGeometry, ProbingMotion, ProbingPlan, StylusStem, number_at, pathfin, read_pathfin,
 };
 use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
@@ -116,7 +116,7 @@ fn collisions_are_found_and_gone_round() {
     let hits = corner.hits(&part);
     assert!(hits.iter().any(|h| h.touching && h.feature == "F3"), "{hits:?}");
     // A stylus along −Z passes through the part; an upright one is clear.
-    let stem = |angle_rad| Stem { length_mm: 60.0, radius_mm: 2.0, angle_rad };
+    let stem = |angle_rad| StylusStem { length_mm: 60.0, radius_mm: 2.0, angle_rad };
     let with = |angle| {
         let mut plan = ProbingPlan::new(ProbeGeometry { stem: Some(stem(angle)), ..PROBE });
         plan.add_number(&part, 0, 1, 0.0);

@@ -5,8 +5,8 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{PathPoint, PathRole, ProbeGeometry, ProbingPlan};
-use rtec_part::program::{BUILT_IN, Controller, Parameters, ProbingProgram};
+use rtec_part::probe_path::{PathPoint, PathRole, ProbeGeometry, ProbingPlan};
+use rtec_part::probing_program::{BUILT_IN, DialectWithTemplate, Parameters, ProbingProgramInputs};
 use rtec_part::unit::Unit;
 use std::path::Path;
 use std::process::Command;
@@ -27,14 +27,14 @@ fn records() -> Vec<PathPoint> {
 }
 
 fn text(name: &str, unit: Unit, comments: bool, set: &[(&str, &str)]) -> String {
-    let controller = Controller::built_in(name).unwrap().unwrap();
+    let controller = DialectWithTemplate::built_in(name).unwrap().unwrap();
     let mut parameters = Parameters::default();
     for (name, value) in set {
         parameters.set(name, value).unwrap();
     }
     let records = records();
     let made = "2026-11-21 10:00 UTC";
-    ProbingProgram {
+    ProbingProgramInputs {
         controller: &controller,
         parameters: &parameters,
         records: &records,
@@ -87,15 +87,15 @@ fn lengths_nobody_gave_are_in_the_programs_unit_and_positions_are_asked_for_by_t
         for (name, value) in set {
             parameters.set(name, value).unwrap();
         }
-        parameters.unset(&Controller::built_in(name).unwrap().unwrap().template).collect::<Vec<_>>()
+        parameters.unset(&DialectWithTemplate::built_in(name).unwrap().unwrap().template).collect::<Vec<_>>()
     };
     assert_eq!(unset("report", &[]), ["probing_start_z", "reference_z", "reference_x", "clear_z"]);
     assert_eq!(unset("linuxcnc", &[]), ["probing_start_z"], "its template asks for no other");
     assert!(unset("fanuc", &[("probing_start_z", "3")]).is_empty());
-    let controller = Controller::built_in("report").unwrap().unwrap();
+    let controller = DialectWithTemplate::built_in("report").unwrap().unwrap();
     let (parameters, records) = (Parameters::in_unit(Unit::INCH), records());
     let (unit, made) = (Unit::INCH, "");
-    let job = ProbingProgram {
+    let job = ProbingProgramInputs {
         controller: &controller,
         parameters: &parameters,
         records: &records,
@@ -115,7 +115,7 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
     for (name, ..) in BUILT_IN {
         for unit in [Unit::MM, Unit::INCH] {
             let program = text(name, unit, true, &[]);
-            let controller = Controller::built_in(name).unwrap().unwrap();
+            let controller = DialectWithTemplate::built_in(name).unwrap().unwrap();
             let diameter = if controller.dialect.x_is_diameter { 2.0 } else { 1.0 };
             let first: Vec<&str> = program.lines().filter(|l| l.contains("ONLY")).collect();
             let start = records()[0].at;
@@ -154,7 +154,7 @@ fn minimal_comments_make_a_smaller_file_with_the_same_moves() {
 
 #[test]
 fn a_template_that_asks_for_the_unknown_is_named() {
-    let mut controller = Controller::built_in("report").unwrap().unwrap();
+    let mut controller = DialectWithTemplate::built_in("report").unwrap().unwrap();
     let (parameters, records) = (Parameters::default(), records());
     for (template, line, column) in [
         ("N0010 X\nN0020 $99\n$21\n", 2, 7),
@@ -164,7 +164,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
         ("N0010\n", 0, 0),
     ] {
         controller.template = template.to_owned();
-        let job = ProbingProgram {
+        let job = ProbingProgramInputs {
             controller: &controller,
             parameters: &parameters,
             records: &records,
@@ -182,7 +182,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
         assert_eq!(Parameters::default().read(&file).unwrap_err().line, line, "{bad:?}");
     }
     std::fs::write(&file, "nam = \"fanuc\"\n").unwrap();
-    assert!(Controller::read(&file, &file).unwrap_err().line == 1);
+    assert!(DialectWithTemplate::read(&file, &file).unwrap_err().line == 1);
 }
 
 /// LinuxCNC's interpreter runs the program; its canonical moves equal the path.

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::error_cor_file::PointError;
+use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc, csv};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::table::{AxisCounts, FinishArc, FinishTable, csv};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 const CUT: FinishArc =
@@ -19,14 +19,14 @@ fn bump(angle: f64) -> f64 {
     if off < 0.5 { 21.4 * (1.0 + (TAU * off).cos()) / 2.0 } else { 0.0 }
 }
 
-fn table(axis: AxisCounts) -> FinishTable {
+fn table(axis: AxisCounts) -> ArcFinishTable {
     let errors = (0..20)
         .map(|k| {
             let angle_rad = FRAC_PI_2 * f64::from(k) / 19.0;
             PointError { angle_rad, error_um: bump(angle_rad), along_mm: None }
         })
         .collect();
-    FinishTable::new(CUT, [axis; 2], errors)
+    ArcFinishTable::new(CUT, [axis; 2], errors)
 }
 
 #[test]
@@ -104,7 +104,7 @@ fn the_program_instead_takes_ninety_odd_lines_within_a_micrometre_and_a_half() {
     // If the step is coarser than the allowance no chord fits, but the path still ends.
     let coarse = table.straight_moves(0.0015, 2);
     assert!(coarse.len() > 100 && (*coarse.last().unwrap() - points[lines]).norm() < 0.01);
-    let plain = FinishTable::new(
+    let plain = ArcFinishTable::new(
         CUT,
         [ORIGINAL; 2],
         [0.0, FRAC_PI_2].map(|angle_rad| PointError { angle_rad, error_um: 0.0, along_mm: None }).to_vec(),

@@ -10,7 +10,7 @@
 //! | `io_ports` | `CAP_SYS_RAWIO` in the service, where I/O ports are used |
 //! | `card_irq` | on the real-time CPU for a card that wakes the thread, elsewhere for one that is polled |
 
-use rtec_driver::pci::{Function, PciId};
+use rtec_driver::pci::{PciFunction, PciId};
 use rtec_rt::setup::{OsError, SetupFinding, SystemRoot, cpu_list};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ struct User {
 /// The findings about a card with these devices.
 /// With `events`, interrupts of the card wake the real-time thread on `cpu`.
 pub fn card(system: &SystemRoot, devices: &[Device], events: bool, cpu: usize) -> Vec<SetupFinding> {
-    let tree = Tree { system };
+    let tree = SystemAccessFiles { system };
     let user = tree.user(USER);
     let uid = user.as_ref().map_or("none".to_owned(), |user| format!("uid {}", user.uid));
     let mut findings = vec![
@@ -81,11 +81,11 @@ pub fn card(system: &SystemRoot, devices: &[Device], events: bool, cpu: usize) -
 }
 
 /// The system's files about permissions and interrupts.
-struct Tree<'a> {
+struct SystemAccessFiles<'a> {
     system: &'a SystemRoot,
 }
 
-impl Tree<'_> {
+impl SystemAccessFiles<'_> {
     /// The lines of `/etc/passwd` or `/etc/group`, with their fields.
     fn table(&self, name: &str) -> Vec<Vec<String>> {
         let text = self.system.read(format!("etc/{name}")).unwrap_or_default();
@@ -197,7 +197,7 @@ impl Tree<'_> {
         })
     }
 
-    fn function(&self, id: &PciId) -> Option<Function> {
+    fn function(&self, id: &PciId) -> Option<PciFunction> {
         rtec_driver::pci::find_in(&self.system.path("sys/bus/pci/devices"), id).ok()
     }
 

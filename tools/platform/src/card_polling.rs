@@ -4,12 +4,14 @@
 //! Nothing moves the machine here. Reads are timed as the engine makes them. Writes are insertions at rest, without an
 //! edge. As many counts are added as are removed, so the outputs end as they were found.
 
-use crate::measurement::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults, tid_of};
+use crate::selftest_results::{
+    Latency, PollingResults, SelftestError, SelftestOptions, WriteResults, tid_of,
+};
 use rtec_driver::card::{Card, CardError, MachineLines, Sample};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::link_messages::{Mode, Request};
-use rtec_rt::thread::{RunningThread, ThreadEnd, ThreadOptions, spawn};
+use rtec_rt::thread::{RunningThread, ThreadExit, ThreadOptions, spawn};
 use std::time::{Duration, Instant};
 
 /// Rest of an axis between two insertions, ns.
@@ -155,7 +157,7 @@ pub(crate) fn start<C: Card + Send + 'static>(
 pub(crate) fn stopped<C: Card>(
     running: RunningThread<C>,
     tid: i32,
-) -> Result<(PollingResults, ThreadEnd<C>), SelftestError> {
+) -> Result<(PollingResults, ThreadExit<C>), SelftestError> {
     let timing = running.timing.clone();
     let (ended, _) = running.stop();
     if let Some(error) = ended.error {

@@ -184,7 +184,7 @@ impl<'a> Control<'a> {
 }
 
 /// The scale and the MTC of a self-test.
-struct Player<'a, 'c, F> {
+struct ScaleAndMtc<'a, 'c, F> {
     far: &'a mut F,
     control: &'a mut Control<'c>,
     done: &'a mut Recorder,
@@ -209,7 +209,8 @@ pub(crate) fn play(
     let scale = Decoder::new(LINES.scale(0));
     let mtc = Decoder::new(scale.state().inverted(inverters));
     let (clock, seen) = (Monotonic, SelftestCounts::default());
-    let mut player = Player { far, control, done, clock, scale, mtc, inverters, seen, last_done_ns: None };
+    let mut player =
+        ScaleAndMtc { far, control, done, clock, scale, mtc, inverters, seen, last_done_ns: None };
     loop {
         let now_ns = player.clock.now_ns();
         if player.control.over(now_ns, player.last_done_ns.is_some()) {
@@ -223,7 +224,7 @@ pub(crate) fn play(
     (player.seen, player.last_done_ns.unwrap_or(0))
 }
 
-impl<F: FarSideWires> Player<'_, '_, F> {
+impl<F: FarSideWires> ScaleAndMtc<'_, '_, F> {
     fn inverters_now(&mut self) -> u8 {
         LINES.inverters(self.far.outputs())
     }

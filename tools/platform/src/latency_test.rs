@@ -18,15 +18,15 @@
 use crate::card_polling;
 pub use crate::far_side::SelftestCounts;
 use crate::far_side::{Control, FarSideWires, play};
-use crate::measurement::tid;
-pub use crate::measurement::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults};
+use crate::selftest_results::tid;
+pub use crate::selftest_results::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults};
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
 use rtec_driver::card::Card;
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::mock::{MockCard, SharedWires};
-use rtec_driver::profile::Profile;
+use rtec_driver::profile::CardProfile;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::histogram::{HistogramSnapshot, Recorder, histogram};
 use rtec_rt::link_messages::Fault;
@@ -43,7 +43,7 @@ const SECOND: Duration = Duration::from_secs(1);
 /// The simulated card of the test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Backend {
+pub enum SimulatedBackend {
     /// Wires in the same process.
     Mock,
     /// Registers in a file that is mapped twice, once for each side of a card.
@@ -67,13 +67,13 @@ pub struct LatencyTestResult {
     /// On the card that will do the work it is the loop with insertions. Empty with one CPU only.
     pub with_requests: PollingResults,
     /// How the card was measured.
-    pub how: MeasuredOn,
+    pub how: CardTestExtent,
 }
 
 /// How a card was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum MeasuredOn {
+pub enum CardTestExtent {
     /// A simulated card; another CPU plays the machine.
     Simulated,
     /// The card that will do the work, with its outputs held.
@@ -95,9 +95,9 @@ impl LatencyTestResult {
     /// Whether at least one insertion was timed in each part.
     pub fn timed(&self) -> bool {
         match self.how {
-            MeasuredOn::Simulated => self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0),
-            MeasuredOn::Reads => false,
-            MeasuredOn::ReadsAndWrites { .. } => {
+            CardTestExtent::Simulated => self.both().iter().all(|p| p.edge_to_done.ns.samples() > 0),
+            CardTestExtent::Reads => false,
+            CardTestExtent::ReadsAndWrites { .. } => {
                 self.looked() && self.with_requests.seen_to_done.samples() > 0
             }
         }
@@ -135,9 +135,9 @@ impl LatencyTestResult {
     /// The far side counted them.
     pub fn balanced(&self) -> bool {
         match self.how {
-            MeasuredOn::Simulated => self.both().iter().all(|p| p.balanced()),
-            MeasuredOn::Reads => true,
-            MeasuredOn::ReadsAndWrites { restored, .. } => restored && self.completed() == 0,
+            CardTestExtent::Simulated => self.both().iter().all(|p| p.balanced()),
+            CardTestExtent::Reads => true,
+            CardTestExtent::ReadsAndWrites { restored, .. } => restored && self.completed() == 0,
         }
     }
 
@@ -153,7 +153,7 @@ impl LatencyTestResult {
             };
             let late = late(&self.quiet).max(late(&self.with_requests));
             // Without a far side, an edge right after its line was read is seen at the end of the next look.
-            if self.how == MeasuredOn::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
+            if self.how == CardTestExtent::Simulated { late } else { late + self.quiet.poll_gap.ns.p99() }
         };
         (of(HistogramSnapshot::max), of(HistogramSnapshot::p9999))
     }
@@ -164,7 +164,7 @@ impl LatencyTestResult {
     /// thousand is left out; rarer delays are in [`Self::detect_ns`].
     pub fn write_ns(&self) -> u64 {
         let inserting_ns = self.both().map(|p| p.seen_to_done.p9999());
-        if self.how != MeasuredOn::Simulated {
+        if self.how != CardTestExtent::Simulated {
             // An insertion at rest is the first write, its confirmation, one separation, and the look that orders the
             // second write.
             return inserting_ns[1].saturating_sub(self.axis.min_separation_ns);
@@ -176,7 +176,7 @@ impl LatencyTestResult {
     /// It is the MTC's separation after the edge, and the one between the two inversions. An insertion at rest has only
     /// the second.
     pub fn separations_ns(&self) -> u64 {
-        if self.how == MeasuredOn::Simulated {
+        if self.how == CardTestExtent::Simulated {
             2 * self.axis.min_separation_ns
         } else {
             self.axis.min_separation_ns
@@ -192,21 +192,21 @@ impl LatencyTestResult {
 /// When the test card or a thread cannot be made, or the card fails.
 pub fn run(
     options: SelftestOptions,
-    backend: Backend,
+    backend: SimulatedBackend,
     progress: impl FnMut(&str, u64),
 ) -> Result<LatencyTestResult, SelftestError> {
     match backend {
-        Backend::Mock => measure(options, progress, || {
+        SimulatedBackend::Mock => measure(options, progress, || {
             let wires = SharedWires::default();
             Ok((MockCard::new(wires.clone(), Monotonic), wires))
         }),
-        Backend::Mapped => measure(options, progress, || {
+        SimulatedBackend::Mapped => measure(options, progress, || {
             let io = |e| SelftestError::Io("making the card's file", e);
             let shared_memory = std::path::Path::new("/dev/shm");
             let dir = if shared_memory.is_dir() { shared_memory.to_owned() } else { std::env::temp_dir() };
             // The file needs its name until both ends have mapped it.
             let file = tempfile::Builder::new().prefix("rtec-selftest-").tempfile_in(dir).map_err(io)?;
-            let profile = Profile::shared_memory();
+            let profile = CardProfile::shared_memory();
             file.as_file().set_len(profile.size() as u64).map_err(io)?;
             let far = Registers::open(file.path(), profile.size(), &profile.name)?;
             Ok((MappedCard::open(file.path(), &profile, Monotonic)?, far))
@@ -232,7 +232,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
     let axis = axes.iter().max_by_key(|a| a.min_separation_ns).copied().unwrap_or_default();
     let (quiet, with_requests) = (PollingResults::default(), PollingResults::default());
     let mut measured =
-        LatencyTestResult { setup, wakeup, axis, quiet, with_requests, how: MeasuredOn::Reads };
+        LatencyTestResult { setup, wakeup, axis, quiet, with_requests, how: CardTestExtent::Reads };
     if left.is_some() {
         let (quiet, card) = card_polling::reads(card, axes, options, &mut progress)?;
         measured.quiet = quiet;
@@ -243,7 +243,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
             let WriteResults { polling, ended_by, restored } =
                 card_polling::writes(card, &axes, options, &mut progress)?;
             measured.with_requests = polling;
-            measured.how = MeasuredOn::ReadsAndWrites { ended_by, restored };
+            measured.how = CardTestExtent::ReadsAndWrites { ended_by, restored };
         }
     }
     Ok(measured)
@@ -268,7 +268,7 @@ fn measure<C: Card + Send + 'static, F: FarSideWires>(
         axis,
         quiet: PollingResults::default(),
         with_requests: PollingResults::default(),
-        how: MeasuredOn::Simulated,
+        how: CardTestExtent::Simulated,
     };
     if left.is_some() {
         measured.quiet = measure_polling(options, axis, wires()?, false, &mut progress)?;

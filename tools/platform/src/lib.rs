@@ -8,5 +8,5 @@ pub mod access; // may the service open the card's devices, and where do their i
 mod card_polling; // the self-test on the card that will do the work
 mod far_side; // the far side of the self-test's wires: makes the edges, times the insertions, counts as the MTC
 pub mod latency_test; // the latencies that the speed gate rests on, measured with the real engine
-mod measurement; // options of the self-test, and results of its parts
+mod selftest_results; // options of the self-test, and results of its parts
 pub mod verdict; // the edge rates that the latencies leave each axis, and whether the machine may correct

@@ -1,8 +1,8 @@
 //! Edge rates that the measured latency allows, and the verdict of a self-test.
 
 use crate::far_side::SelftestCounts;
-use crate::latency_test::{LatencyTestResult, MeasuredOn};
-use crate::measurement::{Latency, SelftestOptions};
+use crate::latency_test::{CardTestExtent, LatencyTestResult};
+use crate::selftest_results::{Latency, SelftestOptions};
 use rtec_control::config::{Config, ConfiguredAxis, LatencyTestConditions, floors_ns};
 use rtec_control::protocol::{SpeedLimits, explain_fault, word};
 use rtec_rt::axis::AxisConfig;
@@ -44,7 +44,7 @@ impl SelftestVerdict {
             None => Config::embedded().axes.iter().take(1).map(default_axis).collect(),
         };
         let axes: Vec<AxisRate> = axes.into_iter().map(|axis| axis_rate(axis, measured)).collect();
-        let card = config.filter(|_| measured.how != MeasuredOn::Simulated);
+        let card = config.filter(|_| measured.how != CardTestExtent::Simulated);
         let reasons = reasons(measured, &axes, card.and_then(|c| floors_ns(&c.card)));
         Self { axes, reasons }
     }
@@ -121,7 +121,7 @@ pub struct SelftestDocument<'a> {
     /// The card of the test.
     card: &'a str,
     /// The manner: `simulated`, `reads` (outputs held), `reads_and_writes`.
-    how: MeasuredOn,
+    how: CardTestExtent,
     verdict: &'static str,
     reason: String,
     separations_ns: u64,
@@ -190,7 +190,7 @@ fn reasons(
         let errno = f.errno.as_ref().map(|e| format!(" ({e})")).unwrap_or_default();
         format!("{} is {}, wanted {}{errno}: {}", f.name, f.got, f.wanted, f.remedy)
     }));
-    if let MeasuredOn::ReadsAndWrites { ended_by, restored } = measured.how {
+    if let CardTestExtent::ReadsAndWrites { ended_by, restored } = measured.how {
         reasons.extend(ended_by.map(|fault| {
             format!("{} was latched while the card was written to: {}", word(fault), explain_fault(fault))
         }));
@@ -201,7 +201,7 @@ fn reasons(
             );
         }
     }
-    if measured.how != MeasuredOn::Simulated && !measured.looked() {
+    if measured.how != CardTestExtent::Simulated && !measured.looked() {
         let why = if measured.quiet.poll_gap.tid == 0 {
             "a polling loop needs a second CPU"
         } else {
@@ -213,14 +213,14 @@ fn reasons(
     }
     if !measured.timed() {
         let why = match measured.how {
-            MeasuredOn::Reads => {
+            CardTestExtent::Reads => {
                 "reads only: writes were not measured, so this never passes; with the MTC off, --drive measures them"
             }
-            MeasuredOn::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
-            MeasuredOn::Simulated if measured.far().is_some() => {
+            CardTestExtent::ReadsAndWrites { .. } => "writes were not measured: no insertion was made",
+            CardTestExtent::Simulated if measured.far().is_some() => {
                 "edge to done was not measured: no insertion was seen"
             }
-            MeasuredOn::Simulated => "edge to done was not measured: a polling loop needs a second CPU",
+            CardTestExtent::Simulated => "edge to done was not measured: a polling loop needs a second CPU",
         };
         reasons.push(why.to_owned());
         reasons.extend(rates.iter().filter_map(|axis| axis.outruns.clone()));

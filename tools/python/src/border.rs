@@ -1,8 +1,8 @@
 //! Passes errors and long work between Rust and Python.
 
 use pyo3::prelude::*;
-use rtec_files::computation::ComputationHandle;
-use rtec_files::{InputError, InputMessage};
+use rtec_files::cancellable_computation::ComputationHandle;
+use rtec_files::{InputError, InputNotice};
 use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -57,14 +57,14 @@ type Done<T> = std::thread::Result<Option<(Result<T, Failure>, Vec<String>)>>;
 /// Messages are returned with the answer, or added to the notes of an error.
 pub(crate) fn work<T: Send + 'static>(
     py: Python<'_>,
-    of: impl FnOnce(&mut dyn FnMut(InputMessage)) -> Result<T, Failure> + Send + 'static,
+    of: impl FnOnce(&mut dyn FnMut(InputNotice)) -> Result<T, Failure> + Send + 'static,
 ) -> Answered<T> {
     let watch = Arc::new(ComputationHandle::default());
     let (send, done) = mpsc::channel::<Done<T>>();
     let watched = Arc::clone(&watch);
     let working = move || {
         let mut said = Vec::new();
-        let of = || watched.over(|| of(&mut |s: InputMessage| said.push(s.to_string())));
+        let of = || watched.over(|| of(&mut |s: InputNotice| said.push(s.to_string())));
         // After a panic all that the work used is dropped, so nothing reads it again.
         let done = catch_unwind(AssertUnwindSafe(of));
         // After Ctrl-C nobody waits for the answer.

@@ -9,8 +9,8 @@ use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_files::date;
 use rtec_files::format_stamp::signed;
-use rtec_files::trace::{RequestReader, TraceReader, request_columns, trace_columns};
-use rtec_files::{InputError, InputMessage};
+use rtec_files::trace::{TotalRequestReader, TraceReader, request_columns, trace_columns};
+use rtec_files::{InputError, InputNotice};
 use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, FittedChainTerm};
 use rtec_fit::thermal::{self, prediction_chart};
 use rtec_fit::workflow;
@@ -335,8 +335,8 @@ pub(crate) fn export_table(
         };
         let done = order.of(&machine.inner)?;
         let file = machine.inner.path.display();
-        done.warnings.iter().for_each(|w| say(InputMessage::Warning(format!("{file}: {w}"))));
-        done.notes.into_iter().for_each(|n| say(InputMessage::Note(n)));
+        done.warnings.iter().for_each(|w| say(InputNotice::Warning(format!("{file}: {w}"))));
+        done.notes.into_iter().for_each(|n| say(InputNotice::Note(n)));
         Ok((pretty(&done.document)?, done.text))
     })
 }
@@ -391,7 +391,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportOptions) -> Answered<Re
         };
         let inner = asked.read(circle, &out, say)?;
         if let Some(note) = &inner.note {
-            say(InputMessage::Note(note.clone()));
+            say(InputNotice::Note(note.clone()));
         }
         plausible::said(std::slice::from_ref(&inner), say);
         Ok(Record { inner })
@@ -560,13 +560,11 @@ pub(crate) fn replay(
     quietly(py, move || {
         let (engine, large) = match &config {
             None => (AxisConfig::default(), true),
-            Some(file) => {
-                (Config::load(file)?.replayed_axis(file, axis.as_deref())?, false)
-            }
+            Some(file) => (Config::load(file)?.replayed_axis(file, axis.as_deref())?, false),
         };
         let design = one_of("design", &design, &InsertionDesign::ALL.map(|d| (d.name(), d)))?;
         let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?;
-        let requests = RequestReader::open_beside(&requests, &request_columns(&columns.1)?, &trace)?;
+        let requests = TotalRequestReader::open_beside(&requests, &request_columns(&columns.1)?, &trace)?;
         let trace = trace.playable();
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
         let (outcome, _) = played.map_err(|error| match error {
@@ -602,7 +600,7 @@ pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(
     work(py, move |say| {
         let features = named(error_determination::ProbedFeature::ALL);
         let report = error_determination::determine(
-            &error_determination::ErrorRequest {
+            &error_determination::PartErrorRequest {
                 points: asked.points,
                 columns: asked.columns,
                 radius_mm: asked.radius_mm,

@@ -3,7 +3,7 @@
 use crate::analysis::Finding;
 use crate::grid_aliases::{self, GRID_SHARE};
 use crate::verdict::Verdict;
-use rtec_estimate::Shape;
+use rtec_estimate::UnnamedShape;
 use rtec_model::effect::{Dictionary, Effect, Wave};
 use rtec_model::record::{Axis, Column, Record, Role, span};
 
@@ -86,7 +86,7 @@ fn as_good(f: &Finding) -> Option<String> {
 pub(crate) fn advice(
     verdict: Verdict,
     effects: &[(Finding, Vec<f64>)],
-    shapes: &[Shape],
+    shapes: &[UnnamedShape],
     train: &[Record],
     dictionary: &Dictionary,
 ) -> String {
@@ -138,7 +138,7 @@ pub(crate) fn separating(f: &Finding, dictionary: &Dictionary) -> Vec<String> {
     parts
 }
 
-fn isolating(s: &Shape, train: &[Record]) -> String {
+fn isolating(s: &UnnamedShape, train: &[Record]) -> String {
     let over = &s.against[0];
     let columns = || train.iter().flat_map(|r| &r.columns).filter(|c| is_of(c, over));
     let range = span(columns().flat_map(|c| &c.data));
@@ -167,9 +167,9 @@ fn is_of(c: &Column, over: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::axis;
+    use crate::test_records::axis;
     use rtec_estimate::Rival;
-    use rtec_model::effect::Difference;
+    use rtec_model::effect::TemperatureDifference;
     use rtec_model::record::RunKind;
     use std::path::Path;
 
@@ -177,10 +177,10 @@ mod tests {
     fn sensors_that_saw_the_same_and_rivals_are_told_apart() {
         let dictionary = Dictionary::default();
         let mut effect = dictionary.effect("thermal_growth.z").unwrap();
-        effect.delta = Some(Difference::single("T1"));
+        effect.delta = Some(TemperatureDifference::single("T1"));
         let rival = |name: &str, sensor: Option<&str>| Rival {
             name: name.into(),
-            sensor: sensor.map(Difference::single),
+            sensor: sensor.map(TemperatureDifference::single),
             differs: None,
             margin: 0.5,
         };

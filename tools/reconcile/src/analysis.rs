@@ -1,8 +1,8 @@
 //! Turns an estimate into findings.
 //! They are effects with a name, shapes without one, and corrections of the model.
 
-use rtec_estimate::problem::Units;
-use rtec_estimate::{Estimate, EstimatedMember, Rival, Shape};
+use rtec_estimate::problem::UnitAssumption;
+use rtec_estimate::{Estimate, EstimatedMember, Rival, UnnamedShape};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -31,7 +31,7 @@ pub struct Finding {
 pub(crate) struct Analysis {
     /// Effects with half widths of their intervals, strongest first.
     pub(crate) findings: Vec<(Finding, Vec<f64>)>,
-    pub(crate) unexplained: Vec<Shape>,
+    pub(crate) unexplained: Vec<UnnamedShape>,
     pub(crate) estimate: Estimate,
 }
 
@@ -71,7 +71,7 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Anal
             }
             (Some(effect), _) => {
                 let rows = rtec_estimate::rows::Rows::new(records);
-                unexplained.extend(Shape::like(&rows, effect, "not as any effect of the dictionary"));
+                unexplained.extend(UnnamedShape::like(&rows, effect, "not as any effect of the dictionary"));
             }
             (None, Some(shape)) => unexplained.push(shape.clone()),
             (None, None) => {}
@@ -86,7 +86,7 @@ pub(crate) fn score(
     records: &[Record],
     machine: &Machine,
     from: &Analysis,
-    units: Units,
+    units: UnitAssumption,
     enough: f64,
 ) -> f64 {
     let model: Vec<Effect> = machine.effects().cloned().collect();

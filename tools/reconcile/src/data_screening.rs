@@ -8,7 +8,7 @@ use crate::gap::{self, Gap};
 use crate::suspicion_scope::{about, is_of_clock, is_one_of_several, is_sensor, whole};
 use crate::verdict::SkippedRecord;
 use rtec_estimate::alone;
-use rtec_estimate::problem::Units;
+use rtec_estimate::problem::UnitAssumption;
 use rtec_measure::plausible::{self, MistakeKind, Suspicion};
 use rtec_model::effect::{Effect, ThermalDependence};
 use rtec_model::machine::Machine;
@@ -251,7 +251,7 @@ pub(crate) fn other_machines(
     for (k, record) in holdout.iter().enumerate() {
         let [old, new] = [before, after].map(|m| {
             let effects: Vec<Effect> = m.effects().cloned().collect();
-            alone(record, &effects, &stated(m), Units::AsWritten).1
+            alone(record, &effects, &stated(m), UnitAssumption::AsWritten).1
         });
         for g in gap {
             let size = |left: &[(Role, f64)]| {

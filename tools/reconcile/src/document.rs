@@ -4,12 +4,12 @@ use crate::SEED;
 use crate::analysis::Finding;
 use crate::gap::Gap;
 use crate::localisation::LEAST_P;
-use crate::verdict::{CorrectedEffect, Reconciliation, RecordSetUp};
+use crate::verdict::{Reconciliation, RecordSetUp, RevisedEffect};
 use rtec_estimate::Rival;
-use rtec_model::effect::{Difference, DifferenceReference, Effect, ParameterSearch};
+use rtec_model::effect::{DifferenceReference, Effect, ParameterSearch, TemperatureDifference};
 use serde_json::{Map, Value, json};
 
-fn sensor_keys(map: &mut Map<String, Value>, sensor: Option<&Difference>) {
+fn sensor_keys(map: &mut Map<String, Value>, sensor: Option<&TemperatureDifference>) {
     if let Some(d) = sensor {
         map.insert("sensor".into(), json!(d.sensor));
         match &d.against {
@@ -76,7 +76,7 @@ fn finding((f, half): &(Finding, Vec<f64>)) -> Value {
     Value::Object(map)
 }
 
-fn refined(r: &CorrectedEffect) -> Value {
+fn refined(r: &RevisedEffect) -> Value {
     Value::Object(effect(&r.after.0, &r.after.1, Some(&r.before)))
 }
 
@@ -163,9 +163,12 @@ mod tests {
         assert_eq!(beside["knots_mm"], json!([0.0, 50.0, 100.0]));
         assert_eq!(inside["um"]["high"], json!([1.1, -1.8, 1.3]));
         let mut after = dictionary.effect("thermal_growth.z").unwrap();
-        after.delta = Some(Difference { sensor: "T8".into(), against: DifferenceReference::Reference(21.5) });
+        after.delta = Some(TemperatureDifference {
+            sensor: "T8".into(),
+            against: DifferenceReference::Reference(21.5),
+        });
         let entry =
-            refined(&CorrectedEffect { place: 0, before: after.clone(), after: (after, vec![0.5, 0.0]) });
+            refined(&RevisedEffect { place: 0, before: after.clone(), after: (after, vec![0.5, 0.0]) });
         assert_eq!((&entry["sensor"], &entry["reference_degC"]), (&json!("T8"), &json!(21.5)));
         assert_eq!(
             entry["parameters"]["um_per_K"],

@@ -78,7 +78,7 @@ pub(crate) fn chance(rows: f64) -> f64 {
 
 /// The residuals of one response of one record, its set-up removed.
 #[derive(Debug, Clone)]
-pub struct Trace {
+pub struct ResidualTrace {
     /// The record's file.
     pub file: String,
     /// The response.
@@ -140,14 +140,19 @@ impl Abscissa {
 }
 
 /// Residuals under the original and the better model, record by record.
-pub(crate) fn traces(train: &[Record], holdout: &[Record], before: &Machine, after: &Machine) -> Vec<Trace> {
+pub(crate) fn traces(
+    train: &[Record],
+    holdout: &[Record],
+    before: &Machine,
+    after: &Machine,
+) -> Vec<ResidualTrace> {
     let mut out = Vec::new();
     let effects = |m: &Machine| -> Vec<Effect> { m.effects().cloned().collect() };
     let (old, new) = (effects(before), effects(after));
     for (record, held) in train.iter().map(|r| (r, false)).chain(holdout.iter().map(|r| (r, true))) {
         let (before, after) = (left(record, &old), left(record, &new));
         for ((column, before), after) in record.responses().zip(before).zip(after) {
-            out.push(Trace {
+            out.push(ResidualTrace {
                 file: record.file.clone(),
                 response: column.role.to_string(),
                 holdout: held,
@@ -195,7 +200,7 @@ pub(crate) fn left_of_blocks(
 /// `used` are the analysed rows; `blocked` is the residual of each ([`left_of_blocks`]).
 pub(crate) fn gaps(
     used: &[Record],
-    traces: &[Trace],
+    traces: &[ResidualTrace],
     answer: &Analysis,
     blocked: Option<&[f64]>,
 ) -> Vec<Gap> {
@@ -234,8 +239,8 @@ pub(crate) fn gaps(
 
 /// Share of a response's mean square that the better model explains.
 /// It covers the training records.
-pub(crate) fn explained(traces: &[Trace], response: &str) -> f64 {
-    let of = |pick: fn(&Trace) -> &[f64]| {
+pub(crate) fn explained(traces: &[ResidualTrace], response: &str) -> f64 {
+    let of = |pick: fn(&ResidualTrace) -> &[f64]| {
         rms(traces.iter().filter(|t| !t.holdout && t.response == response).flat_map(pick))
     };
     let [before, after] = [of(|t| &t.before), of(|t| &t.after)];
@@ -244,16 +249,16 @@ pub(crate) fn explained(traces: &[Trace], response: &str) -> f64 {
 
 /// RMS before and after, over all responses of a unit.
 /// It covers the training records, or the hold-outs if `held`.
-pub(crate) fn pooled(traces: &[Trace], unit: &str, held: bool) -> Option<[f64; 2]> {
-    let of: Vec<&Trace> =
+pub(crate) fn pooled(traces: &[ResidualTrace], unit: &str, held: bool) -> Option<[f64; 2]> {
+    let of: Vec<&ResidualTrace> =
         traces.iter().filter(|t| t.holdout == held && unit_of(&t.response) == unit).collect();
-    let pool = |f: fn(&Trace) -> &[f64]| rms(of.iter().flat_map(|t| f(t)));
+    let pool = |f: fn(&ResidualTrace) -> &[f64]| rms(of.iter().flat_map(|t| f(t)));
     (!of.is_empty()).then(|| [pool(|t| &t.before), pool(|t| &t.after)])
 }
 
 /// The traces of each hold-out.
 /// `traces` are those of all hold-outs, record by record.
-pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [Trace]) -> Vec<&'t [Trace]> {
+pub(crate) fn by_record<'t>(held: &[Record], traces: &'t [ResidualTrace]) -> Vec<&'t [ResidualTrace]> {
     let mut rest = traces;
     let own = |record: &Record| {
         let (own, further) = rest.split_at(record.responses().count().min(rest.len()));

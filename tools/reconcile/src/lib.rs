@@ -30,6 +30,7 @@ mod advice;
 mod analysis;
 mod data_screening;
 mod document;
+mod evidence_table;
 mod gap;
 mod grid_aliases;
 mod interval;
@@ -42,25 +43,24 @@ mod sensor_choice;
 mod subsample;
 mod suspicion_scope;
 #[cfg(test)]
-mod testing;
+mod test_records;
 mod unexplained;
 mod verdict;
-mod why;
 mod workflow;
 
 /// Seed of all permutations.
 pub const SEED: u64 = 4832;
 
 pub use analysis::Finding;
-pub use gap::{Abscissa, Gap, Trace};
+pub use evidence_table::why;
+pub use gap::{Abscissa, Gap, ResidualTrace};
 pub use localisation::ResidualStructure;
 pub use next_run::{ExpectedEvidence, NextRuns, UnresolvedEffect, next_runs};
 pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
 pub use report::{html, pictures};
-pub use rtec_estimate::{Rival, Shape, TriedExplanation};
+pub use rtec_estimate::{Rival, TriedExplanation, UnnamedShape};
 pub use unexplained::LAWS_FILE;
-pub use verdict::{CorrectedEffect, Reconciliation, RecordSetUp, SkippedRecord, Verdict};
-pub use why::why;
+pub use verdict::{Reconciliation, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
 pub use workflow::{find, reconcile};
 
 /// The options of a reconciliation.

@@ -5,10 +5,10 @@
 use crate::SEED;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
-use rtec_estimate::Shape;
+use rtec_estimate::UnnamedShape;
 use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Rows, Segment};
-use rtec_estimate::setup::SetUpKind;
+use rtec_estimate::setup::SetUpTermKind;
 use rtec_least_squares::dot;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -151,7 +151,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<ResidualStruc
     if lost.is_empty() {
         return out;
     }
-    problem.terms.retain(|t| t.what != SetUpKind::Air);
+    problem.terms.retain(|t| t.what != SetUpTermKind::Air);
     let (sigmas, before) = left_by(&problem);
     let mut closer = Vec::new();
     for response in lost {
@@ -175,7 +175,7 @@ pub(crate) fn places(records: &[Record], machine: &Machine) -> Vec<ResidualStruc
 
 /// A finding of a later stage.
 /// It has the share of the residual's mean square, its shape, and the probability by chance.
-pub(crate) type FoundLater = (f64, Shape, f64);
+pub(crate) type FoundLater = (f64, UnnamedShape, f64);
 
 /// Adds findings of later stages that this test alone does not show.
 /// Their variable is what the law reads.
@@ -514,7 +514,7 @@ fn judged(
 }
 
 /// Neighbouring rows of one stretch: their first and last row within a block.
-struct Run {
+struct RowStretch {
     block: u32,
     from: u32,
     to: u32,
@@ -522,13 +522,13 @@ struct Run {
 
 /// The runs of rows in each block, for each stretch.
 /// Most are long, because most channels change slowly.
-fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<Run>> {
-    let mut out: Vec<Vec<Run>> = (0..bins).map(|_| Vec::new()).collect();
+fn runs(bin: &[u32], length: usize, bins: usize) -> Vec<Vec<RowStretch>> {
+    let mut out: Vec<Vec<RowStretch>> = (0..bins).map(|_| Vec::new()).collect();
     for (block, bins) in bin.chunks(length).enumerate() {
         let mut from = 0;
         for same in bins.chunk_by(|a, b| a == b) {
             let to = from + same.len() as u32;
-            out[same[0] as usize].push(Run { block: block as u32, from, to });
+            out[same[0] as usize].push(RowStretch { block: block as u32, from, to });
             from = to;
         }
     }
@@ -547,8 +547,8 @@ fn running(residual: &[f64]) -> Vec<f64> {
 
 /// Sums of a residual by stretch, from its running sums.
 /// `begin` is the row from which each block takes its residuals, which continue cyclically.
-fn sums_by(runs: &[Vec<Run>], running: &[f64], begin: &[usize]) -> Vec<f64> {
-    let of = |Run { block, from, to }: &Run| {
+fn sums_by(runs: &[Vec<RowStretch>], running: &[f64], begin: &[usize]) -> Vec<f64> {
+    let of = |RowStretch { block, from, to }: &RowStretch| {
         let running = &running[begin[*block as usize]..];
         running[*to as usize] - running[*from as usize]
     };
@@ -606,7 +606,7 @@ fn stretches(x: &[f64]) -> Option<Vec<Vec<usize>>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{noise, record};
+    use crate::test_records::{noise, record};
     use rtec_model::record::Column;
 
     #[test]
@@ -647,7 +647,7 @@ mod tests {
                 let mut run = record(1200, |i| dice[i as usize] + size * rows[i as usize].2);
                 run.columns[1].data = rows.iter().map(|r| r.0).collect();
                 let dir = rows.iter().map(|r| r.1).collect();
-                run.columns.push(Column::new("dir", Role::Direction(crate::testing::axis()), dir));
+                run.columns.push(Column::new("dir", Role::Direction(crate::test_records::axis()), dir));
                 places(&[run], &Machine::ideal("m"))
             };
             let found = of(1.0);

@@ -4,12 +4,12 @@
 
 use crate::analysis::{Analysis, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
-use rtec_estimate::problem::Units;
+use rtec_estimate::problem::UnitAssumption;
 use rtec_estimate::{alone, of_other_machine, unexplained};
 use rtec_files::text::short;
 use rtec_measure::plausible::{MistakeKind, Suspicion};
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::effect::{Difference, Effect};
+use rtec_model::effect::{Effect, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role};
 use std::f64::consts::PI;
@@ -29,12 +29,16 @@ pub(crate) struct Mistake {
 impl Mistake {
     /// Which units are possible while it is tested.
     /// Set-up terms have those of the responses and of time.
-    fn units(&self) -> Units {
+    fn units(&self) -> UnitAssumption {
         let set_up = |c: &Column| c.role == Role::Time || c.role.is_response();
         let columns = self.corrected.iter().flat_map(|r| &r.columns);
         let all = self.said.column.is_empty();
         let asked = columns.into_iter().any(|c| (all || c.name == self.said.column) && set_up(c));
-        if self.said.what == MistakeKind::Unit && asked { Units::Any } else { Units::AsWritten }
+        if self.said.what == MistakeKind::Unit && asked {
+            UnitAssumption::Any
+        } else {
+            UnitAssumption::AsWritten
+        }
     }
 }
 
@@ -97,7 +101,7 @@ pub(crate) fn of_training(
     let mut now = records.to_vec();
     let mut best: Option<Analysis> = None;
     // Log evidence of the present records, by the units that are possible.
-    let mut as_they_stand: Vec<(Units, f64)> = Vec::new();
+    let mut as_they_stand: Vec<(UnitAssumption, f64)> = Vec::new();
     // Tested beside the original model, because findings may have absorbed the mistake as a change of the
     // machine.
     let model: Vec<Effect> = machine.effects().cloned().collect();
@@ -115,7 +119,7 @@ pub(crate) fn of_training(
             let stands = |units| -> Vec<f64> {
                 models.iter().map(|m| alone(record, m, &intervals, units).0).collect()
             };
-            let [written, any] = [Units::AsWritten, Units::Any].map(stands);
+            let [written, any] = [UnitAssumption::AsWritten, UnitAssumption::Any].map(stands);
             let left: Vec<_> = models.iter().map(|m| unexplained(record, m)).collect();
             let mut all = candidates(record, &now, models.last().unwrap_or(&model));
             all.extend((now.len() > 1).then(|| other_machine(record, &model)));
@@ -130,7 +134,7 @@ pub(crate) fn of_training(
                         alone(corrected, model, &intervals, m.units()).0 + m.jacobian - stands
                     }
                 };
-                let stands = if m.units() == Units::Any { &any } else { &written };
+                let stands = if m.units() == UnitAssumption::Any { &any } else { &written };
                 let gain = models.iter().zip(stands.iter().zip(&left)).map(gain).fold(0.0, f64::max);
                 if gain > 0.0 {
                     tried.push((gain, k, m));
@@ -151,7 +155,7 @@ pub(crate) fn of_training(
         tried.truncate(LOOKED_AT);
         let mut sets: Vec<JointMistakes> = tried.into_iter().map(|(_, k, m)| vec![(k, m)]).collect();
         sets.extend(habit);
-        let mut likeliest: Option<(f64, (Units, f64), JointMistakes)> = None;
+        let mut likeliest: Option<(f64, (UnitAssumption, f64), JointMistakes)> = None;
         for set in sets {
             let units = set[0].1.units();
             let known = as_they_stand.iter().find(|s| s.0 == units).map(|s| s.1);
@@ -229,8 +233,8 @@ pub(crate) fn of_hold_out(
         return None;
     }
     let stands = |units| alone(record, &effects, &intervals, units);
-    let (as_it_stands, noise) = stands(Units::AsWritten);
-    let of_any_unit = stands(Units::Any).0;
+    let (as_it_stands, noise) = stands(UnitAssumption::AsWritten);
+    let of_any_unit = stands(UnitAssumption::Any).0;
     let explained = |noise: &[(Role, f64)]| noise.iter().all(|(r, s)| *s <= EXPLAINED * floor_um(r));
     if explained(&noise) {
         return None;
@@ -239,7 +243,7 @@ pub(crate) fn of_hold_out(
     all.push(record.clone());
     let weigh = |m: Mistake| {
         let (then, noise) = alone(m.corrected.as_ref()?, &effects, &intervals, m.units());
-        let stands = if m.units() == Units::Any { of_any_unit } else { as_it_stands };
+        let stands = if m.units() == UnitAssumption::Any { of_any_unit } else { as_it_stands };
         let gain = then + m.jacobian - stands - ONE_IN.ln() - CERTAIN.ln();
         (gain > 0.0 && explained(&noise)).then_some((gain, m.said))
     };
@@ -567,7 +571,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
     let read: Vec<String> = model
         .iter()
         .filter_map(|e| e.delta.as_ref())
-        .flat_map(Difference::sensors)
+        .flat_map(TemperatureDifference::sensors)
         .map(str::to_owned)
         .collect();
     let sensors: Vec<&str> = record.names(&Role::Temperature).collect();

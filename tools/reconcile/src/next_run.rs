@@ -13,7 +13,7 @@ use rtec_estimate::rows::{Noise, Rows};
 use rtec_files::InputError;
 use rtec_least_squares::Factor;
 use rtec_measure::plan::{PlanAxis, PlannedRun, TargetRun, target_run};
-use rtec_model::effect::{Dictionary, Difference, DifferenceReference, Effect, Quantity};
+use rtec_model::effect::{Dictionary, DifferenceReference, Effect, Quantity, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
 use serde::Serialize;
@@ -100,7 +100,7 @@ fn is_force(effect: &Effect) -> bool {
 }
 
 /// The temperature difference of an entry, if it has one.
-fn difference(map: &Map<String, Value>) -> Option<Difference> {
+fn difference(map: &Map<String, Value>) -> Option<TemperatureDifference> {
     let text = |key: &str| map.get(key).and_then(Value::as_str);
     let sensor = text("sensor")?.to_owned();
     let reference = map
@@ -108,7 +108,7 @@ fn difference(map: &Map<String, Value>) -> Option<Difference> {
         .and_then(Value::as_f64)
         .map_or(DifferenceReference::Standard, DifferenceReference::Reference);
     let against = text("minus").map_or(reference, |m| DifferenceReference::Sensor(m.to_owned()));
-    Some(Difference { sensor, against })
+    Some(TemperatureDifference { sensor, against })
 }
 
 /// The expected evidence of a run for an effect against a rival.
@@ -272,7 +272,7 @@ impl Simulated {
         let rivals = open.rivals.iter().filter_map(|r| r.sensor.as_ref());
         let known = model.iter().chain([&open.effect]).filter_map(|e| e.delta.as_ref());
         let mut sensors: Vec<String> =
-            rivals.chain(known).flat_map(Difference::sensors).map(str::to_owned).collect();
+            rivals.chain(known).flat_map(TemperatureDifference::sensors).map(str::to_owned).collect();
         sensors.sort_unstable();
         sensors.dedup();
         let records = record(run, axis, &response(&open.effect), &sensors).into_iter();

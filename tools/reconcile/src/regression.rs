@@ -4,7 +4,7 @@
 
 use crate::analysis::stated;
 use rtec_estimate::rows::{Rows, Segment};
-use rtec_estimate::setup::{self, SetUpKind};
+use rtec_estimate::setup::{self, SetUpTermKind};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -140,9 +140,9 @@ fn of_set_up(
 fn by_hand(rows: &Rows<'_>) -> Vec<RegressionColumn> {
     let of = |t: setup::SetUpTerm| {
         let what = match t.what {
-            SetUpKind::Zero => "zero",
-            SetUpKind::CentreFirst => "centre, first axis",
-            SetUpKind::CentreSecond => "centre, second axis",
+            SetUpTermKind::Zero => "zero",
+            SetUpTermKind::CentreFirst => "centre, first axis",
+            SetUpTermKind::CentreSecond => "centre, second axis",
             _ => return None,
         };
         let row = t.column.iter().position(|x| *x != 0.0)?;

@@ -1,6 +1,6 @@
 //! `report.html`: the answer as one page with plots.
 
-use crate::gap::Trace;
+use crate::gap::ResidualTrace;
 use crate::localisation::{LEAST_P, ResidualStructure};
 use crate::verdict::{Reconciliation, Verdict};
 use rtec_estimate::rows::{Rows, Segment};
@@ -453,7 +453,7 @@ fn effects(h: &mut String, r: &Reconciliation) {
 
 /// A trace over position, angle or time.
 /// Before is grey, after is coloured; up and down are separate.
-fn chart(t: &Trace, stretches: usize) -> Chart {
+fn chart(t: &ResidualTrace, stretches: usize) -> Chart {
     let unit = unit_of(&t.response);
     let held = if t.holdout { ", hold-out" } else { "" };
     let style = if t.over.in_order { Style::Line } else { Style::Dots };

@@ -3,18 +3,18 @@
 
 use crate::analysis::Finding;
 use rtec_fit::thermal;
-use rtec_model::effect::{Difference, ThermalDependence};
+use rtec_model::effect::{TemperatureDifference, ThermalDependence};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role, RunKind};
 
 /// The two sensors of a difference, in either order.
-fn pair(d: &Difference) -> [Option<&str>; 2] {
+fn pair(d: &TemperatureDifference) -> [Option<&str>; 2] {
     let mut both = [Some(d.sensor.as_str()), d.minus()];
     both.sort_unstable();
     both
 }
 
-fn list(differences: &[&Difference]) -> String {
+fn list(differences: &[&TemperatureDifference]) -> String {
     differences.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
@@ -44,16 +44,17 @@ pub(crate) fn other_sensors(
     for axis in axes {
         let ours =
             found.iter().filter(|f| f.effect.axes()[0] == axis).filter_map(|f| f.effect.delta.as_ref());
-        let ours: Vec<&Difference> = ours.collect();
+        let ours: Vec<&TemperatureDifference> = ours.collect();
         // The rows are few or unsuitable for a fit, so there is no other choice.
         let response = Role::Error(axis);
         let Ok(theirs) = thermal::select_differences(&beyond.iter().collect::<Vec<_>>(), &response, &options)
         else {
             continue;
         };
-        let theirs: Vec<&Difference> = theirs.iter().collect();
-        let alike =
-            |a: &[&Difference], b: &[&Difference]| a.iter().all(|d| b.iter().any(|e| pair(d) == pair(e)));
+        let theirs: Vec<&TemperatureDifference> = theirs.iter().collect();
+        let alike = |a: &[&TemperatureDifference], b: &[&TemperatureDifference]| {
+            a.iter().all(|d| b.iter().any(|e| pair(d) == pair(e)))
+        };
         if alike(&ours, &theirs) && alike(&theirs, &ours) {
             continue;
         }

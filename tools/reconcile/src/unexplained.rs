@@ -2,8 +2,8 @@
 //! It is a broken line over the shape's variable, constant beyond the range that was seen. It is a law of the
 //! project's own file, marked as unexplained.
 
-use rtec_estimate::Shape;
-use rtec_model::effect::{Difference, DifferenceReference, Effect, STANDARD_DEGC};
+use rtec_estimate::UnnamedShape;
+use rtec_model::effect::{DifferenceReference, Effect, STANDARD_DEGC, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use std::fmt::Write as _;
@@ -57,7 +57,7 @@ struct Along {
 
 impl Along {
     /// `None` for a shape over a variable that no law reads.
-    fn of(shape: &Shape) -> Option<Self> {
+    fn of(shape: &UnnamedShape) -> Option<Self> {
         let axis = shape.response.split('.').nth(1)?.to_owned();
         let mut along: Vec<&str> = shape.against.iter().map(String::as_str).collect();
         if along.last().and_then(|l| Role::parse(l)) == Some(Role::Coolant) {
@@ -105,7 +105,7 @@ impl Along {
     }
 
     /// The file of a law: one parameter for the height of each knot.
-    fn law(&self, name: &str, shape: &Shape, knots: usize, [lo, hi]: [f64; 2]) -> String {
+    fn law(&self, name: &str, shape: &UnnamedShape, knots: usize, [lo, hi]: [f64; 2]) -> String {
         let force = shape.response.starts_with("force");
         let (unit, acts_on) = if force { ("N", "force") } else { ("um", "error") };
         let with = self.factor.map_or_else(String::new, |f| format!(", {f} = 1"));
@@ -133,7 +133,7 @@ impl Along {
 
 /// A stand-in for a shape, with this number of knots; the model adopts its law.
 pub(crate) fn stand_in(
-    shape: &Shape,
+    shape: &UnnamedShape,
     knots: usize,
     train: &[Record],
     model: &mut Machine,
@@ -143,19 +143,20 @@ pub(crate) fn stand_in(
     let name = format!("unexplained_{}", shape.against.join("_").replace('.', "_"));
     let laws = model.adopt(LAWS_FILE, &along.law(&name, shape, knots, range)).ok()?;
     let mut effect = model.dictionary().effect(&format!("{name}.{}{}", along.axis, along.naming().1)).ok()?;
-    effect.delta = along.sensor.map(|sensor| Difference { sensor, against: DifferenceReference::Standard });
+    effect.delta =
+        along.sensor.map(|sensor| TemperatureDifference { sensor, against: DifferenceReference::Standard });
     Some(StandIn { effect, laws })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{axis, record};
+    use crate::test_records::{axis, record};
     use rtec_model::record::span;
 
-    fn shape(against: &[&str], manner: &str) -> Shape {
+    fn shape(against: &[&str], manner: &str) -> UnnamedShape {
         let against = against.iter().map(|a| (*a).to_owned()).collect();
-        Shape { response: "error.x".into(), against, manner: manner.into() }
+        UnnamedShape { response: "error.x".into(), against, manner: manner.into() }
     }
 
     /// With heights at its knots, a stand-in is a broken line, constant beyond.

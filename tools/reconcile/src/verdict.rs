@@ -1,12 +1,12 @@
 //! The whole answer of a reconciliation.
 
 use crate::analysis::Finding;
-use crate::gap::{Gap, Trace, chance, unit_of};
+use crate::gap::{Gap, ResidualTrace, chance, unit_of};
 use crate::localisation::ResidualStructure;
 use rtec_estimate::priors::HELD;
-use rtec_estimate::setup::SetUpKind;
-use rtec_estimate::{Shape, TriedExplanation};
-use rtec_files::InputMessage;
+use rtec_estimate::setup::SetUpTermKind;
+use rtec_estimate::{TriedExplanation, UnnamedShape};
+use rtec_files::InputNotice;
 use rtec_measure::plausible::{self, Suspicion};
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
@@ -33,7 +33,7 @@ impl Verdict {
     /// A shape makes it unknown. A name, or a mode of it, with too small a posterior share makes it not
     /// separable.
     #[must_use]
-    pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[Shape]) -> Self {
+    pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[UnnamedShape]) -> Self {
         let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
         match (unexplained, added) {
             ([_, ..], _) => Self::UnknownEffect,
@@ -63,7 +63,7 @@ impl fmt::Display for Verdict {
 
 /// A correction of an effect that the model already has.
 #[derive(Debug, Clone)]
-pub struct CorrectedEffect {
+pub struct RevisedEffect {
     /// Its index in the model.
     pub place: usize,
     /// The effect before the correction.
@@ -89,14 +89,14 @@ impl RecordSetUp {
         let timed = |s: &rtec_estimate::SetUpEstimate| records[s.record].column(&Role::Time).is_some();
         // The estimator assumes for a run without times the hours that a creep keeps its direction.
         let runs = |s: &rtec_estimate::SetUpEstimate| {
-            if s.what == SetUpKind::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
+            if s.what == SetUpTermKind::Line && !timed(s) { rtec_estimate::priors::LINE_HOURS } else { 1.0 }
         };
         let name = |s: &rtec_estimate::SetUpEstimate| match (s.what, s.response.as_str()) {
-            (SetUpKind::Zero, "error.r") => "bar_um".to_owned(),
-            (SetUpKind::Zero, response) => format!("zero_um.{response}"),
-            (SetUpKind::CentreFirst, _) => "centre_um.0".to_owned(),
-            (SetUpKind::CentreSecond, _) => "centre_um.1".to_owned(),
-            (SetUpKind::Line, response) => {
+            (SetUpTermKind::Zero, "error.r") => "bar_um".to_owned(),
+            (SetUpTermKind::Zero, response) => format!("zero_um.{response}"),
+            (SetUpTermKind::CentreFirst, _) => "centre_um.0".to_owned(),
+            (SetUpTermKind::CentreSecond, _) => "centre_um.1".to_owned(),
+            (SetUpTermKind::Line, response) => {
                 format!("line_um_per_{}.{response}", if timed(s) { "h" } else { "run" })
             }
             _ => "jump_um".to_owned(),
@@ -131,13 +131,13 @@ pub struct Reconciliation {
     /// Added effects, strongest first, with half widths of their intervals.
     pub effects: Vec<(Finding, Vec<f64>)>,
     /// Structure without a name.
-    pub unexplained: Vec<Shape>,
+    pub unexplained: Vec<UnnamedShape>,
     /// On request: the curve for what is unexplained, and the text of its law's file.
     pub curve: Option<(Effect, String)>,
     /// Why there is no such curve, where one was asked for.
     pub no_curve: Option<String>,
     /// Corrected parameters.
-    pub refined: Vec<CorrectedEffect>,
+    pub refined: Vec<RevisedEffect>,
     /// The gap, one per unit.
     pub gap: Vec<Gap>,
     /// Whether the findings make the hold-outs no worse; `None` without a hold-out.
@@ -153,7 +153,7 @@ pub struct Reconciliation {
     /// The training records as used: without what was left out.
     pub records: Vec<Record>,
     /// Per record and response: role, measured minus simulated before and after.
-    pub traces: Vec<Trace>,
+    pub traces: Vec<ResidualTrace>,
     /// False-alarm rate.
     pub level: f64,
     /// Autocorrelation of the noise from row to row.
@@ -189,10 +189,10 @@ impl Reconciliation {
         gap.train[0].powi(2) > gap.floor.powi(2) * chance(independent)
     }
 
-    /// Reports what was derived, suspicions, and conditions of the records that are no mistakes.
-    pub fn say_of(&self, train: &[Record], holdout: &[Record], say: &mut dyn FnMut(InputMessage)) {
-        self.derived.iter().cloned().map(InputMessage::Note).for_each(&mut *say);
-        self.suspicions.iter().map(ToString::to_string).map(InputMessage::Warning).for_each(&mut *say);
+    /// Reports derived columns, suspicions, and conditions that are no mistakes.
+    pub fn say_of(&self, train: &[Record], holdout: &[Record], say: &mut dyn FnMut(InputNotice)) {
+        self.derived.iter().cloned().map(InputNotice::Note).for_each(&mut *say);
+        self.suspicions.iter().map(ToString::to_string).map(InputNotice::Warning).for_each(&mut *say);
         for records in [train, holdout] {
             plausible::say_conditions(records, &self.suspicions, say);
         }
@@ -242,8 +242,11 @@ mod tests {
                 vec![0.1],
             )
         };
-        let shape =
-            Shape { response: "error.x".into(), against: vec!["time".into()], manner: "smooth".into() };
+        let shape = UnnamedShape {
+            response: "error.x".into(),
+            against: vec!["time".into()],
+            manner: "smooth".into(),
+        };
         assert_eq!(Verdict::of(&[], &[]), Verdict::NothingMissing);
         assert_eq!(Verdict::of(&[finding(0.99, 0.97)], &[]), Verdict::Named);
         assert_eq!(Verdict::of(&[finding(0.99, 0.9), finding(0.7, 0.9)], &[]), Verdict::NotSeparable);

@@ -4,23 +4,23 @@ use crate::Options;
 use crate::advice::advice;
 use crate::analysis::{Analysis, Finding, analyse, stated};
 use crate::data_screening::{self, ScreenedRecords, doubts};
-use crate::gap::{self, Gap, Trace, gaps, traces};
+use crate::gap::{self, Gap, ResidualTrace, gaps, traces};
 use crate::interval;
 use crate::localisation::{self, ResidualStructure};
 use crate::mistakes;
 use crate::sensor_choice;
 use crate::subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::unexplained::stand_in;
-use crate::verdict::{CorrectedEffect, Reconciliation, RecordSetUp, SkippedRecord, Verdict};
+use crate::verdict::{Reconciliation, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
 use rtec_estimate::Rival;
-use rtec_estimate::Shape;
+use rtec_estimate::UnnamedShape;
 use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::refit::Refit;
 use rtec_estimate::rows::{Rows, Segment};
 use rtec_files::InputError;
 use rtec_fit::denoise;
 use rtec_measure::ballbar::in_motion;
-use rtec_measure::derive::derive;
+use rtec_measure::derivatives::derive;
 use rtec_measure::plausible::Suspicion;
 use rtec_model::effect::{Dictionary, Effect, Law, ParameterSearch, Refine, ThermalDependence};
 use rtec_model::machine::{Machine, Provenance, SourceRecord};
@@ -137,12 +137,12 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     }
     let mut places = localisation::places(&used, machine);
     if why_nothing.is_none() {
-        let like = |e: &Effect, p: f64| Some((Shape::like(&rows_of, e, "")?, p));
+        let like = |e: &Effect, p: f64| Some((UnnamedShape::like(&rows_of, e, "")?, p));
         let named = effects.iter().filter_map(|(f, _)| like(&f.effect, f.p_value));
         let corrected = refined.iter().filter_map(|r| like(&r.after.0, options.level));
         let shapes = answer.unexplained.iter().map(|s| (s.clone(), options.level));
         let found = named.chain(corrected).chain(shapes);
-        let share = |s: &Shape| gap::explained(&traces_of, &s.response);
+        let share = |s: &UnnamedShape| gap::explained(&traces_of, &s.response);
         localisation::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
@@ -184,10 +184,10 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
 }
 
 /// A shape that says that so few rows allow no answer.
-fn not_told(used: &[Record], why: &str) -> Shape {
+fn not_told(used: &[Record], why: &str) -> UnnamedShape {
     let response =
         used.iter().flat_map(Record::responses).next().map_or(String::new(), |c| c.role.to_string());
-    Shape { response, against: Vec::new(), manner: why.to_owned() }
+    UnnamedShape { response, against: Vec::new(), manner: why.to_owned() }
 }
 
 /// What to do about the records that the verdict does not cover.
@@ -204,7 +204,7 @@ fn to_mend(unsaid: &[SkippedRecord]) -> Vec<String> {
 fn said_beside(
     strangers: &[(usize, Suspicion)],
     held: &[Record],
-    traces: &[Trace],
+    traces: &[ResidualTrace],
     gap: &mut [Gap],
 ) -> Option<String> {
     if strangers.is_empty() {
@@ -218,7 +218,8 @@ fn said_beside(
     }
     let of = gap::by_record(held, traces);
     let strange = |k: &usize| strangers.iter().any(|(s, _)| s == k);
-    let good: Vec<Trace> = (0..of.len()).filter(|k| !strange(k)).flat_map(|k| of[k].to_vec()).collect();
+    let good: Vec<ResidualTrace> =
+        (0..of.len()).filter(|k| !strange(k)).flat_map(|k| of[k].to_vec()).collect();
     for g in gap.iter_mut() {
         g.without_strangers = gap::pooled(&good, &g.unit, true);
     }
@@ -240,7 +241,7 @@ struct Work<'w> {
 /// A better model, and its changes.
 struct ImprovedModel {
     model: Machine,
-    refined: Vec<CorrectedEffect>,
+    refined: Vec<RevisedEffect>,
     effects: Vec<(Finding, Vec<f64>)>,
     curve: Option<(Effect, String)>,
 }
@@ -348,7 +349,7 @@ impl Work<'_> {
     }
 
     /// The advice: what to do next, and where a fit of growth reads other temperatures.
-    fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[Shape]) -> String {
+    fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[UnnamedShape]) -> String {
         let rows: usize = self.train.iter().map(Record::rows).sum();
         if verdict == Verdict::NothingMissing && rows < FEW {
             return format!(
@@ -364,13 +365,13 @@ impl Work<'_> {
 }
 
 /// Corrects the model's parameters that are off beyond chance.
-fn correct(model: &mut Machine, machine: &Machine, answer: &Analysis) -> Vec<CorrectedEffect> {
+fn correct(model: &mut Machine, machine: &Machine, answer: &Analysis) -> Vec<RevisedEffect> {
     let before: Vec<Effect> = machine.effects().cloned().collect();
     let mut out = Vec::new();
     for k in answer.estimate.known.iter().filter(|k| k.beyond_chance) {
         write_values(model, k.place, &k.after, &k.half);
         let after = (k.after.clone(), k.half.clone());
-        out.push(CorrectedEffect { place: k.place, before: before[k.place].clone(), after });
+        out.push(RevisedEffect { place: k.place, before: before[k.place].clone(), after });
     }
     out
 }
@@ -435,8 +436,8 @@ impl Analysed {
         let suspected = mistakes::of_training(&first.used, machine, &first.answer, level);
         let (certain, open): (Vec<_>, Vec<_>) =
             suspected.into_iter().partition(mistakes::SuspectedMistake::is_certain);
-        // An uncertain mistake is reported if it explains an effect that was found, which then holds less than
-        // half of the posterior, or an effect of the model that is far off.
+        // An uncertain mistake is reported if it explains an effect of the model that is far off, or a finding.
+        // That finding then holds less than half of the posterior.
         let findings = &mut first.answer.findings;
         let less_likely = |s: &mistakes::SuspectedMistake| -> Vec<String> {
             findings.iter().filter(|(f, _)| s.explains(f)).map(|(f, _)| f.effect.name()).collect()
@@ -567,7 +568,7 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{axis, noise, record};
+    use crate::test_records::{axis, noise, record};
     use rtec_model::effect::DifferenceReference;
     use rtec_model::record::Column;
     use std::path::Path;
@@ -701,7 +702,7 @@ mod tests {
         let growth = |scale: f64| {
             let mut effect = Dictionary::default().effect("thermal_growth.x").unwrap();
             effect.set_values(&[-0.6 * scale, -0.05 * scale]).unwrap();
-            effect.delta = Some(rtec_model::effect::Difference {
+            effect.delta = Some(rtec_model::effect::TemperatureDifference {
                 sensor: "T".to_owned(),
                 against: DifferenceReference::Standard,
             });

@@ -1,7 +1,7 @@
 //! Run records on file: `NAME.run.toml` beside a CSV.
 //! They are read strictly and written whole (tools/guide/reference/records.md).
 
-use rtec_files::clock::{self, absolute_ns, of_day_ns};
+use rtec_files::clock_column::{self, absolute_ns, of_day_ns};
 use rtec_files::csv::{self, CsvStyle, Reader};
 use rtec_files::date;
 use rtec_files::format_stamp;
@@ -522,7 +522,8 @@ impl<R: Read> RowReader<R> {
                         let expected = format!("seconds since the run's start, a number; {import}");
                         return header.named(place, InputError { expected, ..e });
                     }
-                    let instead = clock::expected_instead(cell.text()).filter(|_| column.role == Role::Time);
+                    let instead =
+                        clock_column::expected_instead(cell.text()).filter(|_| column.role == Role::Time);
                     let e = instead.map_or(e, |expected| cell.finding(expected));
                     header.named(place, e)
                 })?;

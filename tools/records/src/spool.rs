@@ -7,7 +7,7 @@
 //! store unchanged.
 
 use rtec_files::InputError;
-use rtec_files::untrusted_folder::Folder;
+use rtec_files::untrusted_folder::UntrustedFolder;
 use rtec_model::record::{Record, hex};
 use sha2::{Digest, Sha256};
 use std::io;
@@ -53,7 +53,7 @@ impl FolderStore {
     /// # Errors
     /// When there is no such folder.
     pub fn open(path: &Path) -> io::Result<Self> {
-        Folder::open(path).map(|_| Self(path.to_owned()))
+        UntrustedFolder::open(path).map(|_| Self(path.to_owned()))
     }
 }
 
@@ -66,14 +66,15 @@ fn parts(key: &str) -> (impl Iterator<Item = &str>, &str) {
 impl RecordStore for FolderStore {
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
         let (mut folders, file) = parts(key);
-        let folder = folders.try_fold(Folder::open(&self.0)?, |folder, name| folder.make_folder(name))?;
+        let folder =
+            folders.try_fold(UntrustedFolder::open(&self.0)?, |folder, name| folder.make_folder(name))?;
         folder.write(file, bytes, 0o644 & folder.mode()?, &|| true)
     }
 
     fn get(&self, key: &str) -> io::Result<Option<Vec<u8>>> {
         let (mut folders, file) = parts(key);
         // A missing share is an error, and not a store without this key.
-        let root = Folder::open(&self.0)?;
+        let root = UntrustedFolder::open(&self.0)?;
         match folders.try_fold(root, |folder, name| folder.folder(name)) {
             Ok(folder) => folder.read(file, LONGEST_SENT),
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -139,7 +140,7 @@ impl SpoolLimits {
     pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
 
     /// Checks that there is room for `bytes` more bytes.
-    fn takes(self, folder: &Folder, bytes: u64) -> io::Result<()> {
+    fn takes(self, folder: &UntrustedFolder, bytes: u64) -> io::Result<()> {
         let full = |text: String| Err(io::Error::new(io::ErrorKind::StorageFull, text));
         let disk = nix::sys::statvfs::fstatvfs(folder)?;
         let (free, all) =
@@ -200,7 +201,7 @@ pub fn put(
         let text = format!("found the name {stem:?} with {hidden:?}, expected one that can be read");
         return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
     }
-    let folder = Folder::open(spool)?;
+    let folder = UntrustedFolder::open(spool)?;
     finish_begun(&folder)?;
     limits.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
     // A user who may read the folder may read the records, whatever the process's umask.
@@ -232,7 +233,7 @@ fn place(
     record: &mut Record,
     csv: &[u8],
     stem: &str,
-    (folder, begun): (&Folder, &Folder),
+    (folder, begun): (&UntrustedFolder, &UntrustedFolder),
     mode: u32,
     go_on: &dyn Fn() -> bool,
 ) -> io::Result<String> {
@@ -266,13 +267,13 @@ fn place(
 /// # Errors
 /// When the file system fails.
 pub fn finish(spool: &Path) -> io::Result<()> {
-    finish_begun(&Folder::open(spool)?)
+    finish_begun(&UntrustedFolder::open(spool)?)
 }
 
 /// Finishes the work of killed processes.
 /// A record with both files is moved to its place; a partial one is removed. A record that was sent is moved
 /// to the sent ones.
-fn finish_begun(folder: &Folder) -> io::Result<()> {
+fn finish_begun(folder: &UntrustedFolder) -> io::Result<()> {
     for name in folder.names()? {
         if !name.starts_with(PUTTING) && !name.starts_with(SENDING) {
             continue;
@@ -321,7 +322,7 @@ pub fn ship(spool: &Path, store: &dyn RecordStore, machine: &str) -> Result<Ship
         return Err(ShipError::Name(machine.to_owned()));
     }
     let trouble = |path: &Path, error| ShipError::Spool { path: path.to_owned(), error };
-    let folder = Folder::open(spool).map_err(|e| trouble(spool, e))?;
+    let folder = UntrustedFolder::open(spool).map_err(|e| trouble(spool, e))?;
     finish_begun(&folder).map_err(|e| trouble(spool, e))?;
     let waiting = waiting(&folder).map_err(|e| trouble(spool, e))?;
     let mut round = ShippingResult::default();
@@ -388,7 +389,7 @@ pub fn ship(spool: &Path, store: &dyn RecordStore, machine: &str) -> Result<Ship
 ///
 /// # Errors
 /// Why it is no record, so that it stays in the spool.
-fn read_waiting(folder: &Folder, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
+fn read_waiting(folder: &UntrustedFolder, sidecar: &Path, name: &str) -> Result<Option<Files>, InputError> {
     let read = |file: &str, longest, expected| {
         folder.read(file, longest).map_err(|e| InputError::whole(sidecar, e.to_string(), expected))
     };
@@ -408,7 +409,7 @@ fn read_waiting(folder: &Folder, sidecar: &Path, name: &str) -> Result<Option<Fi
 
 /// Moves a sent record to the sent ones.
 /// Its sidecar is in the folder `sending` already.
-fn aside(folder: &Folder, sending: &Folder, digits: &str) -> io::Result<()> {
+fn aside(folder: &UntrustedFolder, sending: &UntrustedFolder, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
     // A kill between the two moves leaves the CSV in the spool. The sidecar names it, and no other record
     // does.
@@ -440,7 +441,7 @@ fn aside(folder: &Folder, sending: &Folder, digits: &str) -> io::Result<()> {
 type Files = [(String, Vec<u8>); 2];
 
 /// Names of the sidecars of a spool, in order.
-fn waiting(folder: &Folder) -> io::Result<Vec<String>> {
+fn waiting(folder: &UntrustedFolder) -> io::Result<Vec<String>> {
     let mut names = folder.names()?;
     names.retain(|n| n.ends_with(".run.toml") && !n.starts_with('.'));
     Ok(names)
@@ -488,11 +489,11 @@ mod tests {
     }
 
     fn waits(spool: &Path) -> Vec<String> {
-        waiting(&Folder::open(spool).unwrap()).unwrap()
+        waiting(&UntrustedFolder::open(spool).unwrap()).unwrap()
     }
 
     fn names(folder: &Path) -> Vec<String> {
-        Folder::open(folder).unwrap().names().unwrap()
+        UntrustedFolder::open(folder).unwrap().names().unwrap()
     }
 
     fn record(folder: &Path, name: &str, value: f64) {
@@ -737,7 +738,7 @@ mod tests {
         }
         // The folder of a living process is left alone.
         let (made, spool) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let folder = Folder::open(spool.path()).unwrap();
+        let folder = UntrustedFolder::open(spool.path()).unwrap();
         let begun = folder.make_folder(&format!("{PUTTING}1-1")).unwrap();
         let _held = begun.lock().unwrap().unwrap();
         record(made.path(), "b", 8.0);

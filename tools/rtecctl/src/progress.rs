@@ -2,7 +2,7 @@
 //! It is on standard error, on a terminal only. It disappears when the computation ends or anything else is
 //! printed.
 
-use rtec_files::computation::ComputationHandle;
+use rtec_files::cancellable_computation::ComputationHandle;
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};

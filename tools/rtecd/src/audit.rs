@@ -10,7 +10,7 @@
 
 use nix::unistd::Gid;
 use rtec_control::audit::{Anchor, Entry, FILES_REFUSED, Writer, refused_path};
-use rtec_control::protocol::{ClientProcess, EventReport, LogState};
+use rtec_control::protocol::{AuditState, ClientProcess, EventReport};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -106,7 +106,7 @@ impl Repeated {
 /// State of the writing thread, for the control side.
 #[derive(Default)]
 struct Shared {
-    state: LogState,
+    state: AuditState,
     /// Number and hash of the last refusal.
     refused: (u64, String),
     /// Files that were rotated, and files that others removed or renamed.
@@ -259,9 +259,9 @@ impl Audit {
     }
 
     /// State of the record.
-    pub(crate) fn state(&self) -> LogState {
+    pub(crate) fn state(&self) -> AuditState {
         let state = lock(&self.shared).state.clone();
-        LogState { lost: state.lost + self.lost, ..state }
+        AuditState { lost: state.lost + self.lost, ..state }
     }
 
     /// The end of the record, if it must be published now.

@@ -9,7 +9,7 @@ use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_part::error_cor_file::FeatureErrors;
 use rtec_records::spool::LONGEST_SIDECAR;
-use rtec_sensors::log::history;
+use rtec_sensors::temperature_log::history;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::fs::File;

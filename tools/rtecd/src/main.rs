@@ -49,7 +49,7 @@ use rtec_rt::journal::JournalError;
 use rtec_rt::link_messages::Fault;
 use rtec_rt::setup::{RtSettings, SetupFinding, SetupReport, SystemRoot};
 use rtec_rt::thread::{ThreadOptions, spawn};
-use rtec_sensors::buses::{Buses, Clock};
+use rtec_sensors::buses::{Clock, SensorThreads};
 use server::ServingEnd;
 use service_manager::ServiceManager;
 use session::Session;
@@ -304,7 +304,7 @@ fn work<C: Card + Send + 'static>(
     let directory = directory.parent().unwrap_or(Path::new(""));
     let clock = Clock::start();
     let log_to = (directory, config.model.log_s);
-    let sensors = Buses::start(&config.sensors, clock, log_to, rtec_records::record::read_log)?;
+    let sensors = SensorThreads::start(&config.sensors, clock, log_to, rtec_records::record::read_log)?;
     let (engine, before, state_file) = start::engine(&mut card, &config)?;
     if let Some(file) = &state_file {
         file.outlive_truncation().context("a handler for a state file that is cut short")?;

@@ -33,7 +33,7 @@ use rtec_rt::link::ControlEnd;
 use rtec_rt::link_messages::{Event, EventKind, Fault, HeldBy, Mode, Refusal, Request, Status};
 use rtec_rt::setup::{RtSettings, SetupReport, SystemRoot};
 use rtec_rt::state_file_watch::{StateFileLoss, StateFileWatch};
-use rtec_sensors::buses::{Buses, Clock};
+use rtec_sensors::buses::{Clock, SensorThreads};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
@@ -132,7 +132,7 @@ pub(crate) struct Session {
     started: Instant,
     patience: Duration,
     /// The sensors' threads; each tick passes their readings to the corrector.
-    sensors: Buses,
+    sensors: SensorThreads,
     corrector: Corrector,
     /// Time of the corrector's next evaluation.
     due: Instant,
@@ -178,13 +178,18 @@ impl Session {
     pub(crate) fn new(
         config: Config,
         set_up: RtStartupReport,
-        (sensors, clock): (Buses, Clock),
+        (sensors, clock): (SensorThreads, Clock),
         edited_files: Option<EditedFiles>,
     ) -> Self {
         Self { edited_files, ..Self::by(Rc::new(SystemClock(clock)), config, set_up, sensors) }
     }
 
-    fn by(time: Rc<dyn ControlClock>, config: Config, set_up: RtStartupReport, mut sensors: Buses) -> Self {
+    fn by(
+        time: Rc<dyn ControlClock>,
+        config: Config,
+        set_up: RtStartupReport,
+        mut sensors: SensorThreads,
+    ) -> Self {
         let setups = config.axes.iter().map(ConfiguredAxis::law).collect();
         let (model, axes) = (&config.model, config.axes.len());
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;

@@ -2,7 +2,7 @@
 //! A slow sensor thus delays only those of its own bus.
 
 use crate::bank::SensorBank;
-use crate::{SensorConfig, SensorMonitor, SensorSource, SensorUse, log};
+use crate::{SensorConfig, SensorMonitor, SensorSource, SensorUse, temperature_log};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -40,12 +40,12 @@ struct Latest {
 }
 
 /// All sensors with their last readings.
-pub struct Buses {
+pub struct SensorThreads {
     latest: Latest,
     watches: Vec<SensorMonitor>,
 }
 
-impl Buses {
+impl SensorThreads {
     /// Starts the threads.
     /// Every `log_s` seconds the temperatures are written to the log in `directory`. `recording` reads a
     /// recording that is replayed.
@@ -131,10 +131,10 @@ fn keep_log(latest: &Latest, names: &[String], directory: &Path, clock: Clock, e
             watch.value_degc().filter(|_| watch.usable(now_s) == SensorUse::Good)
         };
         let values: Vec<Option<f64>> = latest.places.iter().map(good).collect();
-        if let Err(error) = log::append(directory, names, now_s, &values)
+        if let Err(error) = temperature_log::append(directory, names, now_s, &values)
             && !std::mem::replace(&mut warned, true)
         {
-            let name: PathBuf = directory.join(log::NAMES[0]);
+            let name: PathBuf = directory.join(temperature_log::NAMES[0]);
             eprintln!(
                 "rtecd: warning: {}: {error}: a restart will not know the machine's heat",
                 name.display()

@@ -5,9 +5,9 @@
 pub mod bank; // all sensors of one bus: sysfs, recordings, feeds
 pub mod buses; // one thread per bus, and the latest readings
 mod config; // `[[sensor]]` of a file: keys, bounds, defaults
-pub mod log; // the temperatures' log, which a restart reads back
 pub mod sensor_line_feed; // lines `NAME VALUE` over TCP or a serial device
 pub mod sensor_monitor; // whether a reading is believed: good, replaced by the last good value, or hold
+pub mod temperature_log; // the temperatures' log, which a restart reads back
 
 pub use config::{KEYS, SensorConfig, SensorSource, read_tables};
 pub use sensor_monitor::{SensorFault, SensorMonitor, SensorUse};

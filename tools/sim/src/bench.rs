@@ -1,10 +1,10 @@
 //! One axis in motion with any design on any computer, and the count at the MTC.
 
 use crate::computer_timing::ComputerTiming;
+use crate::corrected_axis::{CorrectedAxis, GateDesign, MtcDecoder, homed_engine};
 use crate::design_b::DesignB;
-use crate::ecc::{Ecc, Pll};
-use crate::full_cycle::FullCycle;
-use crate::insertion::{CorrectedAxis, GateDesign, MtcDecoder, homed_engine};
+use crate::ecc::{Ecc, PllLimits};
+use crate::full_cycle::FullCycleCorrector;
 use crate::noise::NoiseGenerator;
 use crate::replay::{ReplayError, ReplayOutcome, replay, replay_with};
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
@@ -103,7 +103,7 @@ where
         ),
         InsertionDesign::Ecc => {
             let accel = config.max_accel_counts_s2;
-            let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?.guarded(accel));
+            let start = |card: &mut _| Ok(Ecc::new(PllLimits::default(), 1, card)?.guarded(accel));
             replay_with(DirectOutputs, start, trace, totals, large, to)
         }
     }
@@ -114,8 +114,8 @@ fn full_cycle<C: Card>(
     design: GateDesign,
     config: AxisConfig,
     card: &mut C,
-) -> Result<FullCycle, StartError> {
-    FullCycle::new(design, card, &[config], MachineLines::default(), |_| 0)
+) -> Result<FullCycleCorrector, StartError> {
+    FullCycleCorrector::new(design, card, &[config], MachineLines::default(), |_| 0)
 }
 
 /// The Original RTEC's gates, which OR a pulse into the signal.
@@ -171,7 +171,7 @@ pub fn there_and_back(encoder_hz: f64, accel_counts_s2: f64, counts: u64, rest_n
 
 /// A computer that corrects one axis.
 /// It polls when it has time, and its writes take effect later.
-struct Rig<'a, G> {
+struct CorrectingComputer<'a, G> {
     gates: G,
     run: &'a BenchRun<'a>,
     next: usize,
@@ -194,7 +194,7 @@ struct Rig<'a, G> {
     at_death: Option<(i64, i64)>,
 }
 
-impl<'a, G: Gates> Rig<'a, G> {
+impl<'a, G: Gates> CorrectingComputer<'a, G> {
     /// The computer, if the corrector is one.
     fn computer(&self) -> Option<&'a ComputerTiming> {
         (!self.run.is_circuit()).then_some(self.run.computer)
@@ -230,7 +230,7 @@ impl<'a, G: Gates> Rig<'a, G> {
     }
 }
 
-impl<G: Gates> Card for Rig<'_, G> {
+impl<G: Gates> Card for CorrectingComputer<'_, G> {
     fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
         // Time of the next poll. A circuit, or a computer that waits for an edge, polls at once.
         let waits = |rig: &Self| rig.next_edge_ns().min(wake_ns);
@@ -315,7 +315,7 @@ pub struct BenchRun<'a> {
     /// Whether every change is kept for a plot.
     pub keep_log: bool,
     /// The ECC's PLL.
-    pub pll: Pll,
+    pub pll: PllLimits,
 }
 
 /// Result of a run on the bench.
@@ -372,7 +372,7 @@ impl BenchRun<'_> {
             ungated: false,
             seed: 1,
             keep_log: false,
-            pll: Pll::default(),
+            pll: PllLimits::default(),
         }
     }
 
@@ -416,10 +416,10 @@ impl BenchRun<'_> {
     fn go<'s, G: Gates, M: CorrectedAxis>(
         &'s self,
         gates: G,
-        start: impl FnOnce(&mut Rig<'s, G>) -> Option<M>,
+        start: impl FnOnce(&mut CorrectingComputer<'s, G>) -> Option<M>,
     ) -> Option<BenchResult> {
         let last_ns = self.edges.last().map_or(0, |e| e.0).max(self.totals.last().map_or(0, |t| t.0));
-        let mut rig = Rig {
+        let mut rig = CorrectingComputer {
             gates,
             run: self,
             next: 0,

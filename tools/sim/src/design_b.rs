@@ -5,7 +5,7 @@
 //! edges and inserted steps are sent one after another, each with the MTC's separation before it. Edges that
 //! the computer sees too late are lost. When the computer stops, the MTC sees an axis at rest.
 
-use crate::insertion::{CardResult, CorrectedAxis, EventSink};
+use crate::corrected_axis::{CardResult, CorrectedAxis, EventSink};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy};

@@ -14,7 +14,7 @@
 //!
 //! The PLL is a behavioural model of the paper's measurements, not of its parts.
 
-use crate::insertion::{CardResult, CorrectedAxis, EventSink};
+use crate::corrected_axis::{CardResult, CorrectedAxis, EventSink};
 use crate::noise::NoiseGenerator;
 use rtec_driver::card::{AxisLines, Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 /// Frequencies are of the XOR of A and B, which is twice the encoder's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Pll {
+pub struct PllLimits {
     /// Lowest input frequency at which the PLL doubles at all, Hz.
     pub lock_from_hz: f64,
     /// Lowest input frequency at which it doubles cleanly, Hz.
@@ -38,7 +38,7 @@ pub struct Pll {
     pub follow_ns: f64,
 }
 
-impl Default for Pll {
+impl Default for PllLimits {
     /// CMTI (2014), section 2.2.2.
     /// The time constant is that of the loop's natural frequency, 2 kHz with the parts given there (R3 = 360 Ω, R4 =
     /// 100 Ω, C2 = 1 µF, 5 V, 320 kHz).
@@ -54,7 +54,7 @@ impl Default for Pll {
 }
 
 /// Its ranges in words: the command's warning and the guide have them from here.
-impl std::fmt::Display for Pll {
+impl std::fmt::Display for PllLimits {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [lock, to, clean, clean_to] =
             [self.lock_from_hz, self.lock_to_hz, self.clean_from_hz, self.clean_to_hz].map(|hz| hz / 1e3);
@@ -114,7 +114,7 @@ enum Passing {
 /// One axis with the circuit in its feedback, and with its embedded controller.
 #[derive(Debug)]
 pub struct Ecc {
-    pll: Pll,
+    pll: PllLimits,
     lines: AxisLines,
     scale: Decoder,
     out: Decoder,
@@ -157,7 +157,7 @@ impl Ecc {
     ///
     /// # Errors
     /// When the card cannot be read or written.
-    pub fn new<C: Card>(pll: Pll, seed: u64, card: &mut C) -> Result<Self, CardError> {
+    pub fn new<C: Card>(pll: PllLimits, seed: u64, card: &mut C) -> Result<Self, CardError> {
         let lines = AxisLines::standard(0, false);
         let sample = card.sample(0)?;
         let state = lines.scale(sample.inputs);

@@ -6,7 +6,7 @@
 //! twice as many inversions. The simulated cards show every edge and confirm every write at once, so no code
 //! here guards against missed counts.
 
-use crate::insertion::{CardResult, CorrectedAxis, EventSink, GateDesign};
+use crate::corrected_axis::{CardResult, CorrectedAxis, EventSink, GateDesign};
 use rtec_driver::card::{Card, MachineLines};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy, TotalRequestResult};
@@ -35,7 +35,7 @@ fn busy_ns(config: &AxisConfig) -> u64 {
 
 /// The corrected axes of one machine, homed, with corrections enabled.
 #[derive(Debug)]
-pub struct FullCycle {
+pub struct FullCycleCorrector {
     axes: Vec<FullCycleAxis>,
     /// The card's feed-hold line, asserted on a fault.
     hold: Option<u8>,
@@ -116,7 +116,7 @@ struct PollSample {
     may_insert: bool,
 }
 
-impl FullCycle {
+impl FullCycleCorrector {
     /// Takes over the card as it is; axis `n` is homed at `origin_counts(n)`.
     ///
     /// # Errors
@@ -222,7 +222,7 @@ impl FullCycle {
     }
 }
 
-impl CorrectedAxis for FullCycle {
+impl CorrectedAxis for FullCycleCorrector {
     fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult {
         let due_ns = self.axes.iter().map(FullCycleAxis::due_ns).min().unwrap_or(u64::MAX);
         let wake_ns = if std::mem::replace(&mut self.look_at_once, false) { 0 } else { due_ns };

@@ -103,14 +103,14 @@ pub const SENSORS: [(&str, ThermalNode, ThermalNode, f64); 20] = [
 /// A machine's thermal properties.
 /// Capacities (J/K), conductances dry and wet (W/K), sources at 5500 rpm (W).
 #[derive(Debug, Clone)]
-pub struct ThermalNetwork {
+pub struct ThermalNetworkSpec {
     capacity: [f64; NODES],
     conductance: [f64; CONDUCTANCE.len()],
     wet: [f64; WET.len()],
     watt: [f64; SOURCES.len()],
 }
 
-impl Default for ThermalNetwork {
+impl Default for ThermalNetworkSpec {
     fn default() -> Self {
         Self {
             capacity: CAPACITY,
@@ -121,7 +121,7 @@ impl Default for ThermalNetwork {
     }
 }
 
-impl ThermalNetwork {
+impl ThermalNetworkSpec {
     /// Another machine of the same build; `factor` scales each property.
     pub fn drawn(factor: &mut impl FnMut() -> f64) -> Self {
         let mut drawn = Self::default();
@@ -136,7 +136,7 @@ impl ThermalNetwork {
 /// The thermal network of the machine and the sensors in it.
 #[derive(Debug, Clone)]
 pub struct Heat {
-    network: ThermalNetwork,
+    network: ThermalNetworkSpec,
     /// °C, in the order of [`ThermalNode`].
     temperature: [f64; NODES],
     /// Temperature of the hall without its drift, °C.
@@ -157,7 +157,7 @@ impl Heat {
     /// Its sensors have noise of `noise_k`, K.
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
         let mut heat = Self {
-            network: ThermalNetwork::default(),
+            network: ThermalNetworkSpec::default(),
             temperature: [ambient_degc; NODES],
             ambient_degc,
             drift: 0.0,
@@ -172,7 +172,7 @@ impl Heat {
 
     /// The same with other thermal properties.
     #[must_use]
-    pub fn of(self, network: ThermalNetwork) -> Self {
+    pub fn of(self, network: ThermalNetworkSpec) -> Self {
         Self { network, ..self }
     }
 
@@ -187,7 +187,7 @@ impl Heat {
     fn step(&mut self, rpm: f64, coolant: bool) {
         let mut watt = [0.0; NODES];
         let share = rpm / 5500.0;
-        let ThermalNetwork { capacity, conductance, wet, watt: sources } = &self.network;
+        let ThermalNetworkSpec { capacity, conductance, wet, watt: sources } = &self.network;
         for ((node, _, square), w) in SOURCES.iter().zip(sources) {
             watt[*node as usize] += w * (square * share * share + (1.0 - square) * share);
         }
@@ -298,8 +298,8 @@ mod tests {
         let mut noise = NoiseGenerator::new(1, 1);
         let mut rises: Vec<f64> = (0..20)
             .map(|_| {
-                let mut heat =
-                    Heat::cold(20.0, 0.0, 1).of(ThermalNetwork::drawn(&mut || (0.3 * noise.normal()).exp()));
+                let mut heat = Heat::cold(20.0, 0.0, 1)
+                    .of(ThermalNetworkSpec::drawn(&mut || (0.3 * noise.normal()).exp()));
                 heat.advance(3.0 * 3600.0, 5500.0, true);
                 heat.degc(ThermalNode::FrontBearing) - 20.0
             })

@@ -4,21 +4,21 @@
 
 use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
+use crate::corrected_axis::GateDesign;
 use crate::heat::{Heat, SENSORS};
-use crate::insertion::GateDesign;
 use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
 use crate::trajectory::AXES;
 use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
-use crate::workpiece::{Nose, Workpiece};
+use crate::workpiece::{ToolNose, Workpiece};
 use rtec_model::effect::MissingInput;
 use rtec_model::live::LiveModel;
 use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
+use rtec_part::finish_table::AxisCounts;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{PathPoint, PathRole};
-use rtec_part::table::AxisCounts;
+use rtec_part::probe_path::{PathPoint, PathRole};
 use serde::Deserialize;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -128,8 +128,8 @@ impl LatheSpec {
         }
     }
 
-    fn nose(&self) -> Nose {
-        Nose { radius_mm: self.nose_mm, flat_um: self.flat_um, flat_rad: self.flat_rad }
+    fn nose(&self) -> ToolNose {
+        ToolNose { radius_mm: self.nose_mm, flat_um: self.flat_um, flat_rad: self.flat_rad }
     }
 }
 
@@ -140,7 +140,7 @@ const JERK_MM_S3: f64 = 100_000.0;
 
 /// A machine with its errors, some time after it was switched on.
 #[derive(Debug, Clone, Copy)]
-pub struct LatheState<'a> {
+pub struct LatheConditions<'a> {
     /// Machine, tool and probe.
     pub bench: &'a LatheSpec,
     /// The machine's errors.
@@ -276,7 +276,7 @@ impl Lathe {
     /// A machine at rest at `start` (machine mm), after the stand's warm-up time.
     /// Its program is for a probe with `tip_mm`, or for the tool.
     pub(crate) fn new(
-        stand: &LatheState,
+        stand: &LatheConditions,
         start: Zx,
         origin: Zx,
         moves: &[Move],

@@ -2,10 +2,10 @@
 //! A corrector uses the probed errors and the machine's known model.
 
 use crate::attended_machine::AttendedMachine;
-use crate::control::{Control, WINDOW_COUNTS};
-use crate::corrected::CorrectedMachine;
-use crate::insertion::{EventSink, GateDesign};
-use crate::lathe::{Lathe, LatheState, Move, axes, cut_away};
+use crate::corrected_axis::{EventSink, GateDesign};
+use crate::correction_control::{CorrectionControl, WINDOW_COUNTS};
+use crate::gate_corrected_axes::GateCorrectedAxes;
+use crate::lathe::{Lathe, LatheConditions, Move, axes, cut_away};
 use crate::machine::ServoFault;
 use crate::polled::PolledCard;
 use crate::sim::keep;
@@ -16,9 +16,9 @@ use rtec_driver::card::{AxisLines, CardError, MachineLines};
 use rtec_files::InputError;
 use rtec_model::effect::MissingInput;
 use rtec_model::machine::Machine;
+use rtec_part::finish_table::{ArcFinishTable, FinishArc};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::probe::CapturedTrips;
-use rtec_part::table::{FinishArc, FinishTable};
+use rtec_part::trip_check::CapturedTrips;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::link_messages::{Event, EventKind, Request, Status};
@@ -30,7 +30,7 @@ pub enum ProgramPurpose<'a> {
     Cut,
     /// Cut with the corrections of a table, of a machine model, or of both.
     /// The third value is the lead by which totals are requested, s.
-    Corrected(Option<&'a FinishTable>, Option<&'a Machine>, f64),
+    Corrected(Option<&'a ArcFinishTable>, Option<&'a Machine>, f64),
     /// Probe with a tip of this radius, mm.
     Probe(f64),
 }
@@ -82,12 +82,12 @@ pub enum RunError {
 
 /// The control law with its inputs, and with lags known since the machine's start.
 fn control(
-    stand: &LatheState,
-    table: Option<&FinishTable>,
+    stand: &LatheConditions,
+    table: Option<&ArcFinishTable>,
     model: Option<&Machine>,
     lead_s: f64,
     past: &[(f64, Vec<f64>)],
-) -> Result<Control, RunError> {
+) -> Result<CorrectionControl, RunError> {
     let setups =
         ["z", "x"].into_iter().zip(axes(stand.bench, stand.design)).map(|(name, counts)| AxisSetup {
             name: name.to_owned(),
@@ -96,7 +96,7 @@ fn control(
             window_counts: WINDOW_COUNTS,
             max_counts: MAX_COUNTS,
         });
-    let mut control = Control::new(setups.collect(), &[], lead_s);
+    let mut control = CorrectionControl::new(setups.collect(), &[], lead_s);
     if let Some(model) = model {
         control.load(model, past)?;
     }
@@ -127,10 +127,10 @@ const LINES: [AxisLines; 2] = [AxisLines::standard(0, true), AxisLines::standard
 /// The corrected axes: homed, enabled, and in probing mode if `probing`.
 fn corrected(
     card: &mut PolledCard,
-    stand: &LatheState,
+    stand: &LatheConditions,
     probing: bool,
     report: &mut impl EventSink,
-) -> Result<CorrectedMachine, StartError> {
+) -> Result<GateCorrectedAxes, StartError> {
     let poll_ns = stand.bench.poll_ns as u64;
     let configs = LINES.map(|lines| AxisConfig {
         lines,
@@ -147,7 +147,7 @@ fn corrected(
     let origins = [0, 1].map(|n| card.attended.machine().axes[n].origin);
     // While the machine probes, nothing is inserted, and the engine captures for every design.
     let design = if probing { GateDesign::C } else { stand.design };
-    let mut corrected = CorrectedMachine::new(design, card, &configs, lines, &origins, report)?;
+    let mut corrected = GateCorrectedAxes::new(design, card, &configs, lines, &origins, report)?;
     if probing {
         corrected.take(Request::Probe(true), card, report)?;
     }
@@ -160,7 +160,7 @@ fn corrected(
 /// # Errors
 /// The engine refuses the configuration, there is no move, or the controller gave up.
 pub fn run(
-    stand: &LatheState,
+    stand: &LatheConditions,
     cut: &FinishArc,
     moves: &[Move],
     job: ProgramPurpose,

@@ -8,7 +8,7 @@
 //! | [`computer_timing`] | computing hardware as a timing model: 8051, DSP, this PC as measured |
 //! | [`ecc`] | the Error Correction Circuit of CMTI (2014) |
 //! | [`mod@bench`] | one axis in motion with any design on any computer, and the count at the MTC |
-//! | [`insertion`] | the interface of every insertion design, and the designs for a whole machine |
+//! | [`corrected_axis`] | the interface of every insertion design, and the designs for a whole machine |
 //! | [`full_cycle`] | the Original RTEC and Design A: four counts an insertion |
 //! | [`design_b`] | Design B: the signals pass through the computer |
 //! | [`replay`] | the engine on a recording, and the resulting count of the MTC |
@@ -25,7 +25,7 @@
 //! | [`example`] | example machines: models, runs, hold-outs, configuration, drawings |
 //! | [`compensation_experiments`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
-//! | `control`, `true_errors` | the control side above the engine; the true machine's errors and friction |
+//! | `correction_control`, `true_errors` | the control side above the engine; the true machine's errors and friction |
 //!
 //! A part's shape belongs to `rtec-part`, a machine's errors to `rtec-model`, another control law to
 //! `rtec-correct`; the daemon is not here either.
@@ -38,16 +38,16 @@ pub mod bench;
 #[cfg(feature = "experiments")]
 pub mod compensation_experiments;
 pub mod computer_timing;
-mod control;
-mod corrected;
+pub mod corrected_axis;
+mod correction_control;
 pub mod described_machines;
 pub mod design_b;
 pub mod ecc;
 #[cfg(feature = "experiments")]
 pub mod example;
 pub mod full_cycle;
+mod gate_corrected_axes;
 pub mod heat;
-pub mod insertion;
 pub mod insertion_designs;
 pub mod lathe;
 pub mod lathe_program;

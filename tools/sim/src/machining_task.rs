@@ -2,8 +2,10 @@
 //! Its controller runs one program once, from the axes' home positions, and obeys feed hold. Releasing feed
 //! hold starts the cycle.
 
-use crate::insertion::GateDesign;
-use crate::lathe::{Cut, Lathe, LatheSpec, LatheState, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
+use crate::corrected_axis::GateDesign;
+use crate::lathe::{
+    Cut, Lathe, LatheConditions, LatheSpec, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves,
+};
 use crate::wired_machines::WiredMachines;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -124,7 +126,7 @@ impl MachiningTask {
         let feed_mm_s = self.feed_mm_min / 60.0;
         let program = match (&self.path, self.cut_radius_mm) {
             (Some(file), _) => {
-                let records = rtec_part::path::read_pathfin(file, Unit::MM)?;
+                let records = rtec_part::probe_path::read_pathfin(file, Unit::MM)?;
                 probing_moves(&records, feed_mm_s)
             }
             (None, radius_mm) => {
@@ -148,7 +150,7 @@ impl MachiningTask {
             .collect();
         moves.extend(program);
         let machine = Machine::read_or_ideal(self.machine.as_deref(), "ideal lathe")?;
-        let stand = LatheState {
+        let stand = LatheConditions {
             bench: &self.bench,
             machine: &machine,
             begin_s: self.begin_s,

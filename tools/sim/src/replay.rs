@@ -1,7 +1,7 @@
 //! The engine on a recording of one axis, on a virtual clock.
 //! It gives the resulting count of the MTC.
 
-use crate::insertion::{CorrectedAxis, MtcDecoder, homed_engine};
+use crate::corrected_axis::{CorrectedAxis, MtcDecoder, homed_engine};
 use rtec_driver::card::CardError;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Gates, Listener, ReplayCard, RequestedTotal, TracePoint, Xor};

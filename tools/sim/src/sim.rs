@@ -1,10 +1,10 @@
 //! The machine with the unchanged engine in its feedback, and a corrector.
 
 use crate::axis::AxisSpec;
-use crate::control::{Control, REST_NS, WINDOW_COUNTS};
-use crate::corrected::CorrectedMachine;
-use crate::heat::{Heat, ThermalNetwork};
-use crate::insertion::GateDesign;
+use crate::corrected_axis::GateDesign;
+use crate::correction_control::{CorrectionControl, REST_NS, WINDOW_COUNTS};
+use crate::gate_corrected_axes::GateCorrectedAxes;
+use crate::heat::{Heat, ThermalNetworkSpec};
 use crate::machine::{ControllerSpec, ServoFault, SimMachine};
 use crate::nc_block::Block;
 use crate::trajectory::{AXES, Setpoint};
@@ -19,7 +19,7 @@ use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::link_messages::{Event, EventKind, Fault, Request, Status};
 
-pub use crate::control::CONTROL_NS;
+pub use crate::correction_control::CONTROL_NS;
 
 /// Keeps an event of the engine, which then goes on.
 pub(crate) fn keep(events: &mut Vec<Event>, event: Event) -> bool {
@@ -45,7 +45,7 @@ pub struct MachineSpec {
     /// Temperature of the hall, °C.
     pub ambient_degc: f64,
     /// Its thermal properties.
-    pub network: ThermalNetwork,
+    pub network: ThermalNetworkSpec,
 }
 
 impl MachineSpec {
@@ -69,7 +69,7 @@ impl MachineSpec {
             detect_ns: 500,
             write_ns: 200,
             ambient_degc: 20.0,
-            network: ThermalNetwork::default(),
+            network: ThermalNetworkSpec::default(),
         }
     }
 
@@ -86,7 +86,7 @@ impl MachineSpec {
         configs: &[AxisConfig],
         channels: &[String],
         known: &Machine,
-    ) -> Result<Control, InputError> {
+    ) -> Result<CorrectionControl, InputError> {
         let axes = self.axes.iter().zip(configs).map(|(axis, config)| AxisSetup {
             name: axis.name.to_owned(),
             count_um: axis.count_um,
@@ -94,7 +94,7 @@ impl MachineSpec {
             window_counts: config.window_counts,
             max_counts: config.max_correction_counts,
         });
-        let mut control = Control::new(axes.collect(), channels, self.lead_s());
+        let mut control = CorrectionControl::new(axes.collect(), channels, self.lead_s());
         control.load(known, &[])?;
         Ok(control)
     }
@@ -153,7 +153,7 @@ pub enum SimError {
 
 /// State of the machine at one moment.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Moment {
+pub struct MachineSnapshot {
     /// Time of the simulation, s.
     pub t_s: f64,
     /// The controller's command.
@@ -174,7 +174,7 @@ pub struct Moment {
     pub coolant: bool,
 }
 
-impl Moment {
+impl MachineSnapshot {
     /// The tool's deviation from its position by the controller, µm.
     /// It is the machine's error minus the inserted correction.
     pub fn off_um(&self, axis: usize) -> f64 {
@@ -187,9 +187,9 @@ impl Moment {
 pub struct Sim {
     /// The machine under the engine.
     pub machine: SimMachine,
-    corrected: CorrectedMachine,
+    corrected: GateCorrectedAxes,
     pub(crate) errors: TrueErrors,
-    control: Option<Control>,
+    control: Option<CorrectionControl>,
     control_ns: u64,
     next_control_ns: u64,
     events: Vec<Event>,
@@ -221,7 +221,7 @@ impl Sim {
         let origins: Vec<i64> = machine.axes.iter().map(|axis| axis.origin).collect();
         let lines = MachineLines::standard();
         let corrected =
-            CorrectedMachine::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
+            GateCorrectedAxes::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
         let control = known.map(|known| spec.control(&configs, &channels, known)).transpose()?;
         let heat = Heat::cold(spec.ambient_degc, 0.02, seed).of(spec.network.clone());
         let mut sim = Self {
@@ -251,7 +251,7 @@ impl Sim {
 
     /// Reasons why axes do not follow the model now; empty if all follow.
     pub fn holding(&self) -> Vec<String> {
-        self.control.as_ref().map_or_else(Vec::new, Control::holding)
+        self.control.as_ref().map_or_else(Vec::new, CorrectionControl::holding)
     }
 
     /// The engine's status at this moment.
@@ -327,7 +327,7 @@ impl Sim {
 
     /// Runs every 10 ms: heat, the true machine's errors, and new totals.
     fn control(&mut self) -> Result<(), SimError> {
-        rtec_files::computation::step();
+        rtec_files::cancellable_computation::step();
         let t_s = self.next_control_ns as f64 * 1e-9;
         self.next_control_ns += self.control_ns;
         self.errors.heat.advance(t_s, self.machine.rpm, self.machine.coolant);
@@ -352,10 +352,10 @@ impl Sim {
     }
 
     /// The present state of the machine.
-    pub fn moment(&mut self) -> Moment {
+    pub fn moment(&mut self) -> MachineSnapshot {
         self.act();
         let m = &self.machine;
-        let mut now = Moment {
+        let mut now = MachineSnapshot {
             t_s: m.now_ns() as f64 * 1e-9,
             command: m.command,
             axes: m.command.p_mm.map(|position_mm| AxisMotionState { position_mm, ..Default::default() }),

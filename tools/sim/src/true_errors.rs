@@ -69,7 +69,8 @@ impl TrueErrors {
         &self.truth.layout().channels
     }
 
-    /// The present readings on a machine under these loads, in the order of [`Control`](crate::control::Control).
+    /// The present readings on a machine under these loads.
+    /// Their order is that of [`CorrectionControl`](crate::correction_control::CorrectionControl).
     pub(crate) fn readings(&self, machine: &SimMachine, load_n: [f64; AXES]) -> impl Iterator<Item = f64> {
         let others = [machine.rpm, f64::from(u8::from(machine.coolant))];
         let logged = self.heat.readings_degc().iter().chain(&self.channels).copied();

@@ -1,9 +1,9 @@
 //! The experiment of NISTIR 4854 (section 2), step by step.
 //! Semi-finish cut, probing, errors, table, finish cut and inspection on the simulated machine.
 
+use crate::corrected_axis::GateDesign;
 use crate::heat::SENSORS;
-use crate::insertion::GateDesign;
-use crate::lathe::{self, BEYOND_RAD, LatheSpec, LatheState, Move, arc_moves, probing_moves};
+use crate::lathe::{self, BEYOND_RAD, LatheConditions, LatheSpec, Move, arc_moves, probing_moves};
 use crate::lathe_program::{ProgramPurpose, ProgramResult, RunError, captured, run};
 use crate::machine::ControllerSpec;
 use crate::trajectory::AXES;
@@ -15,17 +15,17 @@ use rtec_model::effect::{Effect, RequiredInput, STANDARD_DEGC};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, span};
-use rtec_part::batch::{self, Batch, SignificanceLimits};
+use rtec_part::batch::{self, BatchEvaluation, SignificanceLimits};
 use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::contour::{Segment, nose};
 use rtec_part::error_cor_file::PointError;
 use rtec_part::error_cor_file::error_cor;
-use rtec_part::errors::{ErrorReport, NominalShape, ProbedPoints};
+use rtec_part::finish_table::{ArcFinishTable, FinishArc, csv};
 use rtec_part::geometric_fit::{Zx, sd};
-use rtec_part::path::{PathPoint, ProbeGeometry, ProbingMotion, ProbingPlan};
-use rtec_part::probe::{Trip, TripFault, assign, probed_csv, run_record};
-use rtec_part::program::{self, Controller, Parameters};
-use rtec_part::table::{FinishArc, FinishTable, csv};
+use rtec_part::part_errors::{NominalShape, PartErrorReport, ProbedPoints};
+use rtec_part::probe_path::{PathPoint, ProbeGeometry, ProbingMotion, ProbingPlan};
+use rtec_part::probing_program::{self, DialectWithTemplate, Parameters};
+use rtec_part::trip_check::{Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::unit::Unit;
 use serde::Serialize;
 use std::f64::consts::FRAC_PI_2;
@@ -136,7 +136,7 @@ pub struct ProbingSession {
 
 /// Performance of probing at one feed.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct Probing {
+pub struct ProbingPerformance {
     /// Probing feed, mm/min.
     pub feed_mm_min: f64,
     /// Time on the machine for all points, s.
@@ -197,10 +197,10 @@ pub struct TurningOutcome {
     /// The part cut by that program.
     pub program: CutResult,
     /// Fast and slow probing.
-    pub probing: [Probing; 2],
+    pub probing: [ProbingPerformance; 2],
     /// Errors that an external measuring machine sees and probing cannot.
     /// Only if the machine has errors.
-    pub off_machine: Option<Batch>,
+    pub off_machine: Option<BatchEvaluation>,
     /// Decisions with their reasons, in order.
     pub decisions: Vec<String>,
     /// Files of every step.
@@ -208,7 +208,7 @@ pub struct TurningOutcome {
     pub files: Vec<(String, Vec<u8>)>,
     /// Error reports of both probings, each with the step that its files belong to.
     #[serde(skip)]
-    pub reports: [(&'static str, ErrorReport); 2],
+    pub reports: [(&'static str, PartErrorReport); 2],
 }
 
 impl TurningOutcome {
@@ -246,7 +246,7 @@ impl TurningExperiment {
         &self,
         part: &mut Workpiece,
         radius_mm: f64,
-        table: Option<&FinishTable>,
+        table: Option<&ArcFinishTable>,
         seed: u64,
     ) -> Result<ProgramResult, TurningError> {
         let path_mm = radius_mm + self.bench.nose_mm;
@@ -255,7 +255,7 @@ impl TurningExperiment {
     }
 
     /// A cut with the known errors.
-    fn job<'a>(&'a self, table: Option<&'a FinishTable>) -> ProgramPurpose<'a> {
+    fn job<'a>(&'a self, table: Option<&'a ArcFinishTable>) -> ProgramPurpose<'a> {
         match (table, &self.model) {
             (None, None) => ProgramPurpose::Cut,
             (table, model) => ProgramPurpose::Corrected(table, model.as_ref(), self.lead_s),
@@ -272,7 +272,7 @@ impl TurningExperiment {
     ) -> Result<ProgramResult, TurningError> {
         let (bench, machine, design) = (&self.bench, &self.machine, self.gate_design()?);
         let decoder_hz = ControllerSpec::default().decoder_hz;
-        let stand = LatheState { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
+        let stand = LatheConditions { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
         let ran = run(&stand, &self.cut(radius_mm), moves, job, part)?;
         let faults = ran.status.axes[..2].iter().any(|a| a.faults.any()) || ran.status.faults.any();
         if faults {
@@ -353,7 +353,7 @@ impl TurningExperiment {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn errors(&self, session: &ProbingSession, radius_mm: f64) -> Result<ErrorReport, TurningError> {
+    pub fn errors(&self, session: &ProbingSession, radius_mm: f64) -> Result<PartErrorReport, TurningError> {
         let mut probed = ProbedPoints::parse(Path::new("probed.csv"), &session.csv)?;
         if let Some(model) = &self.model {
             probed.correct_geometric_thermal(model, ORIGIN)?;
@@ -372,7 +372,7 @@ impl TurningExperiment {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<ErrorReport, TurningError> {
+    pub fn measured(&self, part: &Workpiece, radius_mm: f64) -> Result<PartErrorReport, TurningError> {
         let text = part.truth(radius_mm, self.points).iter().fold("z_mm,x_mm\n".to_owned(), |mut t, e| {
             let p = self.centre + Zx::at_angle(e.angle_rad) * (radius_mm + e.error_um * 1e-3);
             let _ = writeln!(t, "{:.9},{:.9}", p.z, p.x);
@@ -384,7 +384,7 @@ impl TurningExperiment {
 
     fn result(
         &self,
-        report: &ErrorReport,
+        report: &PartErrorReport,
         part: &Workpiece,
         radius_mm: f64,
     ) -> Result<CutResult, TurningError> {
@@ -406,10 +406,10 @@ impl TurningExperiment {
 
     /// The table of a finish cut.
     /// It comes from the known form of the part if the model has one, otherwise from probed errors.
-    fn table(&self, probed: &[PointError]) -> Result<FinishTable, TurningError> {
+    fn table(&self, probed: &[PointError]) -> Result<ArcFinishTable, TurningError> {
         let known = self.model.as_ref().map(|m| known_form(m, self.points)).transpose()?.flatten();
         let axes = lathe::axes(&self.bench, self.gate_design()?);
-        Ok(FinishTable::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
+        Ok(ArcFinishTable::new(self.cut(self.radius_mm), axes, known.unwrap_or_else(|| probed.to_vec())))
     }
 
     /// The loop: semi-finish cut, probing, finish cut (corrected or not), inspection.
@@ -553,7 +553,7 @@ impl TurningExperiment {
     /// The finish cut with the table's corrections in its G01 lines.
     /// It runs from beyond one end to beyond the other. A cut begun at rest in the first point would show the
     /// direction from which the axes came.
-    fn program_moves(&self, table: &FinishTable) -> Vec<Move> {
+    fn program_moves(&self, table: &ArcFinishTable) -> Vec<Move> {
         let mut corners = table.straight_moves(0.0015, 4);
         // The ends continue along the same arc as the single arc move, so that the axes reverse at the same
         // positions.
@@ -576,10 +576,10 @@ impl TurningExperiment {
     /// A batch measured off the machine, compared with the probing on it.
     fn off_machine(
         &self,
-        table: &FinishTable,
-        inspected: &ErrorReport,
+        table: &ArcFinishTable,
+        inspected: &PartErrorReport,
         progress: &mut dyn FnMut(&str),
-    ) -> Result<(Batch, String), TurningError> {
+    ) -> Result<(BatchEvaluation, String), TurningError> {
         let mut text = "part,feature,angle_rad,error_um\n".to_owned();
         for k in 0..4 {
             progress("a further part for the measuring machine");
@@ -603,7 +603,7 @@ impl TurningExperiment {
         step: &str,
         radius_mm: f64,
         session: &ProbingSession,
-        report: &ErrorReport,
+        report: &PartErrorReport,
     ) -> Result<(), TurningError> {
         let (plan, unit) = (self.plan(radius_mm), Unit::MM);
         let mut push = |name: &str, content: Vec<u8>| files.push((format!("{step}/{name}"), content));
@@ -640,11 +640,11 @@ impl TurningExperiment {
         ] {
             parameters.set(name, &mm.to_string()).map_err(bad)?;
         }
-        let controller = Controller::built_in("report").transpose()?.ok_or_else(|| {
+        let controller = DialectWithTemplate::built_in("report").transpose()?.ok_or_else(|| {
             InputError::whole(template, "no dialect report", "a dialect that comes with the program")
         })?;
         let (records, made) = (plan.records(), "BY PART RUN");
-        let job = program::ProbingProgram {
+        let job = probing_program::ProbingProgramInputs {
             controller: &controller,
             parameters: &parameters,
             records: &records,
@@ -684,9 +684,9 @@ fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>,
     Ok(Some(errors.collect()))
 }
 
-fn compare(feed_mm_min: f64, session: &ProbingSession) -> Probing {
+fn compare(feed_mm_min: f64, session: &ProbingSession) -> ProbingPerformance {
     let um_per_us = feed_mm_min / 60.0 * 1e-3;
-    Probing {
+    ProbingPerformance {
         feed_mm_min,
         seconds: session.seconds,
         capture_rms_um: session.rms_um,

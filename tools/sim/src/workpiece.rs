@@ -1,7 +1,7 @@
 //! The workpiece after cuts by a worn nose, and its surface for a probe.
 
+use rtec_files::CsvTable;
 use rtec_files::InputError;
-use rtec_files::Sheet;
 use rtec_part::error_cor_file::PointError;
 use rtec_part::geometric_fit::Zx;
 use std::f64::consts::FRAC_PI_2;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// The tool's nose, ground or worn flat at one position.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Nose {
+pub struct ToolNose {
     /// Radius of the nose, mm.
     pub radius_mm: f64,
     /// Depth of the flat, µm.
@@ -77,9 +77,9 @@ impl Workpiece {
     /// Reads a workpiece from a CSV file.
     ///
     /// # Errors
-    /// As [`Sheet::read`], or another number of radii than a workpiece has.
+    /// As [`CsvTable::read`], or another number of radii than a workpiece has.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        let sheet = Sheet::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
+        let sheet = CsvTable::read(file, &["centre_z_mm", "centre_x_mm", "radius_mm"], |_| false)?;
         let (z, x) = (sheet.numbers("centre_z_mm")?, sheet.numbers("centre_x_mm")?);
         let centre = z.first().zip(x.first()).map_or(Zx::new(0.0, 0.0), |(&z, &x)| Zx::new(z, x));
         let radii = sheet.numbers("radius_mm")?;
@@ -96,7 +96,7 @@ impl Workpiece {
 
     /// Removes the material that the nose reaches at one position of its centre.
     /// It cuts `deeper_um` beyond its radius.
-    pub fn cut(&mut self, tool: Nose, nose_centre: Zx, deeper_um: f64) {
+    pub fn cut(&mut self, tool: ToolNose, nose_centre: Zx, deeper_um: f64) {
         let facing = (nose_centre - self.centre).angle_rad();
         let nose_mm = tool.radius_mm + deeper_um * 1e-3;
         for k in -175..=175 {
@@ -122,7 +122,7 @@ mod tests {
     /// (NISTIR 4854, Part-Form Error)
     #[test]
     fn a_flat_of_25_um_leaves_25_um_where_its_middle_cuts() {
-        let tool = Nose { radius_mm: 0.8, flat_um: 25.0, flat_rad: 0.7 };
+        let tool = ToolNose { radius_mm: 0.8, flat_um: 25.0, flat_rad: 0.7 };
         let half = (1.0 - tool.flat_um / 1000.0 / tool.radius_mm).acos();
         let mut part = Workpiece::raw(Zx::new(127.0, 0.0), 39.0);
         for k in -20..=1620 {

@@ -12,7 +12,7 @@ use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::link_messages::{EventKind, Request};
 use rtec_sim::bench::{BenchRun, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::insertion::{CorrectedAxis as _, homed_engine};
+use rtec_sim::corrected_axis::{CorrectedAxis as _, homed_engine};
 use rtec_sim::replay::{ReplayOutcome, replay};
 
 /// The signed byte of the Original RTEC: the largest total that it takes.

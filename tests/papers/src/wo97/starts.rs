@@ -6,7 +6,7 @@ use crate::PaperError;
 use rtec_model::machine::Machine;
 use rtec_sim::compensation_experiments::{PROMISED, UNSEEN};
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::heat::ThermalNetwork;
+use rtec_sim::heat::ThermalNetworkSpec;
 use rtec_sim::noise::NoiseGenerator;
 use rtec_sim::sim::MachineSpec;
 
@@ -59,10 +59,10 @@ const SPREAD: f64 = 0.3;
 /// Another machining centre of the same build.
 /// Each parameter of its errors and each of its thermal properties has a factor of its own.
 /// A value out of the bounds of its law is drawn again.
-fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, ThermalNetwork), PaperError> {
+fn drawn(truth: &Machine, machine: u64) -> Result<(Machine, ThermalNetworkSpec), PaperError> {
     let mut noise = NoiseGenerator::new(machine, 0xD2A);
     let mut factor = || (SPREAD * noise.normal()).exp();
-    let network = ThermalNetwork::drawn(&mut factor);
+    let network = ThermalNetworkSpec::drawn(&mut factor);
     let mut other = truth.clone();
     for (place, effect) in truth.effects().enumerate() {
         for (i, p) in effect.description().parameters.iter().enumerate().filter(|(_, p)| !p.array) {
@@ -90,7 +90,7 @@ pub fn starts(described: &MachineDescriptions, machine: u64) -> Result<Vec<Start
     let centre: Centre = described.read("wo97.toml")?;
     let truth = described.machine(&centre.machine)?;
     let (truth, network) =
-        if machine == 0 { (truth, ThermalNetwork::default()) } else { drawn(&truth, machine)? };
+        if machine == 0 { (truth, ThermalNetworkSpec::default()) } else { drawn(&truth, machine)? };
     let spec = MachineSpec { network, ..MachineSpec::machining_centre() };
     let run = Run { spec, truth: &truth, seed: machine };
     let model = from_wet_runs(&run)?;

@@ -6,7 +6,7 @@ use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::clock::Clock;
 use rtec_driver::mapped::{MappedCard, Registers};
 use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{AddressSpace, Profile, Width};
+use rtec_driver::profile::{AddressSpace, CardProfile, Width};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
@@ -157,7 +157,7 @@ impl Card for InStep {
 
 /// Enables the card's BAR and maps it; also returns its file in sysfs.
 fn bar() -> anyhow::Result<(Registers, PathBuf)> {
-    let profile = Profile::shared_memory();
+    let profile = CardProfile::shared_memory();
     let place = profile.pci.context("the profile's place on the bus")?;
     let card = pci::find(&PciId::Card(place.id.0, place.id.1))?;
     let file = card.prepare(place.bar, AddressSpace::Memory, BYTES)?.file;
@@ -218,7 +218,7 @@ fn through_rtecd(words: &Registers, card: &str, way: &str) -> anyhow::Result<Str
 fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
     phase(words, STEPPED);
     let clock = FarTime(Registers::open(file, BYTES, "vm")?);
-    let card = MappedCard::open(file, &Profile::shared_memory(), clock)?;
+    let card = MappedCard::open(file, &CardProfile::shared_memory(), clock)?;
     let mut card = InStep { card, words: Registers::open(file, BYTES, "vm")?, tick: 0 };
     let axis = AxisConfig {
         max_correction_counts: 100_000,

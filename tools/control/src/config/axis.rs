@@ -1,8 +1,8 @@
 //! `[[axis]]`: one axis, its limits, and whether they let it correct anything.
 
-use super::card::{Card, Kind, read_lines};
+use super::card::{CardBackend, CardSection, read_lines};
 use super::{ConfiguredAxis, SimulatedAxis, beside, keys};
-use rtec_files::keys::{Section, SourceFile};
+use rtec_files::keys::{FileWithFindings, Section};
 use rtec_model::record::Axis;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
 use std::path::PathBuf;
@@ -10,10 +10,10 @@ use std::path::PathBuf;
 #[allow(clippy::too_many_lines)] // The keys in order.
 /// Reads one `[[axis]]` with the recording of a replay; none if it has a mistake.
 pub(super) fn read(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     mut s: Section<'_>,
     n: u8,
-    card: &mut Card,
+    card: &mut CardSection,
     latency: &AxisConfig,
     notes: &mut Vec<String>,
 ) -> Option<(ConfiguredAxis, Option<PathBuf>)> {
@@ -94,7 +94,7 @@ pub(super) fn read(
     let home_mm = s.number_or_default(source, "home_mm");
     let lines = read_lines(source, &mut s, n, card, &owner);
     let mut trace = None;
-    if card.kind == Some(Kind::Replay) {
+    if card.kind == Some(CardBackend::Replay) {
         let path = s.text(source, "trace");
         trace = s.required(source, "trace", path).map(|at| beside(source.file, at.value));
     }
@@ -182,7 +182,7 @@ pub(super) fn read(
 }
 
 /// Checks the key `design`: the daemon inserts by Design C only.
-fn read_design(source: &mut SourceFile<'_>, s: &mut Section<'_>) {
+fn read_design(source: &mut FileWithFindings<'_>, s: &mut Section<'_>) {
     if s.has_unoffered("design") {
         let expected = "\"c\", or no such key: every axis inserts by Design C (the other designs are simulated: rtecctl \
                         designs, rtecctl replay --design)";
@@ -209,7 +209,7 @@ const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are
 /// Refuses a rotary or coupled axis by its kind, not by an unknown key.
 /// `by_name`: its name marks it as rotary (ISO 841). Returns `true` if it was refused.
 fn refuse_other_kinds(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     s: &mut Section<'_>,
     owner: &str,
     by_name: Option<usize>,
@@ -233,16 +233,16 @@ fn refuse_other_kinds(
 
 /// The count of `simulated`, if it has one, and its other values.
 fn read_simulated(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     s: &mut Section<'_>,
-    kind: Option<Kind>,
+    kind: Option<CardBackend>,
 ) -> (Option<f64>, SimulatedAxis) {
     let mut found = SimulatedAxis { count_um: 1.0, compensates_ppm: 0.0, ignores: false };
     if !s.has("simulated") {
         return (None, found);
     }
     let mut table = s.table(source, "simulated", "simulated").with(keys::SIMULATED);
-    if kind != Some(Kind::Mock) {
+    if kind != Some(CardBackend::Mock) {
         source.finding(
             table.offset,
             "simulated",

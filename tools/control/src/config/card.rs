@@ -6,26 +6,26 @@ use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{self, GpioError, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{AddressSpace, Profile, Width, WordBit};
-use rtec_files::keys::{LocatedValue, Section, SourceFile};
+use rtec_driver::profile::{AddressSpace, CardProfile, Width, WordBit};
+use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
 use rtec_files::nearest;
 use rtec_rt::link_messages::MAX_AXES;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
-impl Card {
+impl CardSection {
     /// Whether the lines lead out of this process.
     pub(super) fn is_real(&self) -> bool {
-        matches!(self.kind, Some(Kind::Gpio | Kind::Registers(_)))
+        matches!(self.kind, Some(CardBackend::Gpio | CardBackend::Registers(_)))
     }
 }
 
 /// Values of `[card]`; `None` fields were reported.
-pub(super) struct Card {
-    pub(super) kind: Option<Kind>,
+pub(super) struct CardSection {
+    pub(super) kind: Option<CardBackend>,
     pub(super) place: Option<RegisterPlace>,
-    pub(super) profile: Option<Profile>,
+    pub(super) profile: Option<CardProfile>,
     pub(super) gpio: Gpio,
     pub(super) lines: MachineLines,
     /// User of each line, by direction and bit.
@@ -43,7 +43,7 @@ pub(super) struct Gpio {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum CardBackend {
     Mock,
     Gpio,
     Registers(AddressSpace),
@@ -51,12 +51,12 @@ pub(super) enum Kind {
 }
 
 /// Reads `[card]`; `here` if this is the computer that it is meant for.
-pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> Card {
+pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut Section<'_>, here: bool) -> CardSection {
     let mut section = root.table(source, "card", "[card]").with(keys::CARD);
-    let registers = [AddressSpace::Memory, AddressSpace::Io].map(Kind::Registers);
-    let kinds = [Kind::Mock, Kind::Gpio, registers[0], registers[1], Kind::Replay];
+    let registers = [AddressSpace::Memory, AddressSpace::Io].map(CardBackend::Registers);
+    let kinds = [CardBackend::Mock, CardBackend::Gpio, registers[0], registers[1], CardBackend::Replay];
     let kind = section.pick(source, "backend", &kinds);
-    let mut card = Card {
+    let mut card = CardSection {
         kind: kind.map(|k| k.value),
         place: None,
         profile: None,
@@ -76,12 +76,12 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
         taken: BTreeMap::new(),
     };
     match kind.map(|k| k.value) {
-        Some(Kind::Registers(space)) => {
+        Some(CardBackend::Registers(space)) => {
             read_registers(source, &mut section, &mut card, (space, here));
             card.lines = machine_lines(source, &mut section, &mut card);
             section.finish(source);
         }
-        Some(Kind::Gpio) => {
+        Some(CardBackend::Gpio) => {
             card.gpio.setup.events = section.pick(source, "mode", &[true, false]).is_none_or(|m| m.value);
             let default = &mut card.gpio.default;
             default.chip = section.text(source, "chip").map(|c| c.value.to_owned());
@@ -92,16 +92,16 @@ pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bo
         }
         // Without a backend it is not known which keys belong to it.
         None => {}
-        Some(Kind::Mock | Kind::Replay) => section.finish(source),
+        Some(CardBackend::Mock | CardBackend::Replay) => section.finish(source),
     }
     card
 }
 
 /// Reads where the registers are, and the profile that gives them meaning.
 fn read_registers(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     section: &mut Section<'_>,
-    card: &mut Card,
+    card: &mut CardSection,
     (space, here): (AddressSpace, bool),
 ) {
     let port = space == AddressSpace::Io;
@@ -205,7 +205,12 @@ const fn places_of(port: bool) -> (&'static str, &'static str) {
     }
 }
 
-fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: usize) -> Option<Profile> {
+fn load_profile(
+    source: &mut FileWithFindings<'_>,
+    path: &Path,
+    named: &str,
+    offset: usize,
+) -> Option<CardProfile> {
     let text = match rtec_files::text::read(path) {
         Ok(text) => text,
         Err(error) => {
@@ -218,7 +223,11 @@ fn load_profile(source: &mut SourceFile<'_>, path: &Path, named: &str, offset: u
 }
 
 /// Reads the lines that belong to no axis.
-fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &mut Card) -> MachineLines {
+fn machine_lines(
+    source: &mut FileWithFindings<'_>,
+    section: &mut Section<'_>,
+    card: &mut CardSection,
+) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
     MachineLines {
         probe: wire("probe", false),
@@ -230,7 +239,7 @@ fn machine_lines(source: &mut SourceFile<'_>, section: &mut Section<'_>, card: &
 
 /// Gives a GPIO line the next free bit.
 fn wire_gpio(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     section: &mut Section<'_>,
     gpio: &mut Gpio,
     key: &'static str,
@@ -280,14 +289,14 @@ fn wire_gpio(
 
 /// Bit of one line, checked against the profile and the lines in use.
 fn wire(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     section: &mut Section<'_>,
-    card: &mut Card,
+    card: &mut CardSection,
     key: &'static str,
     output: bool,
     (group, owner): (u8, &str),
 ) -> Option<u8> {
-    if card.kind == Some(Kind::Gpio) {
+    if card.kind == Some(CardBackend::Gpio) {
         return wire_gpio(source, section, &mut card.gpio, key, output, (group, owner));
     }
     let at = line(section, source, key)?;
@@ -330,10 +339,10 @@ fn wire(
 
 /// Reads the lines of an axis from `lines`, or takes the standard layout.
 pub(super) fn read_lines(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     section: &mut Section<'_>,
     n: u8,
-    card: &mut Card,
+    card: &mut CardSection,
     owner: &str,
 ) -> Option<AxisLines> {
     if !card.is_real() {
@@ -341,7 +350,7 @@ pub(super) fn read_lines(
             let expected = "no lines: the mock and the replay have theirs in fixed places";
             source.finding(section.offset, format!("lines of {owner}"), expected);
         }
-        return Some(AxisLines::standard(n, card.kind == Some(Kind::Mock)));
+        return Some(AxisLines::standard(n, card.kind == Some(CardBackend::Mock)));
     }
     if !section.has("lines") {
         let meaning = "{ a = \"in0\", b = \"in1\", invert_a = \"out0\", invert_b = \"out1\" }";
@@ -349,7 +358,7 @@ pub(super) fn read_lines(
         return None;
     }
     let mut lines = section.table(source, "lines", "lines").with(keys::LINES);
-    let mut place = |source: &mut SourceFile<'_>, key, output, needed| {
+    let mut place = |source: &mut FileWithFindings<'_>, key, output, needed| {
         let bit = wire(source, &mut lines, card, key, output, (n, owner));
         if needed { lines.required(source, key, bit) } else { bit }
     };
@@ -372,7 +381,7 @@ pub(super) fn read_lines(
 
 /// Checks that a named path exists on this computer.
 fn is_there(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     at: Option<LocatedValue<&str>>,
     path: impl Fn(LocatedValue<&str>) -> PathBuf,
 ) {
@@ -385,7 +394,7 @@ fn is_there(
 }
 
 /// Checks that a UIO device is a character device below `/dev`.
-fn is_uio(source: &mut SourceFile<'_>, at: LocatedValue<&str>, path: &Path, here: bool) {
+fn is_uio(source: &mut FileWithFindings<'_>, at: LocatedValue<&str>, path: &Path, here: bool) {
     let is_device = || std::fs::metadata(path).map(|m| m.file_type().is_char_device());
     let why = match is_device() {
         _ if !path.starts_with("/dev") => "which is not below /dev".to_owned(),

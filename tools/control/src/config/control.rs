@@ -4,7 +4,7 @@ use super::{Config, ConfigFindings, INSTALLED, beside, keys};
 use crate::owned_directory::directory_owner;
 use crate::role::Role;
 use nix::unistd::{Group, Uid};
-use rtec_files::keys::{Section, SourceFile};
+use rtec_files::keys::{FileWithFindings, Section};
 use std::path::{Path, PathBuf};
 
 /// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).
@@ -148,7 +148,7 @@ pub fn default_directory() -> PathBuf {
 }
 
 /// Reads `[control]`; `here` if this is the computer that it is meant for.
-pub(super) fn read(source: &mut SourceFile<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
+pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
     let mut table = root.table(source, "control", "[control]").with(keys::CONTROL);
     let own = read_role_socket(source, &mut table, here);
     let [operate, view] = ["operate", "view"].map(|role| {
@@ -254,7 +254,7 @@ pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     notes
 }
 
-fn read_role_socket(source: &mut SourceFile<'_>, table: &mut Section<'_>, here: bool) -> RoleSocket {
+fn read_role_socket(source: &mut FileWithFindings<'_>, table: &mut Section<'_>, here: bool) -> RoleSocket {
     let socket = table.text(source, "socket");
     let group = table.text(source, "group");
     if let Some(at) = group

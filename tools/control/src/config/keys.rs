@@ -2,7 +2,7 @@
 
 use rtec_files::keys;
 use rtec_files::keys::AcceptedValue::{self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word};
-use rtec_files::keys::{Key, REQUIRED, markdown};
+use rtec_files::keys::{KeySpec, REQUIRED, markdown};
 
 keys! {
     /// `[machine]`.
@@ -139,7 +139,7 @@ keys! {
 
 /// The tables of the reference page, in its order.
 pub fn reference() -> String {
-    let sections: [(&str, &[Key]); 11] = [
+    let sections: [(&str, &[KeySpec]); 11] = [
         ("[machine]", MACHINE),
         ("[card]", CARD),
         ("[[axis]]", AXIS),

@@ -5,7 +5,7 @@ use super::{CardConfig, Config, ConfiguredAxis, RegisterPlace, keys};
 use crate::protocol::SpeedLimits;
 use rtec_driver::profile::AddressSpace;
 use rtec_files::date;
-use rtec_files::keys::{LocatedValue, Section, SourceFile};
+use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
 use rtec_rt::setup::SystemRoot;
 use std::fmt;
 use std::path::Path;
@@ -82,7 +82,7 @@ impl fmt::Display for LatencyTestConditions {
 
 /// Reads `measured`.
 pub(super) fn read_measured(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     rt: &mut Section<'_>,
 ) -> Option<LatencyTestConditions> {
     if !rt.has("measured") {
@@ -122,7 +122,7 @@ pub fn floors_ns(card: &CardConfig) -> Option<(u64, u64, &'static str)> {
 
 /// Refuses figures that no such card can reach; they were copied wrongly.
 pub(super) fn check_floors(
-    source: &mut SourceFile<'_>,
+    source: &mut FileWithFindings<'_>,
     card: &CardConfig,
     detect_ns: Option<LocatedValue<i64>>,
     write_ns: Option<LocatedValue<i64>>,
@@ -242,7 +242,7 @@ impl Config {
 }
 
 /// Checks that the CPU named in `[rt]` exists.
-pub(super) fn check_cpu(source: &mut SourceFile<'_>, cpu: Option<LocatedValue<i64>>) {
+pub(super) fn check_cpu(source: &mut FileWithFindings<'_>, cpu: Option<LocatedValue<i64>>) {
     let Some(at) = cpu else { return };
     let text = SystemRoot::at(Path::new("/")).read("sys/devices/system/cpu/online").unwrap_or_default();
     let online = rtec_rt::setup::cpu_list(&text);

@@ -63,7 +63,7 @@ fn a_hollow_arcs_table_acts_where_the_nose_runs_inside() {
 fn a_straight_features_table_acts_along_it_and_fades_beyond_its_ends() {
     let (sin, cos) = (0.5, 0.75_f64.sqrt());
     let um = [0.0, 8.0, 12.0, 4.0, 2.0];
-    let point = |k: usize| LineError {
+    let point = |k: usize| StraightPointError {
         angle_rad: 120.0_f64.to_radians(),
         error_um: um[k],
         along_mm: 10.0 * k as f64 - 20.0,

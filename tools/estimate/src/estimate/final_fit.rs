@@ -386,7 +386,7 @@ impl<'s, 'p> FinalFit<'s, 'p> {
             Some(SetUpEstimate {
                 record: term.record,
                 response: shape.response.clone(),
-                what: setup::SetUpKind::Jump,
+                what: setup::SetUpTermKind::Jump,
                 value: self.beta[m.at] * size,
                 half: NORMAL_95 * self.covariance(m.at, m.at).sqrt() * size,
             })
@@ -401,8 +401,8 @@ impl<'s, 'p> FinalFit<'s, 'p> {
 
     pub(super) fn set_up(&self) -> Vec<SetUpEstimate> {
         let problem = self.search.problem;
-        let named = |w: setup::SetUpKind| {
-            use setup::SetUpKind::{CentreFirst, CentreSecond, Jump, Line, Zero};
+        let named = |w: setup::SetUpTermKind| {
+            use setup::SetUpTermKind::{CentreFirst, CentreSecond, Jump, Line, Zero};
             matches!(w, Zero | CentreFirst | CentreSecond | Line | Jump)
         };
         let of = |(i, t): (usize, &setup::SetUpTerm)| {

@@ -4,7 +4,7 @@ use super::{
     Columns, HypothesisSearch, HypothesisSet, Member, ScreenedHypothesis, difference, gain, gain_of_one,
     log_sum,
 };
-use crate::contribution::{Contribution, Shape};
+use crate::contribution::{Contribution, UnnamedShape};
 use crate::hypothesis_columns::ScreeningProducts;
 use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
@@ -15,7 +15,7 @@ use crate::search_limits::{
 use crate::shapes::{changing_wave, envelopes};
 use crate::wave::WaveVariable;
 use rtec_least_squares::{Factor, add, dot, products_beside};
-use rtec_model::effect::{Difference, Effect, ParameterSearch, Refine, ThermalDependence};
+use rtec_model::effect::{Effect, ParameterSearch, Refine, TemperatureDifference, ThermalDependence};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -401,7 +401,7 @@ impl HypothesisSearch<'_> {
                 let cause = Contribution::Effect { effect: effect.clone(), free: free + 1, reference: false };
                 out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
-            let pair = effect.delta.as_ref().is_some_and(Difference::is_pair);
+            let pair = effect.delta.as_ref().is_some_and(TemperatureDifference::is_pair);
             let constant = effect.companion().is_some_and(|c| c.description().constant);
             if !pair && !constant {
                 let cause = Contribution::Effect { effect: effect.clone(), free: *free, reference: true };
@@ -420,11 +420,11 @@ impl HypothesisSearch<'_> {
         let rows = self.problem.rows;
         let shape = match &seed.cause {
             Contribution::Shape(both) if both.1.len() == 2 => both.0.clone(),
-            cause => Shape::like(rows, cause.effect()?, "")?,
+            cause => UnnamedShape::like(rows, cause.effect()?, "")?,
         };
         let of = |f: &HypothesisFamily| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
         let number = self.families.list.iter().position(of)?;
-        let shape = Shape { manner: "periodic, of changing size".to_owned(), ..shape };
+        let shape = UnnamedShape { manner: "periodic, of changing size".to_owned(), ..shape };
         let envelopes = self.envelopes(seed.family, along);
         if envelopes.is_empty() {
             return None;
@@ -464,7 +464,7 @@ impl HypothesisSearch<'_> {
         for (j, wave) in set.members.iter().enumerate() {
             let is_wave = matches!(self.family(wave.family).scan, Scan::Wave { .. });
             let Some(like) = wave.cause.effect().filter(|_| is_wave) else { continue };
-            let Some(like) = Shape::like(self.problem.rows, like, "") else { continue };
+            let Some(like) = UnnamedShape::like(self.problem.rows, like, "") else { continue };
             let same = |m: &Member| match &m.cause {
                 Contribution::Shape(own) => own.0.response == like.response && own.0.against == like.against,
                 _ => m.family == wave.family,
@@ -504,7 +504,7 @@ fn saw_phase((along, among): (Vec<f64>, Vec<f64>), left: f64, freedom: f64) -> f
 /// Chillers, pumps and thermostats that switch leave one over time.
 fn saw_tooth(family: &HypothesisFamily, frequency: f64, phase: f64, n: usize) -> Option<Contribution> {
     let Scan::Wave { along, .. } = &family.scan else { return None };
-    let shape = Shape { manner: "saw-tooth".to_owned(), ..family.shape.clone()? };
+    let shape = UnnamedShape { manner: "saw-tooth".to_owned(), ..family.shape.clone()? };
     let column = along.over(n, |at| 2.0 * CONTRIBUTION * ((frequency * at - phase).rem_euclid(1.0) - 0.5));
     Some(Contribution::Shape(Arc::new((shape, vec![column]))))
 }

@@ -2,7 +2,7 @@
 //! They are signs of a wrong column, unit or counter.
 
 use super::PositionRecord;
-use crate::clock;
+use crate::clock_column;
 use crate::text::short;
 
 /// Speed that no axis of a machine tool exceeds, m/s.
@@ -101,7 +101,7 @@ impl PositionJumps {
 
     /// A note if times in seconds are rather the days of a spreadsheet.
     pub(super) fn dates(&self) -> Option<String> {
-        let (day, first_s) = (clock::spreadsheet_in_s(&self.times_s)?, self.times_s[0]);
+        let (day, first_s) = (clock_column::spreadsheet_in_s(&self.times_s)?, self.times_s[0]);
         Some(format!(
             "the time begins at {first_s} s: a spreadsheet's date ({day}) in days? --time-unit d takes those"
         ))

@@ -2,7 +2,7 @@
 
 use super::jumps::range_of;
 use super::{LENGTHS, PositionRecord, TIMES};
-use crate::clock::{self, ClockColumn};
+use crate::clock_column::{self, ClockColumn};
 use crate::csv::{Header, Reader};
 use crate::text::open_regular;
 use crate::{InputError, TableMarks, units};
@@ -160,15 +160,16 @@ impl PositionRows {
                     return Ok(());
                 }
                 if let Some(start) = self.moments.start() {
-                    let slashes =
-                        clock::expected_instead(cell.text()).filter(|_| clock::has_two_days(cell.text()));
+                    let slashes = clock_column::expected_instead(cell.text())
+                        .filter(|_| clock_column::has_two_days(cell.text()));
                     let expected =
                         slashes.map_or_else(|| format!("a time as in the first row, {start}"), str::to_owned);
                     return Err(cell.finding(expected));
                 }
-                let written = || clock::expected_instead(cell.text()).map(|expected| cell.finding(expected));
+                let written =
+                    || clock_column::expected_instead(cell.text()).map(|expected| cell.finding(expected));
                 let read = finite("time").map_err(|e| written().unwrap_or(e))?;
-                if first && clock::filetime(read).is_some() {
+                if first && clock_column::filetime(read).is_some() {
                     let name = self.header.names().nth(place).unwrap_or_default();
                     let found = format!("{read} in column {name}, Windows FILETIME in steps of 100 ns");
                     return Err(cell.said(
@@ -178,11 +179,11 @@ impl PositionRows {
                 }
                 if first
                     && self.time_unit == "d"
-                    && let Some(date) = clock::spreadsheet(read)
+                    && let Some(date) = clock_column::spreadsheet(read)
                 {
                     self.start = Some((read, format!("{read}, {} of {}", date.what, date.day)));
                 }
-                if first && let Some((unit, day)) = clock::unix(read) {
+                if first && let Some((unit, day)) = clock_column::unix(read) {
                     if unit != self.time_unit {
                         let name = self.header.names().nth(place).unwrap_or_default();
                         let found = format!("{read} in column {name}, Unix time in {unit}");

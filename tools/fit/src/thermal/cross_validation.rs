@@ -127,8 +127,8 @@ pub(super) struct GramColumns<'a> {
     all: Vec<f64>,
     /// Cached factors of least squares: without each fold, and on all.
     /// Columns that stay are not factored again.
-    roots: Vec<Roots>,
-    roots_of_all: Roots,
+    roots: Vec<CholeskyFactor>,
+    roots_of_all: CholeskyFactor,
 }
 
 /// A least-squares solution on the folds.
@@ -153,8 +153,8 @@ impl<'a> GramColumns<'a> {
     pub(super) fn new(problem: &'a Problem, folds: &'a [usize]) -> Option<Self> {
         let total = folds.iter().flat_map(|f| &problem.weight[problem.stretches[*f].clone()]).sum();
         let products = vec![Vec::new(); folds.len()];
-        let roots = folds.iter().map(|_| Roots::default()).collect();
-        let (columns, all, roots_of_all) = (Vec::new(), Vec::new(), Roots::default());
+        let roots = folds.iter().map(|_| CholeskyFactor::default()).collect();
+        let (columns, all, roots_of_all) = (Vec::new(), Vec::new(), CholeskyFactor::default());
         let mut beside = Self { problem, folds, total, columns, products, all, roots, roots_of_all };
         beside.push(&problem.y)?;
         let (values, weighted) = (vec![1.0; problem.y.len()], problem.weight.clone());
@@ -236,7 +236,7 @@ impl<'a> GramColumns<'a> {
     /// Least squares on all folds, judged by leaving out each in turn.
     /// `None` if the columns are dependent.
     pub(super) fn solve(&mut self) -> Option<FoldSolution> {
-        rtec_files::computation::step();
+        rtec_files::cancellable_computation::step();
         let response = &self.columns[0];
         let fit = self.roots_of_all.least_squares(&self.all)?;
         let left = left_over(&self.all, &fit) / self.total;
@@ -292,12 +292,12 @@ const fn row(k: usize) -> usize {
 /// Least squares by products of columns (Cholesky).
 /// It holds the factor, row after row, and the response solved with it.
 #[derive(Default)]
-struct Roots {
+struct CholeskyFactor {
     factor: Vec<f64>,
     response: Vec<f64>,
 }
 
-impl Roots {
+impl CholeskyFactor {
     /// Keeps the factors of the first `columns`.
     fn keep(&mut self, columns: usize) {
         self.response.truncate(columns);
@@ -589,7 +589,7 @@ mod tests {
         let record = drift(260);
         let said = Problem::new(&[&record], &response(), &Options::default()).err().unwrap();
         assert!(said.found.contains("260 temperatures") && said.expected.contains("--sensors"), "{said}");
-        let few = ["T0", "T7"].map(rtec_model::effect::Difference::single);
+        let few = ["T0", "T7"].map(rtec_model::effect::TemperatureDifference::single);
         let named = Options { sensors: few.to_vec(), ..Options::default() };
         assert!(Problem::new(&[&record], &response(), &named).is_ok());
     }

@@ -1,6 +1,6 @@
 //! The structure as effects of the dictionary.
 
-use super::interval::Guard;
+use super::interval::DifferenceBounds;
 use super::jackknife::{Intervals, Jackknife};
 use super::problem::Problem;
 use super::term::Term;
@@ -15,7 +15,7 @@ pub(super) fn effects(
     terms: &[Term],
     coefficients: &[f64],
     jackknife: &Jackknife,
-    guards: &[Guard],
+    guards: &[DifferenceBounds],
     response: &Role,
 ) -> Result<Vec<(Effect, Intervals)>, ValueError> {
     let dictionary = Dictionary::default();

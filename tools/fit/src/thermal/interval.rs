@@ -14,7 +14,7 @@ use rtec_model::record::{Record, Role, span};
 const BEYOND: f64 = 0.1;
 
 /// The bounds of a difference in a fit, beyond which less is known.
-pub(super) struct Guard {
+pub(super) struct DifferenceBounds {
     /// Indices of the difference's column, and of its square's.
     pub(super) term: usize,
     pub(super) square: Option<usize>,
@@ -35,7 +35,7 @@ impl Rows {
         terms: &[Term],
         plain: &Self,
         take: &dyn Fn(usize) -> bool,
-    ) -> Vec<Guard> {
+    ) -> Vec<DifferenceBounds> {
         let mut found = Vec::new();
         for (k, term) in terms.iter().enumerate() {
             let Term::Thermal { sensor, minus, lag, square: false } = *term else { continue };
@@ -48,7 +48,7 @@ impl Rows {
                 n += 1.0;
             }
             let margin = BEYOND * (hi - lo);
-            found.push(Guard {
+            found.push(DifferenceBounds {
                 term: k,
                 square,
                 range_k: [lo - margin, hi + margin],
@@ -60,7 +60,7 @@ impl Rows {
     }
 
     /// The prediction of a row with its differences in range, and its interval's x.
-    fn held(&self, c: &[f64], guards: &[Guard], i: usize) -> (f64, f64) {
+    fn held(&self, c: &[f64], guards: &[DifferenceBounds], i: usize) -> (f64, f64) {
         let mut says = c[0] + self.columns.iter().zip(&c[1..]).map(|(u, c)| c * u[i]).sum::<f64>();
         let mut x2 = 0.0;
         for g in guards {

@@ -22,7 +22,7 @@
 //! |---|---|
 //! | `problem`, `term` | the candidates: differences, lags, the rows binned for the search |
 //! | `cross_validation` | a structure judged by blocked cross-validation |
-//! | `choice` | the choice of sensors alone, for comparison |
+//! | `sensor_choice` | the choice of sensors alone, for comparison |
 //! | `select` | CASC, the refit, and the exchange of terms |
 //! | `rows` | least squares over every row |
 //! | `interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
@@ -31,7 +31,6 @@
 //! | `report`, `charts` | the results, as figures and charts |
 
 mod charts;
-mod choice;
 mod compare;
 mod cross_validation;
 mod effects;
@@ -41,15 +40,17 @@ mod problem;
 mod report;
 mod rows;
 mod select;
+mod sensor_choice;
 mod term;
 
 pub use charts::{prediction_chart, residual_chart};
-pub use choice::select_differences;
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{
-    DryWet, Estimate, FittedEffect, Interval, RankedSensor, RedundantSensor, Rms, Round, ThermalFitReport,
+    DryWet, FittedEffect, Interval, ParameterEstimate, RankedSensor, RedundantSensor, Rms, Round,
+    ThermalFitReport,
 };
 pub use select::{REDUNDANT, ROUNDS};
+pub use sensor_choice::select_differences;
 
 use crate::denoise::{Spread, smoothed};
 use crate::statistics::mean_square;
@@ -62,7 +63,7 @@ use problem::Problem;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_model::effect::{Difference, Effect, ThermalDependence, ValueError};
+use rtec_model::effect::{Effect, TemperatureDifference, ThermalDependence, ValueError};
 use rtec_model::machine::{FitNote, ListedEffect, Machine, Provenance, RecordRanges, SourceRecord};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
@@ -73,7 +74,7 @@ use term::{Term, unlagged};
 pub struct Options {
     /// Differences to choose from; empty for all sensors.
     /// A sensor without `minus` is compared with the environment.
-    pub sensors: Vec<Difference>,
+    pub sensors: Vec<TemperatureDifference>,
     /// The sensor of the environment; `None` for the coldest on average.
     pub environment: Option<String>,
     /// Blocks of the cross-validation.

@@ -8,7 +8,7 @@ use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_least_squares::dot;
 use rtec_model::effect::laws::thermal_growth;
-use rtec_model::effect::{Dictionary, Difference, Lag, Lags, STANDARD_DEGC};
+use rtec_model::effect::{Dictionary, Lag, Lags, STANDARD_DEGC, TemperatureDifference};
 use rtec_model::record::{Axis, Record, Role};
 use std::ops::Range;
 
@@ -42,7 +42,7 @@ pub(super) struct Problem {
     /// Per sensor and lag: one value per bin.
     pub(super) binned: Vec<Vec<Vec<f64>>>,
     /// The lags that candidates are screened at.
-    pub(super) screened: Vec<Screened>,
+    pub(super) screened: Vec<ScreeningColumns>,
     pub(super) y: Vec<f64>,
     pub(super) weight: Vec<f64>,
     /// The bins of each fold.
@@ -56,14 +56,14 @@ pub(super) struct Problem {
 }
 
 /// The data for screening candidates at one lag, computed once for many pairs.
-pub(super) struct Screened {
+pub(super) struct ScreeningColumns {
     /// Per sensor one value per bin, about its mean.
     pub(super) centred: Vec<Vec<f64>>,
     /// Per pair and fold the sum of squares of their difference.
     squares: Vec<Vec<f64>>,
 }
 
-impl Screened {
+impl ScreeningColumns {
     fn new(problem: &Problem, lag: usize) -> Self {
         let centre = |lags: &Vec<Vec<f64>>| {
             let mean = mean(&lags[lag]);
@@ -96,9 +96,12 @@ fn place_of((sensor, minus): Pair, sensors: usize) -> usize {
 
 impl Problem {
     /// The difference of these sensors by their names.
-    pub(super) fn difference(&self, (sensor, minus): Pair) -> Difference {
+    pub(super) fn difference(&self, (sensor, minus): Pair) -> TemperatureDifference {
         let name = &self.sensors[sensor];
-        minus.map_or_else(|| Difference::single(name), |m| Difference::pair(name, &self.sensors[m]))
+        minus.map_or_else(
+            || TemperatureDifference::single(name),
+            |m| TemperatureDifference::pair(name, &self.sensors[m]),
+        )
     }
 
     pub(super) fn new(records: &[&Record], response: &Role, options: &Options) -> Result<Self, InputError> {
@@ -167,7 +170,7 @@ impl Problem {
             binned,
         };
         let screened = (0..problem.taus.len()).step_by(SCREEN_LAGS);
-        problem.screened = screened.map(|lag| Screened::new(&problem, lag)).collect();
+        problem.screened = screened.map(|lag| ScreeningColumns::new(&problem, lag)).collect();
         Ok(problem)
     }
 

@@ -56,7 +56,7 @@ pub struct Round {
 
 /// A parameter with its 95 % interval (delete-one-block jackknife).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Estimate {
+pub struct ParameterEstimate {
     /// Value.
     pub value: f64,
     /// Lower end.
@@ -77,7 +77,7 @@ pub struct FittedEffect {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub minus: Option<String>,
     /// Its parameters.
-    pub parameters: BTreeMap<String, Estimate>,
+    pub parameters: BTreeMap<String, ParameterEstimate>,
 }
 
 impl FittedEffect {
@@ -86,7 +86,7 @@ impl FittedEffect {
         let parameter = |(i, p): (usize, &rtec_model::effect::Parameter)| {
             let value = effect.scalar(i);
             let [low, high] = interval.get(&p.name).map_or([value, value], |v| v[0]);
-            (p.name.clone(), Estimate { value, low, high })
+            (p.name.clone(), ParameterEstimate { value, low, high })
         };
         Self {
             name: effect.name(),

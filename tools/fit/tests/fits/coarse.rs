@@ -3,7 +3,7 @@
 
 use rtec_fit::linear_least_squares::fit_named;
 use rtec_fit::thermal;
-use rtec_model::effect::Difference;
+use rtec_model::effect::TemperatureDifference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
@@ -127,7 +127,7 @@ fn a_coarse_or_noisy_sensor_is_no_lag() {
         return;
     }
     let options = thermal::Options {
-        sensors: vec![Difference::single("T1")],
+        sensors: vec![TemperatureDifference::single("T1")],
         environment: Some("T2".to_owned()),
         ..thermal::Options::default()
     };

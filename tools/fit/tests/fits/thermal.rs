@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_fit::thermal::{self, Options};
-use rtec_model::effect::Difference;
+use rtec_model::effect::TemperatureDifference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
@@ -384,7 +384,8 @@ fn bodies_that_say_little_alone_are_found_together() {
         let record = record(columns.collect());
         // Whether only the bodies' differences or all of the sensors' are offered, the effects give the same
         // gains.
-        let sensors = (1..=gains.len()).map(|k| Difference::pair(&format!("T{k}"), "T0")).collect();
+        let sensors =
+            (1..=gains.len()).map(|k| TemperatureDifference::pair(&format!("T{k}"), "T0")).collect();
         for sensors in [sensors, Vec::new()] {
             let options = Options { environment: Some("T0".into()), sensors, ..Options::default() };
             let (_, reports) = thermal::fit(&[&record], &[], &options).unwrap();

@@ -4,7 +4,7 @@
 //! all are fitted together by Gauss–Newton, with the autocorrelation of the residual. Structure that no
 //! effect explains is fitted beside them and widens the intervals (`structure`). Intervals are 95 %.
 
-use super::structure::{self, Structure, StructureVariance};
+use super::unexplained_structure::{self, StructureVariance, UnexplainedHarmonics};
 use super::{ByAxis, Trace, law};
 use crate::export::each_once;
 use crate::iso230::lacks;
@@ -200,7 +200,7 @@ pub(super) struct Fit<'t> {
     /// Autocorrelation of the noise from row to row.
     pub(super) phi: f64,
     /// Structure without laws.
-    pub(super) structure: Structure,
+    pub(super) structure: UnexplainedHarmonics,
     /// Number of drift columns, the last ones of `beside`.
     pub(super) drift: usize,
     /// Columns fitted beside the terms.
@@ -372,7 +372,7 @@ impl<'t> Fit<'t> {
     /// Adds columns to those fitted beside the terms.
     pub(super) fn take_beside(&mut self, more: &DMatrix<f64>) {
         let all = [columns_of(&self.beside), columns_of(more)].concat();
-        self.beside = structure::matrix_of(self.n, &all);
+        self.beside = unexplained_structure::matrix_of(self.n, &all);
         self.prepare_beside();
     }
 
@@ -411,7 +411,7 @@ impl<'t> Fit<'t> {
             follows,
             counts,
             phi: 0.0,
-            structure: Structure::of(traces, n),
+            structure: UnexplainedHarmonics::of(traces, n),
             drift: 0,
             beside: DMatrix::zeros(n, 0),
             beside_white: DMatrix::zeros(n, 0),
@@ -541,7 +541,7 @@ impl<'t> Fit<'t> {
     }
 
     fn each_column(&self, all: &DMatrix<f64>, of: impl Fn(&DVector<f64>) -> DVector<f64>) -> DMatrix<f64> {
-        structure::matrix_of(self.n, &columns_of(all).iter().map(of).collect::<Vec<_>>())
+        unexplained_structure::matrix_of(self.n, &columns_of(all).iter().map(of).collect::<Vec<_>>())
     }
 
     /// Must follow a change of the columns beside or of the autocorrelation.
@@ -664,7 +664,7 @@ impl<'t> Fit<'t> {
         let left = self.left();
         let freedom = self.freedom(j.ncols());
         let white = self.white(&left);
-        let variance = white.norm_squared() / freedom * Structure::hangs_together(&white);
+        let variance = white.norm_squared() / freedom * UnexplainedHarmonics::hangs_together(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
         let variance = self.traces.iter().map(Trace::rounding_um2).fold(variance, f64::max);
         let directions = Directions::by(&j);
@@ -716,7 +716,7 @@ impl<'t> Fit<'t> {
         without.free_all(told);
         let drift = columns_of(&self.beside.columns(kept, self.drift).into_owned());
         let mut odds: f64 = spikes.iter().filter_map(|axis| without.spike_odds(axis)).sum();
-        for columns in drift.chunks(structure::DRIFTS) {
+        for columns in drift.chunks(unexplained_structure::DRIFTS) {
             odds += without.odds(columns, DRIFT_UM);
         }
         let share = (1.0 + (-odds).exp()).recip();

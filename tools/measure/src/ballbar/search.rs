@@ -1,7 +1,7 @@
 //! Search for drift, spikes (grid of lengths) and cyclic errors (grid of periods).
 
 use super::diagnosis::{Fit, columns_of};
-use super::{law, structure};
+use super::{law, unexplained_structure};
 use nalgebra::{DMatrix, DVector};
 use rtec_least_squares::{Factor, orthonormal};
 use rtec_model::effect::{Dictionary, Effect, laws};
@@ -114,7 +114,7 @@ impl Fit<'_> {
             return;
         }
         for (i, t) in self.traces.iter().enumerate() {
-            let columns = structure::drift(t, self.start[i], self.n);
+            let columns = unexplained_structure::drift(t, self.start[i], self.n);
             let (q, left, variance) = self.prepared();
             if !columns.is_empty() && self.gain(&q, &left, variance, &columns).0 > DRIFT_FITTED {
                 self.take_beside(&DMatrix::from_columns(&columns));

@@ -3,12 +3,12 @@
 use super::{ImportColumn, Sampling, TableSyntax, UserTableFormat, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
 use crate::Sink;
-use crate::derive::derive;
+use crate::derivatives::derive;
 use crate::export::linuxcnc::Unit;
 use rtec_files::file_kind::FileKind;
 #[cfg(feature = "clap")]
 use rtec_files::options::one_of;
-use rtec_files::{InputError, InputMessage, Result};
+use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record, RunKind};
 use std::path::{Path, PathBuf};
@@ -119,7 +119,7 @@ impl ImportRequest {
         } else {
             let (text, encoding) = rtec_files::text::decode_western(file, &bytes)?;
             if let Some(encoding) = encoding {
-                say(InputMessage::Note(format!("{}: read as {encoding}", file.display())));
+                say(InputNotice::Note(format!("{}: read as {encoding}", file.display())));
             }
             text
         };
@@ -132,12 +132,12 @@ impl ImportRequest {
         let mut record = self.of_text(&text, out).map_err(|e| instead(of_file(e)))?;
         // The file that will be written is a plain CSV.
         if let Some(written) = record.written.take() {
-            say(InputMessage::Note(written));
+            say(InputNotice::Note(written));
         }
         if matches!(self.format, ImportFormat::LinuxcncComp0 | ImportFormat::LinuxcncComp1) {
             let unit = if self.unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
             let text = format!("positions and corrections were read in {unit}: --unit states another");
-            say(InputMessage::Note(text));
+            say(InputNotice::Note(text));
         }
         if let Some(circle) = circle {
             record = record.with_circle(circle).map_err(|(found, expected)| {
@@ -146,7 +146,7 @@ impl ImportRequest {
         }
         if self.derive {
             for note in derive(&mut record) {
-                say(InputMessage::Note(note.clone()));
+                say(InputNotice::Note(note.clone()));
                 add_note(&mut record, &note);
             }
         }

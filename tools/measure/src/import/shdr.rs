@@ -3,7 +3,7 @@
 
 use super::table::ImportColumn;
 use super::{add_note, finite, record_of};
-use rtec_files::clock::{self, EpochTime, day, iso8601_ns};
+use rtec_files::clock_column::{self, EpochTime, day, iso8601_ns};
 use rtec_files::message_text::is_comment;
 use rtec_files::{InputError, Result};
 use rtec_model::record::{Column, Record, Role, RunKind};
@@ -97,7 +97,7 @@ pub fn shdr(
     let mut columns = vec![Column::new("t", Role::Time, times)];
     columns.extend(wanted.iter().zip(data).map(|(w, data)| w.filled(data)));
     let mut record = record_of(to, kind, columns, log)?;
-    let counted = text.parse().ok().and_then(clock::counted);
+    let counted = text.parse().ok().and_then(clock_column::counted);
     record.date = match &counted {
         Some(EpochTime { day, .. }) => Some(day.clone()),
         None => text.contains('-').then(|| day(first)),

@@ -2,7 +2,7 @@
 //! Options: separator, number format, roles and units.
 
 use super::{add_note, finite, record_of};
-use rtec_files::clock::{self, ClockColumn, EpochTime, has_zone};
+use rtec_files::clock_column::{self, ClockColumn, EpochTime, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
 use rtec_files::{DecimalMarks, InputError, Result, TableMarks, units};
@@ -261,8 +261,8 @@ pub fn table(
                 continue;
             }
             if is_time && clock.moments.start().is_some() {
-                let expected =
-                    clock::expected_instead(cell.text()).filter(|_| clock::has_two_days(cell.text()));
+                let expected = clock_column::expected_instead(cell.text())
+                    .filter(|_| clock_column::has_two_days(cell.text()));
                 let as_before = "a time as in the rows before, 2022-08-08T13:51:37.25Z or 13:51:37";
                 return Err(named(cell.finding(expected.unwrap_or(as_before))));
             }
@@ -314,7 +314,7 @@ fn with_one_time(
 
 /// Joins a date and a time of day given in either order.
 fn joined(one: &str, other: &str) -> Cow<'static, str> {
-    Cow::Owned(if clock::is_day(one) { format!("{one} {other}") } else { format!("{other} {one}") })
+    Cow::Owned(if clock_column::is_day(one) { format!("{one} {other}") } else { format!("{other} {one}") })
 }
 
 /// A reader of the table after its header, and the header if there is one.
@@ -342,7 +342,7 @@ fn opened<'t>(
 
 /// The expected content of a cell that is not a number.
 fn expected_of(cell: &str, is_time: bool, in_units: bool, numbers: DecimalMarks) -> &'static str {
-    if let Some(expected) = clock::expected_instead(cell).filter(|_| is_time) {
+    if let Some(expected) = clock_column::expected_instead(cell).filter(|_| is_time) {
         expected
     } else if in_units {
         "a finite number: a line of units is to be deleted, --columns states them, as t=time:min"
@@ -387,13 +387,13 @@ const SUMMER_S: f64 = 3600.0;
 const COUNTER: f64 = 4_294_967_296.0;
 
 /// Order of day and month in a column; `None` if no cell looks like a date.
-fn slash_order(text: &str, place: usize, by: char) -> Option<clock::SlashOrder> {
+fn slash_order(text: &str, place: usize, by: char) -> Option<clock_column::SlashOrder> {
     let is_date = |cell: &str| cell.contains(['/', '-']);
     is_date(text).then_some(())?;
     let cell =
         |line: &str| line.split(by).nth(place).map(|cell| cell.trim_matches(['"', ' ', '\r']).to_owned());
     let cells: Vec<String> = text.lines().filter_map(cell).filter(|cell| is_date(cell)).collect();
-    clock::slash_order(cells.iter().map(String::as_str))
+    clock_column::slash_order(cells.iter().map(String::as_str))
 }
 
 /// State of a time column that may not begin with the run.
@@ -445,9 +445,9 @@ impl Clock {
         let in_days = (w.scale[0] - units::DAY_S).abs() < 0.5;
         let in_filetime = w.scale[0].to_bits() == units::FILETIME_S.to_bits();
         let counted = || match () {
-            () if in_days => clock::spreadsheet(number),
-            () if in_filetime => clock::filetime(number),
-            () => clock::counted(number * w.scale[0]),
+            () if in_days => clock_column::spreadsheet(number),
+            () if in_filetime => clock_column::filetime(number),
+            () => clock_column::counted(number * w.scale[0]),
         };
         let instead = |time: &str, EpochTime { unit, what, .. }: EpochTime| {
             format!("a time in {time}: this is {what} in {unit}, as {}=time:{unit}", w.column)
@@ -457,7 +457,7 @@ impl Clock {
                 return Err(instead("s, or its unit", found));
             }
             self.counted = Some((number, found));
-        } else if let Some(found) = clock::counted(number).filter(|_| first && w.scale[0] > 1.0) {
+        } else if let Some(found) = clock_column::counted(number).filter(|_| first && w.scale[0] > 1.0) {
             // The number is a clock in its own unit, but not in minutes or hours.
             return Err(instead("the unit of its clock", found));
         }

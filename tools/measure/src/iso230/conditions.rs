@@ -58,7 +58,7 @@ pub struct Conditions {
     pub workpiece: Option<Expansion>,
     /// The air along a laser's path.
     pub air: Option<Air>,
-    /// Half widths and expanded values by key; see [`Uncertainty`].
+    /// Half widths and expanded values by key; see [`PositioningUncertainty`].
     pub stated: BTreeMap<String, f64>,
 }
 
@@ -153,19 +153,23 @@ impl Conditions {
 
     /// Expanded uncertainties (k = 2) of a positioning test.
     /// `approaches` is the number from each side.
-    pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<Uncertainty> {
-        (!self.stated.is_empty()).then(|| Uncertainty::new(&self.stated, length_mm, approaches))
+    pub fn uncertainty(&self, length_mm: f64, approaches: usize) -> Option<PositioningUncertainty> {
+        (!self.stated.is_empty()).then(|| PositioningUncertainty::new(&self.stated, length_mm, approaches))
     }
 
     /// Uncertainty of the figures of a circle, if any contributor is stated.
     /// `scatter_um` is the standard deviation of one reading. Without a radius no length has an uncertainty.
-    pub fn circle_budget(&self, radius_mm: Option<f64>, scatter_um: f64) -> Option<Budget> {
+    pub fn circle_budget(
+        &self,
+        radius_mm: Option<f64>,
+        scatter_um: f64,
+    ) -> Option<CircleAndDriftUncertainty> {
         self.budget(true, radius_mm, 0.0, scatter_um)
     }
 
     /// Uncertainty of the figures of a drift test, if any contributor is stated.
     /// `scatter_um` is the standard deviation of one reading.
-    pub fn drift_budget(&self, scatter_um: f64) -> Option<Budget> {
+    pub fn drift_budget(&self, scatter_um: f64) -> Option<CircleAndDriftUncertainty> {
         self.budget(false, None, get(&self.stated, "set_up_um"), scatter_um)
     }
 
@@ -177,7 +181,7 @@ impl Conditions {
         radius_mm: Option<f64>,
         set_up_um: f64,
         scatter_um: f64,
-    ) -> Option<Budget> {
+    ) -> Option<CircleAndDriftUncertainty> {
         let mut stated = self.stated.clone();
         stated.retain(|key, _| is_in_budget(key, circle));
         if stated.is_empty() {
@@ -193,7 +197,7 @@ impl Conditions {
         contributors.extend(each);
         let difference = get(&stated, "device_um").powi(2) + set_up_um * set_up_um + 2.0 * anew;
         let length_um = radius_mm.map(|_| (fixed + anew).sqrt());
-        Some(Budget { k: 2.0, contributors, difference_um: difference.sqrt(), length_um })
+        Some(CircleAndDriftUncertainty { k: 2.0, contributors, difference_um: difference.sqrt(), length_um })
     }
 
     /// Keys of `[uncertainty]` that a circle, or else a drift test, does not use.
@@ -289,7 +293,7 @@ pub struct Contributor {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[allow(non_snake_case)]
 #[allow(missing_docs)] // the standard's own symbols
-pub struct Uncertainty {
+pub struct PositioningUncertainty {
     /// Coverage factor.
     pub k: f64,
     /// Length that it is for, mm.
@@ -342,10 +346,10 @@ fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
 /// | figure | U (k = 2) |
 /// |---|---|
 /// | G, H of a circle: differences of two readings of one bar | √(`device_um`² + 2·`U_EVE`² + 2·`U_s`²) |
-/// | F, D of a circle: a bar's length R against the nominal one | √(`U_L`² + `U_EVE`² + `U_s`²), `U_L` as [`Uncertainty`] has it over R, without misalignment |
+/// | F, D of a circle: a bar's length R against the nominal one | √(`U_L`² + `U_EVE`² + `U_s`²), `U_L` as [`PositioningUncertainty`] has it over R, without misalignment |
 /// | ranges and end − start of a drift test: differences of two readings | √(`device_um`² + `set_up_um`² + 2·`U_EVE`² + 2·`U_s`²) |
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Budget {
+pub struct CircleAndDriftUncertainty {
     /// Coverage factor.
     pub k: f64,
     /// Contributors in one reading.
@@ -368,7 +372,7 @@ fn is_in_budget(key: &str, circle: bool) -> bool {
     if circle { key != NOT_OF_CIRCLES } else { OF_DIFFERENCES.contains(&key) }
 }
 
-impl Uncertainty {
+impl PositioningUncertainty {
     fn new(stated: &BTreeMap<String, f64>, length_mm: f64, approaches: usize) -> Self {
         let mut contributors = along(stated, length_mm);
         let square: f64 = contributors.iter().map(|c| c.u_um * c.u_um).sum();

@@ -1,13 +1,13 @@
 //! Thermal effects, ISO 230-3: environment, spindle rotation and axis movement.
 
 mod figures;
-mod long;
 mod scatter;
 mod spans;
+mod streamed;
 
-pub(crate) use long::LongDrift;
+pub(crate) use streamed::StreamedDrift;
 
-use super::{Budget, Conditions, lacks, targets};
+use super::{CircleAndDriftUncertainty, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
 use figures::{FirstPass, SecondPass};
 use rtec_files::Result;
@@ -35,7 +35,7 @@ pub struct Drift {
     /// Uncertainty from instrument, set-up, room and scatter, µm.
     /// Only if the conditions state it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub uncertainty: Option<Budget>,
+    pub uncertainty: Option<CircleAndDriftUncertainty>,
 }
 
 /// Figures of a displacement over a time.

@@ -2,8 +2,8 @@
 
 use super::conditions::REFERENCE_DEGC;
 use super::{
-    ALIKE, Conditions, Expansion, MeasuredPosition, Uncertainty, alike, lacks, largest, mean_and_s, mean_of,
-    no_temperature, places, range, spread, targets,
+    ALIKE, Conditions, Expansion, MeasuredPosition, PositioningUncertainty, alike, lacks, largest,
+    mean_and_s, mean_of, no_temperature, places, range, spread, targets,
 };
 use crate::gauge_resolution::ReadingResolution;
 use crate::plot::{Chart, Colour, Series, Style};
@@ -90,7 +90,7 @@ pub struct Positioning {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arcsec: Option<BTreeMap<String, Option<f64>>>,
     /// Expanded uncertainties, if the conditions state contributors.
-    pub uncertainty: Option<Uncertainty>,
+    pub uncertainty: Option<PositioningUncertainty>,
     /// Rounding error of the means in a coarse gauge; set if most repeats are equal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<Resolution>,

@@ -1,6 +1,6 @@
 //! A time column that does not begin with the run.
 
-use rtec_files::clock::{EpochTime, counted, spreadsheet_in_s};
+use rtec_files::clock_column::{EpochTime, counted, spreadsheet_in_s};
 use rtec_model::record::{Record, Role};
 
 /// Warning if the time is the same in every row.

@@ -11,7 +11,7 @@
 //! | `motion` | positions, directions, speeds, times and errors of a run against one another |
 //! | `rows` | duplicated rows, outliers and constant stretches of responses |
 //! | `small_sample_outliers` | outliers in records of few rows |
-//! | `slips` | a position with a misplaced decimal point or a lost digit |
+//! | `misplaced_digits` | a position with a misplaced decimal point or a lost digit |
 //! | `stuck` | a frozen sensor, by its noise at other times and by the other sensors |
 //! | `repeats` | single approaches far from the others to the same target |
 //! | `physical_peaks` | where a short peak is physical, and in which orders rows are neighbours |
@@ -25,6 +25,7 @@
 
 mod between_records;
 pub(crate) mod clock;
+mod misplaced_digits;
 mod motion;
 mod physical_peaks;
 mod pieces;
@@ -32,7 +33,6 @@ mod repeats;
 mod rows;
 mod sensor_regression;
 mod sensors;
-mod slips;
 mod small_sample_outliers;
 mod stats;
 mod step;
@@ -47,7 +47,7 @@ pub(crate) use sensors::DEGC;
 pub use step::steps_of;
 
 use crate::gauge_resolution;
-use rtec_files::{InputError, InputMessage, Result};
+use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::record::{Column, Record, Role};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -193,7 +193,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
         sensors::look(record, &mut found);
         motion::look(record, &mut found);
         rows::look(record, records, &mut found);
-        slips::look(record, &mut found);
+        misplaced_digits::look(record, &mut found);
         repeats::look(record, &mut found);
         units::look(record, &mut found);
         within_record::look(record, &mut found);
@@ -212,31 +212,27 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
 }
 
 /// Reports suspicions, steps and conditions of records; returns the suspicions.
-pub fn said(records: &[Record], say: &mut dyn FnMut(InputMessage)) -> Vec<Suspicion> {
+pub fn said(records: &[Record], say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
     let found = suspicions(records);
-    found
-        .iter()
-        .map(ToString::to_string)
-        .chain(steps_of(records))
-        .for_each(|s| say(InputMessage::Warning(s)));
+    found.iter().map(ToString::to_string).chain(steps_of(records)).for_each(|s| say(InputNotice::Warning(s)));
     say_conditions(records, &found, say);
     found
 }
 
 /// Reports conditions of records that are no mistakes.
 /// How their CSV is written, a clock that does not begin with the run, constant sensors.
-pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputMessage)) {
+pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputNotice)) {
     for still in stuck::still(records, found) {
-        say(InputMessage::Warning(still));
+        say(InputNotice::Warning(still));
     }
     for written in records.iter().filter_map(|r| r.written.clone()) {
-        say(InputMessage::Note(written));
+        say(InputNotice::Note(written));
     }
     let clocks = records
         .iter()
         .flat_map(|r| [clock::absolute(r), clock::stands_still(r), gauge_resolution::shared_time(r)]);
     for clock in clocks.flatten() {
-        say(InputMessage::Warning(clock));
+        say(InputNotice::Warning(clock));
     }
 }
 
@@ -281,7 +277,7 @@ pub fn once(train: Vec<Record>, holdout: Vec<Record>) -> (Vec<Record>, Vec<Recor
 }
 
 /// The records without what a fit should leave out, which is reported.
-pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputMessage)) -> Vec<Record> {
+pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputNotice)) -> Vec<Record> {
     let out = unusable(found);
     let left: Vec<Record> = records.iter().map(|r| out.without(r)).collect();
     for (before, after) in records.iter().zip(&left) {
@@ -291,14 +287,14 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Input
         if !sensors.is_empty() || rows > 0 {
             let sensors = if sensors.is_empty() { "no sensor".to_owned() } else { sensors.join(", ") };
             let file = before.path.display();
-            say(InputMessage::Warning(format!("{file}: left out of the fit: {sensors}, {rows} rows")));
+            say(InputNotice::Warning(format!("{file}: left out of the fit: {sensors}, {rows} rows")));
         }
     }
     let kept = found
         .iter()
         .filter(|s| matches!(s.what, MistakeKind::Unit | MistakeKind::Sign | MistakeKind::Direction));
     for s in kept.filter(|s| !out.sensor(&s.column)) {
-        say(InputMessage::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
+        say(InputNotice::Warning(format!("{}: {} is kept as it is", s.record, s.column)));
     }
     left
 }
@@ -372,7 +368,7 @@ pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<u
 }
 
 /// Reports the suspicions of a record and returns it without the bad rows.
-pub fn only_good(record: Record, say: &mut dyn FnMut(InputMessage)) -> Record {
+pub fn only_good(record: Record, say: &mut dyn FnMut(InputNotice)) -> Record {
     let records = [record];
     let doubts = said(&records, say);
     good_rows(&in_figures(&records, &doubts)[0], records[0].rows(), say).into_owned()
@@ -380,7 +376,7 @@ pub fn only_good(record: Record, say: &mut dyn FnMut(InputMessage)) -> Record {
 
 /// The rows of a record of [`in_figures`] in which every sensor has a reading.
 /// Reports how many of the `all` rows are left out.
-pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(InputMessage)) -> Cow<'r, Record> {
+pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(InputNotice)) -> Cow<'r, Record> {
     let off = |c: &&Column| is_sensor(c) && c.data.iter().any(|v| !v.is_finite());
     let mut left = Cow::Borrowed(record);
     if record.columns.iter().any(|c| off(&c)) {
@@ -394,7 +390,7 @@ pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(InputMe
     let out = all - left.rows();
     if out > 0 {
         let file = record.path.display();
-        say(InputMessage::Warning(format!("{file}: {out} of {all} rows look misread and are in no figure")));
+        say(InputNotice::Warning(format!("{file}: {out} of {all} rows look misread and are in no figure")));
     }
     left
 }

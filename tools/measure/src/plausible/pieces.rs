@@ -1,7 +1,7 @@
 //! Suspicions in a record that is too long for memory, piece by piece.
 
 use super::{MistakeKind, Suspicion, steps_of, suspicions};
-use rtec_files::InputMessage;
+use rtec_files::InputNotice;
 use rtec_model::record::Record;
 
 /// Suspicions of the pieces of a record read so far.
@@ -25,7 +25,7 @@ impl RecordPieceSuspicions {
 
     /// Reports the suspicions of all pieces as [`super::said`] does.
     /// A suspicion of every piece as a whole is reported once, for the record.
-    pub fn said(self, say: &mut dyn FnMut(InputMessage)) -> Vec<Suspicion> {
+    pub fn said(self, say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
         let alike = |a: &Suspicion, b: &Suspicion| {
             a.column == b.column && a.what == b.what && a.rows.is_empty() == b.rows.is_empty()
         };
@@ -45,7 +45,7 @@ impl RecordPieceSuspicions {
                 all.push(Suspicion { rows: rows.clone(), of: self.rows, ..s.clone() });
             }
         }
-        all.iter().map(ToString::to_string).chain(self.steps).for_each(|s| say(InputMessage::Warning(s)));
+        all.iter().map(ToString::to_string).chain(self.steps).for_each(|s| say(InputNotice::Warning(s)));
         all
     }
 }

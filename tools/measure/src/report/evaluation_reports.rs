@@ -3,11 +3,12 @@
 use super::{Report, ReportedRecord};
 use crate::ballbar::{Ballbar, ByAxis, Contour};
 use crate::export::number;
-use crate::history::{Figure, History};
+use crate::history::{FigureHistory, History};
 use crate::iso230::{
-    Budget, Conditions, Diagonal, Diagonals, Drift, Figures, Positioning, Returns, Straightness, Target,
+    CircleAndDriftUncertainty, Conditions, Diagonal, Diagonals, Drift, Figures, Positioning,
+    ReturnRepeatability, Straightness, Target,
 };
-use crate::plate::Plate;
+use crate::plate::PlateFit;
 use crate::plot::{Chart, Colour, PlotError, PlotSpec, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -146,7 +147,7 @@ pub(crate) fn straightness(all: &[Straightness], record: &Record, conditions: &C
 }
 
 /// Contributors in one reading, then the figures' uncertainties.
-fn budget(report: &mut Report, of: &str, b: &Budget, figures: &[(&str, Option<f64>)]) {
+fn budget(report: &mut Report, of: &str, b: &CircleAndDriftUncertainty, figures: &[(&str, Option<f64>)]) {
     let title = format!("Uncertainty budget{of} (GUM alone; no standard's budget)");
     let contributors = b.contributors.iter().map(|c| [c.name.clone(), um(c.u_um)]);
     let rows = contributors.chain(figures.iter().map(|(words, u)| [(*words).to_owned(), um(*u)]));
@@ -399,7 +400,7 @@ pub(crate) fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditio
 }
 
 /// A plate of holes.
-pub(crate) fn plate(p: &Plate, record: &Record, conditions: &Conditions) -> Drawn {
+pub(crate) fn plate(p: &PlateFit, record: &Record, conditions: &Conditions) -> Drawn {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     // A scale within its uncertainty implies no temperature of the plate.
     if p.is_scale_beyond_chance() {
@@ -470,7 +471,7 @@ pub(crate) fn history(h: &History) -> Drawn {
     }
     let head = "figure|unit|#records|first|#first|last|#last|#limit|#trend a year|95 %|reaches";
     let head: Vec<&str> = head.split('|').collect();
-    let row = |f: &Figure| {
+    let row = |f: &FigureHistory| {
         let (first, last) = (f.points.first()?, f.points.last()?);
         let trend = f.trend.map_or_else(String::new, |t| um(t.per_year));
         let interval = f.trend.map_or_else(String::new, |t| interval(Some(&t.interval), 2));
@@ -512,7 +513,11 @@ pub(crate) fn history(h: &History) -> Drawn {
 }
 
 /// Returning to one position: standard deviation and range.
-pub(crate) fn repeatability(axes: &ByAxis<Returns>, record: &Record, conditions: &Conditions) -> Drawn {
+pub(crate) fn repeatability(
+    axes: &ByAxis<ReturnRepeatability>,
+    record: &Record,
+    conditions: &Conditions,
+) -> Drawn {
     let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
     let head = "axis|#returns|#standard deviation s (µm)|#4 s (µm)|#range (µm)|#trend (µm a return)|#s about it (µm)";
     let head: Vec<&str> = head.split('|').collect();

@@ -3,13 +3,13 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use rtec_files::InputMessage;
+use rtec_files::InputNotice;
 use rtec_measure::evaluation::{Evaluation, EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::export::TableRange;
 use rtec_measure::export::linuxcnc::Unit;
 use rtec_measure::export::request::{ExportFormat, ExportRequest, TableFormat};
 use rtec_measure::import;
-use rtec_measure::iso230::{self, Returns};
+use rtec_measure::iso230::{self, ReturnRepeatability};
 use rtec_measure::plausible;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -24,7 +24,7 @@ fn evaluated(name: &str, standard: Standard) -> (Evaluation, Vec<String>) {
     let (asked, mut said) =
         (EvaluationRequest { standard: Some(standard), ..EvaluationRequest::default() }, Vec::new());
     let found =
-        evaluate_files(&[field(name)], &asked, &mut |s: InputMessage| said.push(s.to_string())).unwrap();
+        evaluate_files(&[field(name)], &asked, &mut |s: InputNotice| said.push(s.to_string())).unwrap();
     (found, said)
 }
 
@@ -222,7 +222,7 @@ fn a_step_of_the_returns_is_no_drift() {
         for seed in 1..=100 {
             let mut dice = Dice::new(seed);
             let e: Vec<f64> = (0..count).map(|i| of(f64::from(i)) + 0.5 * dice.normal()).collect();
-            let found = Returns::of(&e).unwrap();
+            let found = ReturnRepeatability::of(&e).unwrap();
             steps += usize::from(found.step.is_some());
             trends += usize::from(found.is_trend());
             turns += usize::from(found.turns.is_some_and(|t| t.every == 2 || name != "turns"));

@@ -2,8 +2,8 @@
 
 use super::laws::BUILT_IN;
 use super::{
-    Difference, Effect, Law, LawDescription, Naming, Owner, Parameter, ParameterSearch, Probing,
-    RequiredInput, ValueError,
+    Effect, Law, LawDescription, Naming, Owner, Parameter, ParameterSearch, ProbingDependence, RequiredInput,
+    TemperatureDifference, ValueError,
 };
 use crate::record::{Axis, LINEAR, Record, Role, RunKind};
 use std::sync::Arc;
@@ -204,7 +204,7 @@ impl<'r> Common<'r> {
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
             && !(circle && (law.owner != Owner::Machine || of_bar))
             && law.needs.iter().all(readable)
-            && !(law.probing == Probing::Displaced && self.probing)
+            && !(law.probing == ProbingDependence::Displaced && self.probing)
     }
 
     /// The effect, or one per sensor and sensor pair if it reads a temperature.
@@ -212,11 +212,11 @@ impl<'r> Common<'r> {
         if !effect.description().needs.contains(&RequiredInput::Delta) {
             return vec![effect];
         }
-        let with = |delta: Difference| Effect { delta: Some(delta), ..effect.clone() };
+        let with = |delta: TemperatureDifference| Effect { delta: Some(delta), ..effect.clone() };
         let mut found = Vec::new();
         for (i, s) in self.sensors.iter().enumerate() {
-            found.push(with(Difference::single(s)));
-            found.extend(self.sensors[i + 1..].iter().map(|m| with(Difference::pair(s, m))));
+            found.push(with(TemperatureDifference::single(s)));
+            found.extend(self.sensors[i + 1..].iter().map(|m| with(TemperatureDifference::pair(s, m))));
         }
         found
     }

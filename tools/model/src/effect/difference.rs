@@ -20,14 +20,14 @@ pub const STANDARD_DEGC: f64 = 20.0;
 
 /// A temperature difference: sensor minus sensor, or minus a reference.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Difference {
+pub struct TemperatureDifference {
     /// The sensor's name.
     pub sensor: String,
     /// The temperature that it is compared with.
     pub against: DifferenceReference,
 }
 
-impl Difference {
+impl TemperatureDifference {
     /// Finds the sensors.
     pub(crate) fn find<S, E>(&self, of: impl Fn(&str) -> Result<S, E>) -> Result<DifferenceSource<S>, E> {
         let (sensor, minus) = (of(&self.sensor)?, self.minus().map(of).transpose()?);
@@ -92,7 +92,7 @@ impl<S> DifferenceSource<S> {
     }
 }
 
-impl fmt::Display for Difference {
+impl fmt::Display for TemperatureDifference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.against {
             DifferenceReference::Sensor(minus) => write!(f, "{}-{minus}", self.sensor),
@@ -112,7 +112,7 @@ fn reference_degc(entry: Entry<'_>) -> Result<f64, InputError> {
 }
 
 /// Reads `sensor` with `minus`, with `reference_degC`, or alone.
-pub(crate) fn read_difference(table: Table<'_>) -> Result<Difference, InputError> {
+pub(crate) fn read_difference(table: Table<'_>) -> Result<TemperatureDifference, InputError> {
     let sensor = table.required("sensor", "the sensor's name, as sensor = \"T8\"")?;
     let against = match (table.get("minus"), table.get("reference_degC")) {
         (Some(_), Some(r)) => {
@@ -128,5 +128,5 @@ pub(crate) fn read_difference(table: Table<'_>) -> Result<Difference, InputError
         (None, Some(r)) => DifferenceReference::Reference(reference_degc(r)?),
         (None, None) => DifferenceReference::Standard,
     };
-    Ok(Difference { sensor: sensor.str("a sensor's name")?.to_owned(), against })
+    Ok(TemperatureDifference { sensor: sensor.str("a sensor's name")?.to_owned(), against })
 }

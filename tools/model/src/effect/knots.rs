@@ -1,8 +1,8 @@
 //! A smooth function of one position: linear between knots, constant beyond.
 
 use super::{
-    Effect, EffectColumns, Extent, GridHypothesis, Input, Law, LawDescription, Out, Parameter,
-    ParameterSearch, State, ValueError,
+    Effect, EffectColumns, EffectState, Extent, GridHypothesis, Input, Law, LawDescription, Out, Parameter,
+    ParameterSearch, ValueError,
 };
 
 /// A function of one axis's position, linear between knots.
@@ -33,14 +33,21 @@ impl Law for BrokenLine {
         &self.description
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         out.fill(0.0);
         for (height, share) in shares(effect.get(KNOTS), now.p_mm[self.along]) {
             out[height] += share;
         }
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(
+        &self,
+        effect: &Effect,
+        bound: &EffectColumns<'_>,
+        _: usize,
+        _: &mut EffectState,
+        out: Out<'_>,
+    ) {
         out.fill(0.0);
         let (knots, rows) = (effect.get(KNOTS), bound.rows());
         let p_mm = bound.p_mm[self.along];
@@ -51,7 +58,7 @@ impl Law for BrokenLine {
         }
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
         let n = effect.width();
         self.basis(effect, now, component, state, &mut out[n * UM..]);
     }

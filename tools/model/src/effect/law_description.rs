@@ -94,7 +94,7 @@ pub enum Owner {
 
 /// How probing changes whether an effect acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Probing {
+pub enum ProbingDependence {
     /// The effect acts in every run.
     #[default]
     Alike,
@@ -339,7 +339,7 @@ pub struct LawDescription {
     /// What it belongs to.
     pub owner: Owner,
     /// How probing changes whether it acts.
-    pub probing: Probing,
+    pub probing: ProbingDependence,
     /// How it depends on heat.
     pub heat: ThermalDependence,
     /// The mechanism that a simulated machine builds in for it.

@@ -20,7 +20,7 @@
 //! |---|---|
 //! | `law_description` | the properties that a law states about itself |
 //! | [`laws`] | the built-in effects |
-//! | `linear`, `wave`, `knots`, `lag` | parts that several laws share |
+//! | `linear_in_parameters`, `wave`, `knots`, `lag` | parts that several laws share |
 //! | `grid` | the points at which a search begins |
 //! | `record_evaluation` | an effect over a record |
 //! | `dictionary`, `own` | all laws by name; laws from a file |
@@ -32,27 +32,27 @@ mod knots;
 mod lag;
 mod law_description;
 pub mod laws;
-mod linear;
+mod linear_in_parameters;
 mod project_laws;
 mod record_evaluation;
 mod wave;
 
 pub use crate::role::sign;
 pub use dictionary::Dictionary;
-pub use difference::{Difference, DifferenceReference, STANDARD_DEGC};
+pub use difference::{DifferenceReference, STANDARD_DEGC, TemperatureDifference};
 pub(crate) use difference::{DifferenceSource, read_difference};
 pub use grid::{Extent, GridHypothesis};
 pub use lag::{Lag, Lags};
 pub use law_description::{
-    LawDescription, MechanicalParameter, Naming, Owner, Parameter, ParameterSearch, Probing, Quantity,
-    Refine, RequiredInput, Searched, ThermalDependence, Wave,
+    LawDescription, MechanicalParameter, Naming, Owner, Parameter, ParameterSearch, ProbingDependence,
+    Quantity, Refine, RequiredInput, Searched, ThermalDependence, Wave,
 };
 use record_evaluation::RADIAL;
 pub(crate) use record_evaluation::States;
 pub use record_evaluation::{EffectColumns, MissingInput};
 
 use crate::record::{Axis, Record, Role, RunKind};
-use linear::Linear;
+use linear_in_parameters::Linear;
 use rtec_files::text::short;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
@@ -91,7 +91,7 @@ pub struct Input {
 /// It holds a lag or the travel since a reversal. A new record, or a new start of the machine, begins with
 /// the default.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct State {
+pub struct EffectState {
     /// Whether an instant has been seen.
     pub started: bool,
     /// Values whose meaning the law defines.
@@ -113,7 +113,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     /// The basis values at one instant for `component`.
     /// `component` is 0, or 1 for the second axis of a pair. The state moves on to that instant. `out` has
     /// [`Effect::coefficient_count`] places.
-    fn basis(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>);
+    fn basis(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>);
 
     /// [`Law::basis`] as a plain function, if it depends only on the inputs.
     /// It then needs no state and no value of the effect. A caller that asks at every instant may keep the
@@ -125,7 +125,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     /// The derivative of the effect by every parameter value.
     /// It moves the state on, as [`Law::basis`] does. The default serves laws whose parameters are all
     /// linear.
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
         self.basis(effect, now, component, state, out);
     }
 
@@ -194,7 +194,7 @@ pub trait Law: fmt::Debug + Send + Sync {
         effect: &Effect,
         bound: &EffectColumns<'_>,
         component: usize,
-        state: &mut State,
+        state: &mut EffectState,
         out: Out<'_>,
     ) {
         let n = effect.coefficient_count();
@@ -240,7 +240,7 @@ pub struct Effect {
     axes: Vec<Axis>,
     channel: Option<String>,
     /// The temperature difference, for laws that need one.
-    pub delta: Option<Difference>,
+    pub delta: Option<TemperatureDifference>,
     /// The range of ΔT that the effect was fitted on, K.
     /// Outside, ΔT is held at the bound, because a fitted parabola must not be extrapolated.
     pub range_k: Option<[f64; 2]>,
@@ -480,7 +480,7 @@ impl Effect {
     /// Responses of a record on which the effect acts: role and component.
     /// The component is 0 or 1 of a pair, or 2 for the projection of both on the radial error of a circle.
     pub fn acts_on(&self, record: &Record) -> Vec<(Role, usize)> {
-        if self.description().probing == Probing::Only && record.kind != RunKind::Probing {
+        if self.description().probing == ProbingDependence::Only && record.kind != RunKind::Probing {
             return Vec::new();
         }
         let roles: Vec<&Role> = record.responses().map(|c| &c.role).collect();

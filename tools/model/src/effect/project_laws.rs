@@ -19,8 +19,8 @@
 //! ```
 
 use super::{
-    Dictionary, Effect, Input, Law, LawDescription, Naming, Out, Parameter, Quantity, RequiredInput, State,
-    laws,
+    Dictionary, Effect, EffectState, Input, Law, LawDescription, Naming, Out, Parameter, Quantity,
+    RequiredInput, laws,
 };
 use rtec_files::InputError;
 use rtec_files::toml::{Document, Entry, Table};
@@ -73,7 +73,7 @@ impl Law for FileLaw {
         &self.description
     }
 
-    fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         for (o, terms) in out.iter_mut().zip(&self.terms) {
             *o = terms.iter().map(|t| t.value(now)).sum();
         }

@@ -2,7 +2,7 @@
 //! Basis values, sums and slopes are computed column by column.
 
 use super::difference::DifferenceSource;
-use super::{Effect, Input, Naming, Out, RequiredInput, State, sign};
+use super::{Effect, EffectState, Input, Naming, Out, RequiredInput, sign};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
@@ -30,7 +30,7 @@ impl MissingInput {
 pub(super) const RADIAL: usize = 2;
 
 /// The states of an effect between two pieces of a record, one per component.
-pub(crate) type States = [State; 2];
+pub(crate) type States = [EffectState; 2];
 
 /// The columns of a record that an effect reads.
 /// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
@@ -159,7 +159,7 @@ impl EffectColumns<'_> {
         let n = effect.values.len();
         assert_eq!(out.len(), self.rows * n, "one column per parameter value");
         self.projected(component, out, |component, out| {
-            let mut state = State::default();
+            let mut state = EffectState::default();
             let mut buffer = vec![0.0; n];
             for row in 0..self.rows {
                 buffer.fill(0.0);

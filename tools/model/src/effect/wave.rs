@@ -2,7 +2,7 @@
 //!
 //! Amplitude and phase stand for two linear coefficients, amplitude times cosine and sine of the phase.
 
-use super::{Effect, Input, Law, LawDescription, Out, Parameter, ParameterSearch, State, ValueError};
+use super::{Effect, EffectState, Input, Law, LawDescription, Out, Parameter, ParameterSearch, ValueError};
 use std::f64::consts::TAU;
 
 /// Indices of period, amplitude and phase among the parameters.
@@ -67,13 +67,13 @@ impl Law for Sine {
         &self.description
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         // um·sin(x + φ) = um·cos φ·sin x + um·sin φ·cos x
         let (sin, cos) = self.argument(effect, now).sin_cos();
         (out[0], out[1]) = (self.factor(now) * sin, self.factor(now) * cos);
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         let (sin, cos) = (self.argument(effect, now) + effect.scalar(PHASE)).sin_cos();
         let (sin, cos) = (self.factor(now) * sin, self.factor(now) * cos);
         let (a, period) = (effect.scalar(UM), effect.scalar(PERIOD));

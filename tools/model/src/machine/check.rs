@@ -4,7 +4,7 @@
 use super::evaluate::differences;
 use super::relative_paths::folder_of;
 use super::{FitNote, ListedEffect, Machine, Validity};
-use crate::effect::{Difference, Effect, States};
+use crate::effect::{Effect, States, TemperatureDifference};
 use crate::record::{Axis, Record, Role, sha256_of};
 use rtec_files::date;
 
@@ -99,8 +99,8 @@ impl Machine {
     /// an axis, or `None` if they are not known.
     pub fn beyond_stated(&self, places_mm: impl Fn(&Axis) -> Option<Vec<f64>>) -> Vec<String> {
         let beyond = |effect: &Effect| {
-            let mut places = MapRange::default();
-            places.see(effect, &places_mm(MapRange::axis(effect)?)?);
+            let mut places = MapRangeCheck::default();
+            places.see(effect, &places_mm(MapRangeCheck::axis(effect)?)?);
             places.beyond_stated(effect)
         };
         self.effects().filter_map(beyond).collect()
@@ -115,7 +115,7 @@ pub struct FitRangeCheck<'m> {
     /// Per effect: the number of rows outside its fitted range, and its lag's state.
     outside: Vec<(usize, States)>,
     /// Per effect: the positions of its axis.
-    places: Vec<MapRange>,
+    places: Vec<MapRangeCheck>,
     /// Per fit and per difference that it saw: the row farthest outside.
     farthest: Vec<Vec<Option<Farthest>>>,
 }
@@ -128,7 +128,7 @@ impl<'m> FitRangeCheck<'m> {
             machine,
             rows: 0,
             outside: vec![(0, States::default()); effects],
-            places: vec![MapRange::default(); effects],
+            places: vec![MapRangeCheck::default(); effects],
             farthest: machine.fits().iter().map(|f| vec![None; f.valid.len()]).collect(),
         }
     }
@@ -143,7 +143,7 @@ impl<'m> FitRangeCheck<'m> {
         }
         for (effect, places) in self.machine.effects().zip(&mut self.places) {
             let of = |axis: &Axis| record.data(&Role::Position(axis.clone()));
-            if let Some(along) = MapRange::axis(effect).and_then(of) {
+            if let Some(along) = MapRangeCheck::axis(effect).and_then(of) {
                 places.see(effect, along);
             }
         }
@@ -180,7 +180,7 @@ impl<'m> FitRangeCheck<'m> {
     /// The model lacks any growth with that difference.
     fn unseen(&self, fit: &FitNote, farthest: &[Option<Farthest>]) -> Option<String> {
         let axis = fit.response.split('.').nth(1)?;
-        let read = |d: &Difference| {
+        let read = |d: &TemperatureDifference| {
             let own = self.machine.effects().filter(|e| e.axes().first().is_some_and(|a| a.as_str() == axis));
             own.filter_map(|e| e.delta.as_ref()).any(|e| e == d)
         };
@@ -222,20 +222,20 @@ impl Farthest {
 
 /// Positions along the axis that an effect's values are stated on, mm.
 #[derive(Debug, Clone)]
-struct MapRange {
+struct MapRangeCheck {
     rows: usize,
     beyond: usize,
     from_mm: f64,
     to_mm: f64,
 }
 
-impl Default for MapRange {
+impl Default for MapRangeCheck {
     fn default() -> Self {
         Self { rows: 0, beyond: 0, from_mm: f64::MAX, to_mm: f64::MIN }
     }
 }
 
-impl MapRange {
+impl MapRangeCheck {
     /// The axis of an effect whose values were stated on a range.
     fn axis(effect: &Effect) -> Option<&Axis> {
         effect.axes().get(effect.stretch_mm()?.0)

@@ -65,7 +65,7 @@ impl Machine {
     /// The interval is wider just after the record's start, because the state of the lags is unknown. It is
     /// also wider where a difference is held at the bound of its fitted range.
     pub fn half_widths_um(&self, record: &Record, response: &Role) -> Option<Vec<f64>> {
-        Some(HalfWidths::of(self, &RecordRanges::of(record), response)?.next(record))
+        Some(HalfWidthPredictor::of(self, &RecordRanges::of(record), response)?.next(record))
     }
 
     /// The fit that states a response's interval for a record's reach.
@@ -82,7 +82,7 @@ impl Machine {
 /// The half widths of a record that is evaluated piece by piece.
 /// At each row they equal those of [`Machine::half_widths_um`] for the whole.
 #[derive(Debug)]
-pub struct HalfWidths<'m> {
+pub struct HalfWidthPredictor<'m> {
     machine: &'m Machine,
     response: Role,
     /// Half width for this kind of record, µm.
@@ -93,7 +93,7 @@ pub struct HalfWidths<'m> {
     start_s: Option<f64>,
 }
 
-impl<'m> HalfWidths<'m> {
+impl<'m> HalfWidthPredictor<'m> {
     /// The state before the first piece of a record with this reach.
     /// `None` if [`Machine::half_widths_um`] gives no interval.
     pub fn of(machine: &'m Machine, reach: &RecordRanges, response: &Role) -> Option<Self> {

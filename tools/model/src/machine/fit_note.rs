@@ -1,6 +1,6 @@
 //! The record of a fit: its sources, dates, intervals and range of validity.
 
-use crate::effect::{Difference, Effect};
+use crate::effect::{Effect, TemperatureDifference};
 use crate::record::{Record, Role, RunKind};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -84,7 +84,7 @@ impl ListedEffect {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validity {
     /// The difference; the model may or may not read it.
-    pub difference: Difference,
+    pub difference: TemperatureDifference,
     /// The range in which it was seen, K.
     pub range_k: [f64; 2],
     /// How much the response changed with it, µm/K.
@@ -327,7 +327,7 @@ mod tests {
             valid: valid
                 .iter()
                 .map(|(sensor, range_k)| Validity {
-                    difference: Difference::single(sensor),
+                    difference: TemperatureDifference::single(sensor),
                     range_k: *range_k,
                     um_per_k: 1.3,
                 })

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `read` | strict reading; every finding has its line |
 //! | `write` | changing and writing without losing anything that the user wrote |
-//! | `note` | a fit's own record: sources, dates, intervals, ranges |
+//! | `fit_note` | a fit's own record: sources, dates, intervals, ranges |
 //! | `evaluate` | a model's prediction of a record, and its interval |
 //! | `check` | warnings before a model is used |
 //! | `document` | a model as JSON
@@ -21,13 +21,13 @@ mod test_machine;
 mod write;
 
 pub use check::FitRangeCheck;
-pub use evaluate::{HalfWidths, Prediction, RecordPiecePredictor};
+pub use evaluate::{HalfWidthPredictor, Prediction, RecordPiecePredictor};
 pub use fit_note::{
     FitNote, ListedEffect, NORMAL_95, Provenance, RecordRanges, SourceRecord, Validity, unknown_um,
 };
 
 use crate::chain::Chain;
-use crate::effect::{Dictionary, Difference, Effect};
+use crate::effect::{Dictionary, Effect, TemperatureDifference};
 use std::path::PathBuf;
 use toml_edit::{DocumentMut, value};
 
@@ -114,7 +114,8 @@ impl Machine {
     pub fn sensors(&self) -> Vec<String> {
         let chain = self.chain.iter().flat_map(Chain::deltas);
         let deltas = self.effects().filter_map(|e| e.delta.as_ref()).chain(chain);
-        let mut names: Vec<String> = deltas.flat_map(Difference::sensors).map(str::to_owned).collect();
+        let mut names: Vec<String> =
+            deltas.flat_map(TemperatureDifference::sensors).map(str::to_owned).collect();
         names.sort();
         names.dedup();
         names

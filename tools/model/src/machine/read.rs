@@ -329,7 +329,7 @@ fn read_provenance(table: Table<'_>, effect: &Effect) -> Result<Provenance, Inpu
 mod tests {
     use super::super::test_machine::{LATHE, parse};
     use super::*;
-    use crate::effect::Difference;
+    use crate::effect::TemperatureDifference;
 
     /// Values that no machine has are refused with their line, in few words.
     #[test]
@@ -394,7 +394,7 @@ mod tests {
         let names: Vec<String> = m.effects().map(Effect::name).collect();
         assert_eq!(names, ["scale.x", "thermal_growth.z"]);
         let growth = m.effects().nth(1).unwrap();
-        assert_eq!(growth.delta, Some(Difference::pair("T8", "T18")));
+        assert_eq!(growth.delta, Some(TemperatureDifference::pair("T8", "T18")));
         assert_eq!(growth.values(), [0.114, -0.0008]);
     }
 

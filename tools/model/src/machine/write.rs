@@ -3,7 +3,7 @@
 use super::Machine;
 use super::fit_note::{FitNote, ListedEffect, Provenance, SourceRecord, Validity};
 use super::relative_paths::{folder_of, named_from, whole};
-use crate::effect::{Dictionary, Difference, DifferenceReference, Effect, ValueError};
+use crate::effect::{Dictionary, DifferenceReference, Effect, TemperatureDifference, ValueError};
 use rtec_files::InputError;
 use rtec_files::format_stamp;
 use std::path::{Path, PathBuf};
@@ -248,7 +248,7 @@ fn pair(pair: &[f64; 2]) -> Value {
 }
 
 /// Puts the keys of a temperature difference into a table.
-fn put_difference(table: &mut dyn TableLike, difference: &Difference) {
+fn put_difference(table: &mut dyn TableLike, difference: &TemperatureDifference) {
     table.insert("sensor", value(&difference.sensor));
     match &difference.against {
         DifferenceReference::Sensor(minus) => drop(table.insert("minus", value(minus))),
@@ -405,8 +405,16 @@ mod tests {
             rms_um: 0.4,
             half_width_um: 0.8,
             valid: vec![
-                Validity { difference: Difference::pair("T8", "T18"), range_k: [0.5, 9.0], um_per_k: 3.0 },
-                Validity { difference: Difference::single("T9"), range_k: [-1.0, 2.0], um_per_k: 1.0 },
+                Validity {
+                    difference: TemperatureDifference::pair("T8", "T18"),
+                    range_k: [0.5, 9.0],
+                    um_per_k: 3.0,
+                },
+                Validity {
+                    difference: TemperatureDifference::single("T9"),
+                    range_k: [-1.0, 2.0],
+                    um_per_k: 1.0,
+                },
             ],
             at_mm: Some(BTreeMap::from([("x".to_owned(), [-10.0, 200.5])])),
             by_kind_um: BTreeMap::from([("drift".to_owned(), 0.3)]),

@@ -2,8 +2,8 @@
 
 use super::{CIRCLE, Files, quadrant};
 use rtec_part::error_cor_file::{FeatureErrors, error_cor, read_arc};
-use rtec_part::errors::ProbedPoints;
 use rtec_part::geometric_fit::Zx;
+use rtec_part::part_errors::ProbedPoints;
 use std::fmt::Write as _;
 
 #[test]

@@ -6,8 +6,8 @@
 mod features;
 mod files;
 
-use rtec_part::errors::NominalShape;
 use rtec_part::geometric_fit::Zx;
+use rtec_part::part_errors::NominalShape;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 

@@ -3,7 +3,7 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch, State,
+    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch, EffectState,
 };
 use std::sync::Arc;
 
@@ -43,11 +43,11 @@ impl Law for Sag {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         out[0] = reach(effect, now).powi(3);
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         let reach = reach(effect, now);
         out[UM] = reach.powi(3);
         out[FREE] = -3.0 * effect.scalar(UM) * reach.powi(2) / 100.0;

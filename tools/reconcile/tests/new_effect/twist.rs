@@ -2,7 +2,7 @@
 //! The error is seen at the lever of A.
 
 use crate::Sample;
-use rtec_model::effect::{LawDescription, Effect, Input, Law, Naming, RequiredInput, Out, Parameter, State};
+use rtec_model::effect::{LawDescription, Effect, Input, Law, Naming, RequiredInput, Out, Parameter, EffectState};
 use std::sync::Arc;
 
 #[derive(Debug)]
@@ -30,7 +30,7 @@ impl Law for Twist {
         &self.0
     }
 
-    fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, _: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         out[0] = now.p_mm[0] / 100.0 * (now.p_mm[1] / 100.0).powi(2);
     }
 }

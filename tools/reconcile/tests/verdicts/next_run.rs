@@ -5,7 +5,7 @@
 
 use crate::noise::noise;
 use rtec_measure::plan::{PlanAxis, TargetRun};
-use rtec_model::effect::{Difference, Effect};
+use rtec_model::effect::{Effect, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
 use rtec_reconcile::{NextRuns, Options, UnresolvedEffect, Verdict, next_runs, reconcile};
@@ -124,7 +124,7 @@ fn the_planned_run_warms_the_machine_where_only_heat_tells() {
     let mut wrong = Vec::new();
     for k in 0..10 {
         let mut truth = Machine::ideal("m").dictionary().effect(names_of[k % 2]).unwrap();
-        truth.delta = (k % 2 == 1).then(|| Difference::single("T1"));
+        truth.delta = (k % 2 == 1).then(|| TemperatureDifference::single("T1"));
         truth.set_values(&[[40.0, 8.0][k % 2] + k as f64]).unwrap();
         let degc = 24.0 + 0.3 * k as f64;
         let run = TargetRun::uneven(&axis(), 11, 5, None);
@@ -149,11 +149,11 @@ fn the_planned_run_warms_the_machine_where_only_heat_tells() {
 fn what_no_targets_tell_has_its_experiment() {
     let dictionary = Machine::ideal("m").dictionary().clone();
     let mut growth = dictionary.effect("thermal_growth.x").unwrap();
-    growth.delta = Some(Difference::single("T1"));
+    growth.delta = Some(TemperatureDifference::single("T1"));
     growth.set_values(&[2.0, 0.0]).unwrap();
     let rival = rtec_reconcile::Rival {
         name: "thermal_growth.x".into(),
-        sensor: Some(Difference::single("T2")),
+        sensor: Some(TemperatureDifference::single("T2")),
         differs: None,
         margin: 0.3,
     };

@@ -1,16 +1,19 @@
-//! Records of one response with unlike noise: another gauge, another day, another machine.
+//! Records of one response from unlike gauges, days and machines.
 
 use super::noise::noise;
 use super::{answer, names, record};
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::record::{Record, RunKind};
 
-/// Strokes over 20 targets; an error of `um` by position and direction, noise of a size and a memory.
+/// Strokes over 20 targets.
+/// The error `um` depends on position and direction; the noise has a size and a memory.
 fn strokes(name: &str, seed: u64, um: &dyn Fn(f64, f64) -> f64, sigma: f64, phi: f64) -> Record {
     let (mut draw, mut last) = (noise(seed), 0.0);
     let n = 160;
-    let place = |i: usize| if i / 20 % 2 == 0 { 7.3 * (i % 20) as f64 } else { 7.3 * (19 - i % 20) as f64 };
-    let way = |i: usize| if i / 20 % 2 == 0 { 1.0 } else { -1.0 };
+    let place = |i: usize| {
+        if (i / 20).is_multiple_of(2) { 7.3 * (i % 20) as f64 } else { 7.3 * (19 - i % 20) as f64 }
+    };
+    let way = |i: usize| if (i / 20).is_multiple_of(2) { 1.0 } else { -1.0 };
     let read = |i: usize| {
         last = phi * last + sigma * (1.0_f64 - phi * phi).sqrt() * draw();
         um(place(i), way(i)) + last
@@ -101,12 +104,17 @@ fn a_unit_is_said_in_both_directions() {
         }
         r
     };
-    for (error, place) in
-        [(25.4, 1.0), (1.0 / 25.4, 1.0), (10.0, 1.0), (1e-3, 1.0), (1.0, 25.4), (1.0, 1.0 / 25.4), (1.0, 0.1)]
-    {
+    for (column, error, place) in [
+        ("e", 25.4, 1.0),
+        ("e", 1.0 / 25.4, 1.0),
+        ("e", 10.0, 1.0),
+        ("e", 1e-3, 1.0),
+        ("x", 1.0, 25.4),
+        ("x", 1.0, 1.0 / 25.4),
+        ("x", 1.0, 0.1),
+    ] {
         let runs = [strokes("first", 1, &um, 0.3, 0.0), scaled(error, place)];
         let r = answer(MODEL, &runs, &[]);
-        let column = if error == 1.0 { "x" } else { "e" };
         let said: Vec<_> = r.suspicions.iter().map(|s| (s.column.as_str(), s.what)).collect();
         assert_eq!(said, [(column, MistakeKind::Unit)], "{error} {place}: {:?}", r.suspicions);
     }

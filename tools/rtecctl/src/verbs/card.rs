@@ -11,7 +11,7 @@ use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{AddressSpace, PciBarSpec, Profile, Register, WordBit};
+use rtec_driver::profile::{AddressSpace, CardProfile, PciBarSpec, Register, WordBit};
 use rtec_rt::link_messages::MAX_AXES;
 use std::io::{BufRead, Write};
 
@@ -112,7 +112,7 @@ fn load(file: &Path) -> Result<Config, ConfigFindings> {
 }
 
 /// The backend for a profile's registers.
-fn backend(profile: &Profile, name: &str) -> &'static str {
+fn backend(profile: &CardProfile, name: &str) -> &'static str {
     let ports = profile.pci.is_some_and(|p| p.space == AddressSpace::Io) || name == "parallel-port";
     if ports { "port" } else { "mapped" }
 }
@@ -124,7 +124,7 @@ fn hex((vendor, device): (u16, u16)) -> String {
 
 /// Largest number of axes that a profile's lines allow, by two counts.
 /// The first is without lines of the machine, the second with read-back and feed hold.
-fn axes_that_fit(profile: &Profile) -> [usize; 2] {
+fn axes_that_fit(profile: &CardProfile) -> [usize; 2] {
     let inputs = profile.lines.values().filter(|p| matches!(p, WordBit::Input(_))).count();
     let outputs = profile.lines.len() - inputs;
     let fit = |inputs: usize, outputs: usize| inputs.min(outputs).min(MAX_AXES);
@@ -144,7 +144,7 @@ fn list(args: &ListArgs) -> anyhow::Result<()> {
     }
     let chip = |(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines});
     let chips: Vec<_> = gpio::chips().into_iter().map(chip).collect();
-    let card = |f: pci::Function| {
+    let card = |f: pci::PciFunction| {
         let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
         let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
         Some(json!({"address": f.address, "pci": hex(f.id), "profile": name}))
@@ -267,7 +267,7 @@ fn show(args: &ShowArgs) -> anyhow::Result<()> {
 }
 
 /// Direction, bit, and whether the line is active low.
-fn described(profile: &Profile, place: WordBit) -> (&'static str, u8, bool) {
+fn described(profile: &CardProfile, place: WordBit) -> (&'static str, u8, bool) {
     let (what, bit, inverted) = match place {
         WordBit::Input(bit) => ("input", bit, profile.input_invert),
         WordBit::Output(bit) => ("output", bit, profile.output_invert),

@@ -6,8 +6,8 @@ use rtec_control::client::Client;
 use rtec_control::ledger_export::LedgerExportSummary;
 use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
 use rtec_driver::quadrature::State;
-use rtec_files::Columns;
-use rtec_files::trace::{RequestReader, TraceReader};
+use rtec_files::ColumnAssignment;
+use rtec_files::trace::{TotalRequestReader, TraceReader};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::replay::ReplayOutcome;
@@ -144,7 +144,7 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
 /// Replays the files through the engine.
 fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<ReplayOutcome> {
     let trace = TraceReader::open(trace)?;
-    let requests = RequestReader::open_beside(requests, &Columns::default(), &trace)?;
+    let requests = TotalRequestReader::open_beside(requests, &ColumnAssignment::default(), &trace)?;
     let trace = trace.playable();
     let config = AxisConfig { max_correction_counts: i64::MAX, ..AxisConfig::default() };
     let (outcome, _) = replay_any(InsertionDesign::C, config, trace, requests, true, |_, _: State| {})

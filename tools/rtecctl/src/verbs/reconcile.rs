@@ -1,7 +1,7 @@
 //! `rtecctl reconcile`: finds where simulation and measurement disagree.
 //! It names missing effects and writes a better model.
 
-use super::characterise::record::{Recorder, record};
+use super::characterise::record::{RecorderArgs, record};
 use super::read_records;
 use crate::document::write;
 use crate::prelude::*;
@@ -10,7 +10,7 @@ use rtec_files::options::number;
 use rtec_files::{InputError, date};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{
-    CorrectedEffect, LAWS_FILE, Options, Reconciliation, ResidualStructure, SEED, html, reconcile, why,
+    LAWS_FILE, Options, Reconciliation, ResidualStructure, RevisedEffect, SEED, html, reconcile, why,
 };
 
 /// Find what the model of a machine lacks: name it, add it, show the gap shrink
@@ -23,7 +23,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME.run.toml")]
     live: Option<PathBuf>,
     #[command(flatten)]
-    recorder: Recorder,
+    recorder: RecorderArgs,
     /// The machine model as it is; never touched
     #[arg(long)]
     model: PathBuf,
@@ -89,7 +89,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let figures = args.stage == Stage::Show;
     let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
     let answer = reconcile(&train, &holdout, &machine, &options)?;
-    answer.say_of(&train, &holdout, &mut super::suspicions::say);
+    answer.say_of(&train, &holdout, &mut super::input_notices::say);
     if args.stage == Stage::Find {
         let document = answer.to_json();
         let document = json!({"where": document["where"], "level": args.level, "seed": SEED});
@@ -193,7 +193,7 @@ fn found(answer: &Reconciliation) -> String {
 }
 
 /// Values of an effect before and after; none for a curve with many.
-fn values(x: &CorrectedEffect) -> String {
+fn values(x: &RevisedEffect) -> String {
     let (after, half) = &x.after;
     let law = x.before.description();
     let each = law.parameters.iter().enumerate().filter(|(i, p)| !p.array && half[*i] > 0.0);

@@ -5,12 +5,14 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Listener, TracePoint};
-use rtec_files::clock;
-use rtec_files::trace::{RequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns};
+use rtec_files::clock_column;
+use rtec_files::trace::{
+    TotalRequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
+};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::link_messages::Fault;
 use rtec_sim::bench::{InsertionDesign, replay_any};
-use rtec_sim::ecc::Pll;
+use rtec_sim::ecc::PllLimits;
 use rtec_sim::replay::{ReplayError, ReplayOutcome};
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -55,11 +57,11 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    fn open(&self) -> Result<(TraceReader<File>, RequestReader<File>), InputError> {
+    fn open(&self) -> Result<(TraceReader<File>, TotalRequestReader<File>), InputError> {
         let trace = TraceReader::open_columns(&self.trace, &trace_columns(&self.columns)?)?;
         let columns = request_columns(&self.request_columns)
             .map_err(|e| InputError { file: Path::new("--request-columns").to_owned(), ..e })?;
-        let requests = RequestReader::open_beside(&self.requests, &columns, &trace)?;
+        let requests = TotalRequestReader::open_beside(&self.requests, &columns, &trace)?;
         Ok((trace, requests))
     }
 }
@@ -84,7 +86,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
         eprintln!("note: {said}");
     }
     let Some((first, last)) = first.zip(last) else { return Ok(()) };
-    let day = |t_ns: u64| match clock::unix(t_ns as f64) {
+    let day = |t_ns: u64| match clock_column::unix(t_ns as f64) {
         Some(("ns", day)) => Some(day),
         _ => None,
     };
@@ -119,8 +121,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     let shown_at = Instant::now();
-    let mut trace =
-        Progress { trace, points: 0, shown_at, last: None, alone: [(0, 0); 2], longest: [(0, 0); 2] };
+    let mut trace = TraceWithProgress {
+        trace,
+        points: 0,
+        shown_at,
+        last: None,
+        alone: [(0, 0); 2],
+        longest: [(0, 0); 2],
+    };
     // Without an output file there is no listener, and the compiler removes that branch from the loop.
     let outcome = if files.is_empty() {
         replay_any(design, config, trace.by_ref(), requests, large, |_, _: State| {})
@@ -170,7 +178,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "warning: {open:+} of the requested {:+} counts were not made: the circuit {}, twice the encoder's frequency. It adds only what \
              is done before the axis can leave the clean range; let the axis move at such a speed for longer, or take another design",
             outcome.requested,
-            Pll::default()
+            PllLimits::default()
         );
     }
     if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {
@@ -187,7 +195,7 @@ fn axis(args: &Args) -> anyhow::Result<(AxisConfig, bool)> {
 }
 
 /// A trace that reports its progress every two seconds.
-struct Progress {
+struct TraceWithProgress {
     trace: TraceReader<std::fs::File>,
     points: u64,
     shown_at: Instant,
@@ -197,7 +205,7 @@ struct Progress {
     longest: [(u64, u64); 2],
 }
 
-impl Progress {
+impl TraceWithProgress {
     #[inline]
     fn see(&mut self, point: TracePoint) {
         let Some(last) = self.last.replace(point.state) else {
@@ -226,7 +234,7 @@ impl Progress {
     }
 }
 
-impl Iterator for Progress {
+impl Iterator for TraceWithProgress {
     type Item = Result<TracePoint, InputError>;
 
     #[inline]

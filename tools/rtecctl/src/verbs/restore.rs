@@ -5,7 +5,7 @@ use crate::prelude::*;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
 use rtec_control::lock;
-use rtec_files::untrusted_folder::Folder;
+use rtec_files::untrusted_folder::UntrustedFolder;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
 
@@ -178,7 +178,7 @@ fn write(wanted: &RestoredFile<'_>) -> std::io::Result<()> {
     let parent = wanted.to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(parent)?;
     let name = wanted.to.file_name().unwrap_or_default().to_string_lossy();
-    let folder = Folder::open(parent)?;
+    let folder = UntrustedFolder::open(parent)?;
     folder.write(&name, wanted.bytes, wanted.packed.mode & 0o666 | 0o600, &|| true)?;
     if Uid::effective().is_root() {
         let owner = std::fs::metadata(parent)?;

@@ -7,8 +7,8 @@ use rtec_control::card::{self, CardAccess, CardOperation};
 use rtec_control::config::{CardConfig, Config, LatencyTestConditions};
 use rtec_files::write::AtomicFile;
 use rtec_platform::latency_test::{
-    Backend, Latency, LatencyTestResult, MeasuredOn, SelftestError, SelftestOptions, WAKEUP_INTERVAL_NS,
-    run as measure, run_on_card,
+    CardTestExtent, Latency, LatencyTestResult, SelftestError, SelftestOptions, SimulatedBackend,
+    WAKEUP_INTERVAL_NS, run as measure, run_on_card,
 };
 use rtec_platform::verdict::SelftestVerdict;
 use rtec_rt::axis::AxisConfig;
@@ -105,10 +105,10 @@ fn latency(args: &LatencyArgs) -> anyhow::Result<()> {
             (card::with(&config.card, access, test).map_err(unreachable)??, config.card.backend())
         }
         (simulated, _) => {
-            let backend = simulated.unwrap_or(Backend::Mapped);
+            let backend = simulated.unwrap_or(SimulatedBackend::Mapped);
             let (name, card) = match backend {
-                Backend::Mock => ("mock", "wires in this process"),
-                Backend::Mapped => ("mapped", "registers in shared memory"),
+                SimulatedBackend::Mock => ("mock", "wires in this process"),
+                SimulatedBackend::Mapped => ("mapped", "registers in shared memory"),
             };
             provenance.card = format!("simulated: {card}");
             (measure(options, backend, progress).context("measuring latencies")?, name)
@@ -142,11 +142,11 @@ fn progress(what: &str, left_s: u64) {
 }
 
 /// The simulated card to be measured; none for the configured one.
-fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Option<Backend>> {
+fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Option<SimulatedBackend>> {
     let (Some(file), Some(config)) = (&args.config, config) else {
         return match args.backend.as_deref() {
-            None | Some("mapped") => Ok(Some(Backend::Mapped)),
-            Some("mock") => Ok(Some(Backend::Mock)),
+            None | Some("mapped") => Ok(Some(SimulatedBackend::Mapped)),
+            Some("mock") => Ok(Some(SimulatedBackend::Mock)),
             Some(card) => {
                 let why = "which card of this backend is to be measured stands there";
                 fail!(Bad, "--backend {card} needs --config FILE: {why}")
@@ -165,7 +165,7 @@ fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Opti
         CardConfig::Mock if args.drive => {
             fail!(Bad, "a mock card has no outputs outside the process: leave --drive out")
         }
-        CardConfig::Mock => Ok(Some(Backend::Mock)),
+        CardConfig::Mock => Ok(Some(SimulatedBackend::Mock)),
         _ => Ok(None),
     }
 }
@@ -204,15 +204,15 @@ fn text(
     line(format_args!("{}", table(measured).trim_end()));
     line(format_args!("# Card: {}", provenance.card));
     match measured.how {
-        MeasuredOn::Simulated => line(format_args!(
+        CardTestExtent::Simulated => line(format_args!(
             "# Edge to done contains {} ns that the MTC is given: {} after the edge, as much between the inversions.",
             measured.separations_ns(),
             measured.axis.min_separation_ns
         )),
-        MeasuredOn::Reads => {
+        CardTestExtent::Reads => {
             line(format_args!("# Reads alone were measured; every output was held as it was."));
         }
-        MeasuredOn::ReadsAndWrites { .. } => line(format_args!(
+        CardTestExtent::ReadsAndWrites { .. } => line(format_args!(
             "# {} insertions at rest; each contains {} ns that the MTC is given between the inversions.",
             measured.with_requests.insertions,
             measured.separations_ns()
@@ -265,7 +265,7 @@ fn table(measured: &LatencyTestResult) -> String {
     let (quiet, with_requests) = (&measured.quiet, &measured.with_requests);
     row("T0 wake-up", &measured.wakeup.ns);
     row("T1 poll gap", &quiet.poll_gap.ns);
-    if measured.how != MeasuredOn::Simulated {
+    if measured.how != CardTestExtent::Simulated {
         row("   w. writes", &with_requests.poll_gap.ns);
         row("   insertions", &with_requests.seen_to_done);
         return out;

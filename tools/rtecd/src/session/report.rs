@@ -3,8 +3,8 @@
 use super::Session;
 use crate::start::OTHER_BOOT;
 use rtec_control::protocol::{
-    AxisExplanation, AxisReport, ConnectedClients, DaemonSnapshot, DaemonStatus, Histograms, HoldReport,
-    LatchedFault, LogState, PROTOCOL, Response, RtStatus, TimeDistribution, explain_fault, explain_refusal,
+    AuditState, AxisExplanation, AxisReport, ConnectedClients, DaemonSnapshot, DaemonStatus, Histograms,
+    HoldReport, LatchedFault, PROTOCOL, Response, RtStatus, TimeDistribution, explain_fault, explain_refusal,
     word,
 };
 use rtec_rt::histogram::Reader;
@@ -18,7 +18,7 @@ impl Session {
     pub(crate) fn observed(
         &mut self,
         events_after: Option<u64>,
-        log: LogState,
+        log: AuditState,
         clients: Vec<ConnectedClients>,
         control: &mut ControlEnd,
     ) -> Response {

@@ -50,7 +50,7 @@ fn set_up(engine: &Engine, real: bool) -> RtStartupReport {
 
 fn session(engine: &Engine) -> Session {
     let time = Rc::new(SystemClock(Clock::start()));
-    Session::by(time, Config::embedded(), set_up(engine, false), Buses::of(Vec::new()))
+    Session::by(time, Config::embedded(), set_up(engine, false), SensorThreads::of(Vec::new()))
 }
 
 /// The clock of a recorded shift.
@@ -81,7 +81,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let (engine, _card) = engine(&config);
     let watch = |n: &str| SensorMonitor::new(SensorConfig::believed(n, Role::Temperature));
     let time = Rc::new(Recorded(Cell::new(0.0)));
-    let played = Buses::of(["T8", "T18"].map(watch).to_vec());
+    let played = SensorThreads::of(["T8", "T18"].map(watch).to_vec());
     let mut session = Session::by(Rc::clone(&time) as _, config, set_up(&engine, false), played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
     session.corrector.load(machine, &|_| Vec::new()).unwrap();
@@ -258,7 +258,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
         let (engine, _card) = engine(&config);
         let time = Rc::new(SystemClock(Clock::start()));
-        let session = Session::by(time, config, set_up(&engine, true), Buses::of(Vec::new()));
+        let session = Session::by(time, config, set_up(&engine, true), SensorThreads::of(Vec::new()));
         let (mut control, _rt) = link(engine.status());
         let (refusal, status) =
             (session.forbidden(&engine.status(), &[], true), session.status(&mut control));

@@ -11,7 +11,7 @@ use crate::sim::{MachineSpec, Sim, SimError};
 use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
-use rtec_model::effect::{Difference, STANDARD_DEGC};
+use rtec_model::effect::{STANDARD_DEGC, TemperatureDifference};
 use rtec_model::machine::{FitNote, Validity};
 use rtec_model::record::{Axis, Record, RunKind};
 use serde_json::{Map, Value, json};
@@ -78,7 +78,7 @@ fn placed(row: &Row, axis: &Axis) -> f64 {
 }
 
 /// A temperature difference from the sensors' readings, K.
-fn difference(degc: &[f64], of: &Difference) -> f64 {
+fn difference(degc: &[f64], of: &TemperatureDifference) -> f64 {
     let read = |name: &str| SENSORS.iter().position(|s| s.0 == name).map_or(STANDARD_DEGC, |k| degc[k]);
     read(&of.sensor) - of.minus().map_or(of.reference_degc(), read)
 }

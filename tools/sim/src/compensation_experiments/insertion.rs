@@ -3,7 +3,7 @@
 use super::runs::{Done, ExperimentRun, Row, along, digits, feed};
 use super::{ExperimentError, ExperimentInputs, ExperimentResults};
 use crate::axis::AxisSpec;
-use crate::insertion::GateDesign;
+use crate::corrected_axis::GateDesign;
 use crate::nc_block::Block;
 use crate::sim::MachineSpec;
 use rtec_model::record::RunKind;

@@ -6,7 +6,7 @@ use crate::axis::AxisSpec;
 use crate::heat::SENSORS;
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::sim::{MachineSpec, Moment, Sim, SimError};
+use crate::sim::{MachineSnapshot, MachineSpec, Sim, SimError};
 use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -16,7 +16,7 @@ use std::path::Path;
 
 #[derive(Debug, Clone)]
 pub(super) struct Row {
-    pub(super) now: Moment,
+    pub(super) now: MachineSnapshot,
     pub(super) temperatures: Vec<f64>,
     pub(super) channels: Vec<f64>,
     pub(super) load_n: [f64; AXES],
@@ -192,7 +192,7 @@ impl<'a> ExperimentRun<'a> {
         Ok(done)
     }
 
-    /// Adds two records, their errors' plot over `x`, and their figures to the findings.
+    /// Adds two records, their errors' plot over `x`, and their figures.
     pub(super) fn publish(
         &mut self,
         runs: &RunPair,

@@ -5,7 +5,7 @@
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{DirectOutputs, RequestedTotal, TracePoint};
 use rtec_sim::bench::there_and_back;
-use rtec_sim::ecc::{Ecc, Pll};
+use rtec_sim::ecc::{Ecc, PllLimits};
 use rtec_sim::replay::replay_with;
 
 /// A controller that knows the axis's acceleration makes no error at a reversal.
@@ -26,7 +26,7 @@ fn guarded_it_balances_over_every_reversal() {
                 t_ns: last * n / 60,
                 requested: if n % 2 == 0 { 60 } else { -60 },
             });
-            let start = |card: &mut _| Ok(Ecc::new(Pll::default(), 1, card)?.guarded(accel));
+            let start = |card: &mut _| Ok(Ecc::new(PllLimits::default(), 1, card)?.guarded(accel));
             let (outcome, _) = replay_with::<_, _, _, _, _, std::convert::Infallible>(
                 DirectOutputs,
                 start,

@@ -6,7 +6,7 @@ use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
 use rtec_sim::machine::{ControllerSpec, ServoFault, SimMachine};
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSpec, Moment, Sim};
+use rtec_sim::sim::{MachineSnapshot, MachineSpec, Sim};
 use std::path::Path;
 
 fn model(text: &str) -> Machine {
@@ -52,7 +52,7 @@ fn following_error_stays_small_in_motion() {
     let mut worst: f64 = 0.0;
     while !s.machine.finished() {
         s.advance(0.01).unwrap();
-        let m: Moment = s.moment();
+        let m: MachineSnapshot = s.moment();
         worst = worst.max((m.axes[0].position_mm - m.command.p_mm[0]).abs());
     }
     println!("worst following error {worst} mm");

@@ -4,7 +4,7 @@
 use rtec_model::machine::Machine;
 use rtec_part::batch::BatchFinding;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::probe::{CapturedTrips, TripFault, assign};
+use rtec_part::trip_check::{CapturedTrips, TripFault, assign};
 use rtec_sim::turning::{TurningExperiment, TurningOutcome};
 use std::path::Path;
 use test_needs::repetitions;
@@ -136,7 +136,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     let t8 = record.temperature("T8").unwrap();
     assert!(record.rows() == 20 && t8[0] > 22.0 && t8.iter().all(|t| t.is_finite()), "{t8:?}");
     let truth = warm.measured(&part, radius_mm).unwrap();
-    let off = |report: &rtec_part::errors::ErrorReport| {
+    let off = |report: &rtec_part::part_errors::PartErrorReport| {
         report
             .errors
             .iter()
@@ -147,7 +147,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     let blind = warm.errors(&session, radius_mm).unwrap();
     let knowing =
         TurningExperiment { model: Some(wrong.clone()), ..warm.clone() }.errors(&session, radius_mm).unwrap();
-    let radius = |report: &rtec_part::errors::ErrorReport| {
+    let radius = |report: &rtec_part::part_errors::PartErrorReport| {
         (report.radius_mm.unwrap() - truth.radius_mm.unwrap()).abs() * 1e3
     };
     println!(

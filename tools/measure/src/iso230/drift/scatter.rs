@@ -1,6 +1,6 @@
 //! Scatter of consecutive readings while the machine drifts.
 
-use crate::derive::{FEWEST, beyond_cubic};
+use crate::derivatives::{FEWEST, beyond_cubic};
 use crate::gauge_resolution::step_of;
 
 /// Readings that are used to find the gauge's resolution.

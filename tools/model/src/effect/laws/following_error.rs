@@ -1,6 +1,6 @@
 //! `following_error.A`: lag of the position loop.
 
-use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, Probing};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, ProbingDependence};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 "a position loop slower than Kv = 0.1/s does not follow at all",
             )],
             needs: vec![RequiredInput::Velocity],
-            probing: Probing::Displaced,
+            probing: ProbingDependence::Displaced,
             ..LawDescription::default()
         };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s })

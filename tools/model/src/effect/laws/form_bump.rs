@@ -4,7 +4,7 @@
 use crate::effect::{
     LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis, Refine,
     ParameterSearch,
-    Searched, State,
+    Searched, EffectState,
 };
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -54,12 +54,12 @@ impl Law for FormBump {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         let (d, width) = (from_centre(effect, now), effect.scalar(WIDTH));
         out[0] = if d.abs() <= width / 2.0 { f64::midpoint(1.0, (TAU * d / width).cos()) } else { 0.0 };
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
         self.basis(effect, now, component, state, &mut out[UM..=UM]);
         let (d, width) = (from_centre(effect, now), effect.scalar(WIDTH));
         if d.abs() <= width / 2.0 {

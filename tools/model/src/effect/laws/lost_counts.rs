@@ -2,7 +2,7 @@
 
 use crate::effect::{
     EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
-    Refine, ParameterSearch, State,
+    Refine, ParameterSearch, EffectState,
 };
 use std::sync::Arc;
 
@@ -38,18 +38,18 @@ impl Law for LostCounts {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         out[0] = f64::from(now.t_s >= effect.scalar(AT));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let at_s = effect.scalar(AT);
         for (row, out) in out.iter_mut().enumerate() {
             *out = f64::from(bound.t_s[row] >= at_s);
         }
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
         self.basis(effect, now, component, state, &mut out[UM..=UM]);
     }
 

@@ -1,6 +1,6 @@
 //! `probe_latency.A`: time from contact to capture.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Owner, Parameter, Probing};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Owner, Parameter, ProbingDependence};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -15,7 +15,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![RequiredInput::Velocity],
         owner: Owner::Probe,
-        probing: Probing::Only,
+        probing: ProbingDependence::Only,
         mechanism: Some(MechanicalParameter::ProbeDelay),
         ..LawDescription::default()
     };

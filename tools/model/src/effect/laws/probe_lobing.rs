@@ -4,7 +4,7 @@ use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
     LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis,
     ParameterSearch, Searched,
-    State, ValueError,
+    EffectState, ValueError,
 };
 use std::sync::Arc;
 
@@ -45,13 +45,13 @@ impl Law for Lobing {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         // um·cos(x + φ) = um·cos φ·cos x − um·sin φ·sin x
         let (sin, cos) = (effect.scalar(LOBES) * now.angle_rad).sin_cos();
         (out[0], out[1]) = (cos, -sin);
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         let (sin, cos) = (effect.scalar(LOBES) * now.angle_rad + effect.scalar(PHASE)).sin_cos();
         out[UM] = cos;
         out[PHASE] = -effect.scalar(UM) * sin;

@@ -3,7 +3,7 @@
 
 use crate::effect::{
     LawDescription, Effect, Extent, Input, Law, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
-    State,
+    EffectState,
 };
 use std::sync::Arc;
 
@@ -45,10 +45,10 @@ pub(super) fn law() -> Arc<dyn Law> {
 ///
 /// The first travel is since the last row of the present direction; it becomes the start when the direction
 /// changes. The second is since the reversal, −1 before the first.
-fn travel(now: &Input, state: &mut State) -> Option<f64> {
+fn travel(now: &Input, state: &mut EffectState) -> Option<f64> {
     let p = now.p_mm[0];
     if !state.started {
-        *state = State { started: true, x: [now.dir, p, 0.0, -1.0] };
+        *state = EffectState { started: true, x: [now.dir, p, 0.0, -1.0] };
         return None;
     }
     let [mut old, before, mut since_row, mut since_reversal] = state.x;
@@ -73,11 +73,11 @@ impl Law for ReversalSpike {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
         out[0] = travel(now, state).map_or(0.0, |d| now.dir * (-d / effect.scalar(LENGTH)).exp());
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
         let Some(d) = travel(now, state) else { return };
         let length = effect.scalar(LENGTH);
         out[UM] = now.dir * (-d / length).exp();

@@ -1,7 +1,7 @@
 //! `thermal_expansion.A`: a temperature difference changes a length.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, State,
+    EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, EffectState,
 };
 use std::sync::Arc;
 
@@ -30,11 +30,11 @@ impl Law for ThermalExpansion {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         out[0] = effect.bounded(now.delta_k) * now.p_mm[0] / 1000.0;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let Some(p_mm) = bound.p_mm[0] else { return out.fill(0.0) };
         for ((row, out), p_mm) in out.iter_mut().enumerate().zip(p_mm) {
             *out = effect.bounded(bound.delta_k(row)) * p_mm / 1000.0;

@@ -2,7 +2,7 @@
 
 use crate::effect::{
     EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter,
-    State,
+    EffectState,
 };
 use std::sync::Arc;
 
@@ -44,13 +44,13 @@ impl Law for ThermalGrowth {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         let d = effect.bounded(now.delta_k);
         out[0] = d;
         out[1] = d * d;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let (first, second) = out.split_at_mut(bound.rows());
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
             *a = effect.bounded(bound.delta_k(row));

@@ -4,7 +4,7 @@ use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
     EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch,
-    State,
+    EffectState,
 };
 use std::sync::Arc;
 
@@ -40,10 +40,10 @@ pub(super) fn law() -> Arc<dyn Law> {
 
 /// The lagged ΔT and, if `SLOPE` asks for it, its derivative by tau.
 /// The state holds both, with the input and the time of the previous instant.
-fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut State) -> (f64, f64) {
+fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut EffectState) -> (f64, f64) {
     let u = now.delta_k;
     if !state.started {
-        *state = State { started: true, x: [u, 0.0, u, now.t_s] };
+        *state = EffectState { started: true, x: [u, 0.0, u, now.t_s] };
         return (u, 0.0);
     }
     let [mut y, mut dy, u0, t0] = state.x;
@@ -64,7 +64,7 @@ impl Law for ThermalLag {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
         let (y, _) = advance::<false>(effect.scalar(TAU), now, state);
         let y = effect.bounded(y);
         out[0] = y;
@@ -76,7 +76,7 @@ impl Law for ThermalLag {
         effect: &Effect,
         bound: &EffectColumns<'_>,
         _: usize,
-        state: &mut State,
+        state: &mut EffectState,
         out: Out<'_>,
     ) {
         let (first, second) = out.split_at_mut(bound.rows());
@@ -87,11 +87,11 @@ impl Law for ThermalLag {
             *b = *a * *a;
         }
         if let Some([lagged, input, t_s]) = lag.at() {
-            *state = State { started: true, x: [lagged, 0.0, input, t_s] };
+            *state = EffectState { started: true, x: [lagged, 0.0, input, t_s] };
         }
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
         let (y, dy) = advance::<true>(effect.scalar(TAU), now, state);
         let inside = effect.bounded(y);
         out[0] = inside;
@@ -104,7 +104,7 @@ impl Law for ThermalLag {
     fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();
-        let every = if effect.delta.as_ref().is_some_and(super::super::Difference::is_pair) { 2 } else { 1 };
+        let every = if effect.delta.as_ref().is_some_and(super::super::TemperatureDifference::is_pair) { 2 } else { 1 };
         GridHypothesis::along(effect, TAU, all.into_iter().step_by(every), price)
     }
 }

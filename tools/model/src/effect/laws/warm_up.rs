@@ -2,7 +2,7 @@
 
 use crate::effect::{
     EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
-    Refine, ParameterSearch, State,
+    Refine, ParameterSearch, EffectState,
 };
 use std::sync::Arc;
 
@@ -43,18 +43,18 @@ impl Law for WarmUp {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         out[0] = drift(now.t_s, effect.scalar(TAU));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut State, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let tau_s = effect.scalar(TAU);
         for (row, out) in out.iter_mut().enumerate() {
             *out = drift(bound.t_s[row], tau_s);
         }
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut State, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
         let (t, tau) = (now.t_s.max(0.0), effect.scalar(TAU));
         let e = (-t / tau).exp();
         out[UM] = 1.0 - e;

@@ -36,13 +36,13 @@ fn record(kind: RunKind, rows: usize, responses: &[&str]) -> Record {
 /// One effect of every law, with parameters that exercise every term.
 fn one_of_each() -> Vec<Effect> {
     let d = Dictionary::default();
-    let effect = |name: &str, values: &[f64], sensor: Option<Difference>| {
+    let effect = |name: &str, values: &[f64], sensor: Option<TemperatureDifference>| {
         let mut e = d.effect(name).unwrap();
         e.set_values(values).unwrap();
         e.delta = sensor;
         e
     };
-    let t1 = || Some(Difference::single("T1"));
+    let t1 = || Some(TemperatureDifference::single("T1"));
     vec![
         effect("offset.x", &[3.0], None),
         effect("scale.x", &[12.0], None),
@@ -56,11 +56,14 @@ fn one_of_each() -> Vec<Effect> {
         effect("rotation.y.x", &[30.0], None),
         effect("angular.x.y.z", &[40.0], None),
         effect("thermal_expansion.x", &[11.5], t1()),
-        effect("thermal_growth.x", &[0.114, -0.0008], Some(Difference::pair("T1", "T2"))),
+        effect("thermal_growth.x", &[0.114, -0.0008], Some(TemperatureDifference::pair("T1", "T2"))),
         effect(
             "thermal_lag.x",
             &[1.2, 0.05, 90.0],
-            Some(Difference { sensor: "T1".into(), against: DifferenceReference::Reference(18.0) }),
+            Some(TemperatureDifference {
+                sensor: "T1".into(),
+                against: DifferenceReference::Reference(18.0),
+            }),
         ),
         effect("warm_up.x", &[15.0, 120.0], None),
         effect("coolant.x", &[-3.0], None),

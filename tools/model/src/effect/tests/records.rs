@@ -15,7 +15,7 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
         let (bound, k) = (e.bind(&r).unwrap(), e.coefficient_count());
         let mut all = vec![f64::NAN; 60 * k];
         bound.basis(&e, 0, &mut all);
-        let (mut state, mut one) = (State::default(), vec![0.0; k]);
+        let (mut state, mut one) = (EffectState::default(), vec![0.0; k]);
         for row in 0..60 {
             e.law().basis(&e, &bound.input(row), 0, &mut state, &mut one);
             for (c, x) in one.iter().enumerate() {
@@ -74,7 +74,7 @@ fn direction_may_come_from_velocity() {
 #[test]
 fn a_sensor_that_is_not_there_is_named() {
     let mut e = one_of_each()[12].clone();
-    e.delta = Some(Difference::pair("T1", "T99"));
+    e.delta = Some(TemperatureDifference::pair("T1", "T99"));
     let missing = e.bind(&record(RunKind::Drift, 3, &["error.x"])).unwrap_err();
     assert_eq!((missing.what.as_str(), missing.has.as_str()), ("temperature.T99", "T1, T2"));
 }

@@ -2,7 +2,7 @@
 //! The output is text, JSON, plots or a page.
 
 use crate::document::{answer, write};
-use crate::verbs::suspicions;
+use crate::verbs::input_notices;
 use rtec_files::options::one_of;
 use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::iso230::Conditions;
@@ -45,7 +45,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         one_way: args.one_way,
         fourth_powers: args.norm != 2,
     };
-    let found = evaluate_files(&args.records, &asked, &mut suspicions::say)?;
+    let found = evaluate_files(&args.records, &asked, &mut input_notices::say)?;
     if let Some(path) = &args.plot {
         for (i, svg) in found.report.plots().enumerate() {
             let path = if i == 0 { path.clone() } else { path.with_extension(format!("{}.svg", i + 1)) };

@@ -1,8 +1,8 @@
 //! `rtecctl characterise import`: turns other tools' files into run records.
 
 use crate::prelude::*;
-use crate::verbs::suspicions;
-use rtec_files::InputMessage;
+use crate::verbs::input_notices;
+use rtec_files::InputNotice;
 use rtec_measure::import::request::ImportRequest;
 use rtec_measure::record;
 
@@ -20,14 +20,14 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut record = args.request.read(args.circle.circle()?, &args.out, &mut |said| match said {
-        InputMessage::Note(text) => eprintln!("{text}"),
-        InputMessage::Warning(text) => eprintln!("warning: {text}"),
+        InputNotice::Note(text) => eprintln!("{text}"),
+        InputNotice::Warning(text) => eprintln!("warning: {text}"),
     })?;
     record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     if let Some(note) = &record.note {
         eprintln!("note: {note}");
     }
-    suspicions::warn(std::slice::from_ref(&record));
+    input_notices::warn(std::slice::from_ref(&record));
     eprintln!("{}: {} rows, and {} beside it", args.out.display(), record.rows(), record.file);
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! `rtecctl characterise plan`: the test sequence for this machine.
 
 use crate::prelude::*;
-use crate::verbs::{pairs, suspicions};
+use crate::verbs::{input_notices, pairs};
 use rtec_measure::plan::{self, PlanAxis};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{NextRuns, UnresolvedEffect, next_runs};
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(verdict) = &args.verdict {
         return telling(args, verdict, &axes);
     }
-    let steps = plan::for_machine(&axes, args.max_rpm, args.ballbar_mm, &mut suspicions::said)?;
+    let steps = plan::for_machine(&axes, args.max_rpm, args.ballbar_mm, &mut input_notices::said)?;
     give(args, &plan::markdown(&args.machine, &steps), &steps)
 }
 

@@ -3,11 +3,11 @@
 
 use crate::daemon::{self, status};
 use crate::prelude::*;
-use crate::verbs::suspicions;
+use crate::verbs::input_notices;
 use nix::sys::signal::Signal;
 use rtec_control::client::Client;
 use rtec_control::protocol::{ClientRequest, DaemonStatus};
-use rtec_files::keys::{Section, SourceFile};
+use rtec_files::keys::{FileWithFindings, Section};
 use rtec_files::text::open_regular;
 use rtec_files::toml::Document;
 use rtec_model::record::{Column, LINEAR, Record, Role, RunKind, check};
@@ -33,12 +33,12 @@ pub(crate) struct Args {
     #[allow(clippy::option_option)] // a folder, the daemon's, or none
     spool: Option<Option<PathBuf>>,
     #[command(flatten)]
-    recorder: Recorder,
+    recorder: RecorderArgs,
 }
 
 /// What is recorded, and for how long.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Recorder {
+pub(crate) struct RecorderArgs {
     /// What kind of run it is [default: drift]
     #[arg(long)]
     kind: Option<String>,
@@ -70,7 +70,7 @@ pub(crate) struct Recorder {
     root: PathBuf,
 }
 
-impl Recorder {
+impl RecorderArgs {
     /// The first option of the recorder that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         let given = [
@@ -88,9 +88,9 @@ impl Recorder {
 
     /// The daemon, if it is named or there is no other source.
     /// It has no response.
-    fn corrector(&self, with_response: bool) -> anyhow::Result<Option<DaemonTotals>> {
+    fn corrector(&self, with_response: bool) -> anyhow::Result<Option<DaemonTotalsReader>> {
         let alone = !with_response && self.sensors.is_none() && self.feed.is_none();
-        self.socket.clone().or(alone.then_some(None)).map(DaemonTotals::connect).transpose()
+        self.socket.clone().or(alone.then_some(None)).map(DaemonTotalsReader::connect).transpose()
     }
 
     fn gauges(&self) -> Result<Vec<Column>, InputError> {
@@ -159,7 +159,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Records a run into `out`.
 /// A shift's log needs a response only on request.
-pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow::Result<()> {
+pub(crate) fn record(out: &Path, args: &RecorderArgs, with_response: bool) -> anyhow::Result<()> {
     let kind = args.kind.as_deref().unwrap_or("drift");
     let kind = RunKind::parse(kind).ok_or_else(|| usage(format!("--kind {kind}"), "a kind of run"))?;
     let period = args.period.unwrap_or(1.0);
@@ -262,7 +262,7 @@ pub(crate) fn record(out: &Path, args: &Recorder, with_response: bool) -> anyhow
     let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     record.date = Some(begun);
     rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
-    suspicions::warn(std::slice::from_ref(&record));
+    input_notices::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
 }
 
@@ -360,14 +360,14 @@ fn twice(columns: &[Column]) -> Option<String> {
 }
 
 /// The running daemon, which is asked once per row.
-struct DaemonTotals {
+struct DaemonTotalsReader {
     client: Client,
     status: DaemonStatus,
     /// µm per count of each axis, once it was away from zero.
     count_um: Vec<Option<f64>>,
 }
 
-impl DaemonTotals {
+impl DaemonTotalsReader {
     fn connect(socket: Option<PathBuf>) -> anyhow::Result<Self> {
         let mut client = DaemonArgs::at(socket).view()?;
         let status = status(&mut client)?;
@@ -454,7 +454,7 @@ fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let text = rtec_files::text::read(path)?;
     let document = Document::parse(path, &text)?;
-    let mut source = SourceFile { file: path, text: &text, findings: Vec::new() };
+    let mut source = FileWithFindings { file: path, text: &text, findings: Vec::new() };
     let mut root = Section::root(&document);
     if !root.has("sensor") {
         root.say_missing(&mut source, "sensor", "[[sensor]] tables");

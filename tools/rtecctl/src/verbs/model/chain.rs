@@ -3,7 +3,7 @@
 use super::fit::draw;
 use crate::prelude::*;
 use crate::rounding::with_bounds;
-use crate::verbs::suspicions;
+use crate::verbs::input_notices;
 use rtec_fit::chain::{self as chain_fit, ChainRun};
 use rtec_measure::plausible;
 use rtec_model::chain::Chain;
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let chain = Chain::read(&args.chain)?;
     let points = args.records.iter().map(|r| point(r)).collect::<Result<Vec<_>, _>>()?;
     let read = |(path, _): &(PathBuf, _)| {
-        Ok::<_, InputError>(plausible::only_good(rtec_measure::record::read(path)?, &mut suspicions::said))
+        Ok::<_, InputError>(plausible::only_good(rtec_measure::record::read(path)?, &mut input_notices::said))
     };
     let records = points.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     let run = |(record, (_, tool_mm)): (_, &(PathBuf, _))| ChainRun { record, tool_mm: *tool_mm };

@@ -3,10 +3,10 @@
 
 use crate::prelude::*;
 use crate::rounding::with_bounds;
-use crate::verbs::{read_records, suspicions};
+use crate::verbs::{input_notices, read_records};
 use rtec_files::date;
 use rtec_fit::thermal::{self, FittedEffect, ThermalFitReport};
-use rtec_fit::workflow::{self, Fit, FitRequest};
+use rtec_fit::workflow::{self, FitRequest, ThermalFit};
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine};
 
@@ -97,9 +97,9 @@ impl Common {
         })
     }
 
-    fn fit(&self, holdout: &[PathBuf], asked: &FitRequest) -> anyhow::Result<Fit> {
+    fn fit(&self, holdout: &[PathBuf], asked: &FitRequest) -> anyhow::Result<ThermalFit> {
         let (train, holdout) = (read_records(&self.records)?, read_records(holdout)?);
-        let done = workflow::fit(train, holdout, asked, &mut suspicions::say)?;
+        let done = workflow::fit(train, holdout, asked, &mut input_notices::say)?;
         if let Some(path) = &self.plot {
             draw(path, &done.reports.iter().map(ThermalFitReport::chart).collect::<Vec<_>>())?;
         }
@@ -178,8 +178,12 @@ pub(crate) fn run(args: &FitArgs) -> anyhow::Result<()> {
 
 /// Fits the effects that the user names, by least squares.
 fn named(args: &FitArgs, asked: &FitRequest) -> anyhow::Result<()> {
-    let done =
-        workflow::fit_named(read_records(&args.common.records)?, &args.effects, asked, &mut suspicions::say)?;
+    let done = workflow::fit_named(
+        read_records(&args.common.records)?,
+        &args.effects,
+        asked,
+        &mut input_notices::say,
+    )?;
     let (machine, report) = (&done.machine, &done.report);
     if let Some(path) = &args.common.plot {
         draw(path, &done.charts(asked.options.base.as_ref())?)?;

@@ -1,9 +1,9 @@
 //! `rtecctl model predict`: the sum of a model's effects at every row of a record.
 
 use crate::prelude::*;
-use crate::verbs::suspicions;
+use crate::verbs::input_notices;
 use rtec_files::write::AtomicFile;
-use rtec_measure::prediction::{self, PredictionError};
+use rtec_measure::prediction::{self, PredictionFailure};
 use rtec_model::machine::Machine;
 
 /// Predict a record's responses from a machine model
@@ -27,8 +27,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let writing = || format!("writing {}", args.out.display());
     let mut out = AtomicFile::create(&args.out).with_context(writing)?;
-    match prediction::write(&machine, &args.record, args.interval, &mut out, &mut suspicions::say) {
-        Err(PredictionError::Input(found)) => return Err(found.into()),
+    match prediction::write(&machine, &args.record, args.interval, &mut out, &mut input_notices::say) {
+        Err(PredictionFailure::Input(found)) => return Err(found.into()),
         written => written.with_context(writing)?,
     }
     out.finish().with_context(writing)

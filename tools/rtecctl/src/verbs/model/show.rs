@@ -2,7 +2,7 @@
 
 use crate::prelude::*;
 use crate::rounding::alike;
-use crate::verbs::suspicions;
+use crate::verbs::input_notices;
 use rtec_files::date;
 use rtec_measure::plausible;
 use rtec_model::chain::{self, COMPONENTS, Chain, Term};
@@ -175,8 +175,9 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     rows.extend(only_second.map(|id| json!({"effect": id, "change": "only in the second"})));
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
-        let record = plausible::only_good(rtec_measure::record::read(path)?, &mut suspicions::say);
-        let of = |m: &Machine| rtec_measure::derive::predict(m, &record).map(|(prediction, _)| prediction);
+        let record = plausible::only_good(rtec_measure::record::read(path)?, &mut input_notices::say);
+        let of =
+            |m: &Machine| rtec_measure::derivatives::predict(m, &record).map(|(prediction, _)| prediction);
         let (pa, pb) = (of(&a)?, of(&b)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {
             let rms =

@@ -3,7 +3,7 @@
 
 use super::fit::{draw, draw_beside};
 use crate::prelude::*;
-use crate::verbs::{read_records, suspicions};
+use crate::verbs::{input_notices, read_records};
 use rtec_control::config::{Config, ConfiguredAxis};
 use rtec_correct::rehearse::{self, AxisChange};
 use rtec_files::date;
@@ -56,7 +56,7 @@ pub(crate) struct RehearseArgs {
 pub(crate) fn validate(args: &ValidateArgs) -> anyhow::Result<()> {
     let machine = Machine::read(&args.machine)?;
     let records = read_records(&args.records)?;
-    let found = validate::validate(&machine, &records, &mut suspicions::said)?;
+    let found = validate::validate(&machine, &records, &mut input_notices::said)?;
     if let Some(path) = &args.plot {
         draw(path, &found.charts)?;
     }
@@ -92,7 +92,7 @@ fn judged_line(v: &Value) -> String {
 pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     let new = Machine::read(&args.machine)?;
     let present = Machine::read_or_ideal(args.against.as_deref(), "no model")?;
-    let shift = plausible::only_good(rtec_measure::record::read_log(&args.record)?, &mut suspicions::said);
+    let shift = plausible::only_good(rtec_measure::record::read_log(&args.record)?, &mut input_notices::said);
     let config = args.config.as_deref().map(Config::load).transpose()?;
     let options = config.as_ref().map(options).unwrap_or_default();
     for effect in new.effects() {

@@ -2,16 +2,16 @@
 
 use super::write_all;
 use crate::prelude::*;
-use crate::verbs::suspicions;
-use rtec_part::error_determination::{self, ErrorRequest};
-use rtec_part::errors::ErrorReport;
+use crate::verbs::input_notices;
+use rtec_part::error_determination::{self, PartErrorRequest};
 use rtec_part::geometric_fit;
+use rtec_part::part_errors::PartErrorReport;
 
 /// Determine a part's form errors from probed points
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    request: ErrorRequest,
+    request: PartErrorRequest,
     /// Write error.cor, whisker.svg and whisker.dxf into this folder
     #[arg(long)]
     out: Option<PathBuf>,
@@ -22,7 +22,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let with_size = args.request.with_size;
-    let report = error_determination::determine(&args.request, &mut suspicions::said)?;
+    let report = error_determination::determine(&args.request, &mut input_notices::said)?;
     if with_size && !report.is_size_known() {
         let size = report.size_error_um.unwrap_or(0.0);
         let within = report.size_within_um().unwrap_or(f64::INFINITY);
@@ -43,7 +43,7 @@ const MUCH_FORM: f64 = 5.0;
 
 /// Advice for a size error of this amount.
 /// `held`: largest share of it per µm of form error.
-fn of_size(r: &ErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> String {
+fn of_size(r: &PartErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> String {
     if !r.is_size_known() {
         let within = r.size_within_um().unwrap_or(f64::INFINITY);
         return format!(
@@ -62,9 +62,16 @@ fn of_size(r: &ErrorReport, off_um: f64, held: Option<f64>, with_size: bool) -> 
     )
 }
 
-fn text(r: &ErrorReport, with_size: bool) -> String {
-    let ErrorReport {
-        feature, points, tip_mm, centre_mm: [z, x], sd_before_um, sd_after_um, form_um, ..
+fn text(r: &PartErrorReport, with_size: bool) -> String {
+    let PartErrorReport {
+        feature,
+        points,
+        tip_mm,
+        centre_mm: [z, x],
+        sd_before_um,
+        sd_after_um,
+        form_um,
+        ..
     } = r;
     let out = r.rejected.len();
     let mut t = format!("{feature} through {points} points, {out} left out of the second fit\n");

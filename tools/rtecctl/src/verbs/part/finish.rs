@@ -7,8 +7,8 @@ use super::{failed, within, write_all};
 use crate::prelude::*;
 use rtec_model::machine::Machine;
 use rtec_part::error_cor_file::read_arc;
+use rtec_part::finish_table::ArcFinishTable;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::table::FinishTable;
 use rtec_sim::lathe::{axes, design};
 use rtec_sim::workpiece::Workpiece;
 
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     setup.centre = part.centre;
     let table = match (&args.errors, design(&setup.design)) {
         (Some(file), Some(design)) => {
-            Some(FinishTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_arc(file)?))
+            Some(ArcFinishTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_arc(file)?))
         }
         _ => None,
     };

@@ -5,7 +5,7 @@ use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_model::record::span;
 use rtec_part::comparison_page::{logged, side_by_side};
-use rtec_part::errors::{ErrorReport, NominalShape, ProbedPoints};
+use rtec_part::part_errors::{NominalShape, PartErrorReport, ProbedPoints};
 
 /// Compare the part before and after the finish cut
 #[derive(Debug, clap::Args)]
@@ -44,8 +44,8 @@ const OTHER_PLACE_MM: f64 = 1.0;
 const OTHER_SIZE: f64 = 0.1;
 
 /// The part of an arc that was probed before but not after, if above a tenth.
-fn not_looked_at(before: &ErrorReport, after: &ErrorReport) -> Option<String> {
-    let ends = |r: &ErrorReport| span(r.errors.iter().map(|e| e.angle_rad));
+fn not_looked_at(before: &PartErrorReport, after: &PartErrorReport) -> Option<String> {
+    let ends = |r: &PartErrorReport| span(r.errors.iter().map(|e| e.angle_rad));
     let ([lo, hi], [from, to]) = (ends(before), ends(after));
     let slack = 0.1 * (hi - lo);
     (from > lo + slack || to < hi - slack)
@@ -60,7 +60,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "rtecctl: no --tip-mm: the points are taken as on the part's surface; a tip's radius would be in the size"
         );
     }
-    let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<ErrorReport> {
+    let read = |file: &Path, name: &str, radius_mm: f64| -> anyhow::Result<PartErrorReport> {
         let radius_mm = positive(name, radius_mm)?;
         Ok(ProbedPoints::read(file)?.errors(NominalShape::Circle { radius_mm }, tip_mm)?)
     };
@@ -71,7 +71,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ("--after", "--radius-mm", &args.after, &after, args.radius_mm),
     ];
     let near = |own: f64, radius_mm: f64| (own - radius_mm).abs() <= OTHER_SIZE * radius_mm;
-    let is_of = |r: &ErrorReport, radius_mm: f64| r.radius_mm.is_none_or(|own| near(own, radius_mm));
+    let is_of = |r: &PartErrorReport, radius_mm: f64| r.radius_mm.is_none_or(|own| near(own, radius_mm));
     for (n, (name, option, file, report, radius_mm)) in asked.iter().enumerate() {
         if !is_of(report, *radius_mm) {
             let other = &asked[1 - n];
@@ -90,12 +90,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let errors = [&before, &after].map(|r| r.centre_standard_error_um.unwrap_or([f64::INFINITY; 2]));
     let known_mm = 2e-3 * errors.iter().flatten().fold(0.0, |sum: f64, um| sum.hypot(*um));
     if off_mm > OTHER_PLACE_MM.max(known_mm) {
-        let at = |r: &ErrorReport| format!("Z {:.3} X {:.3} mm", r.centre_mm[0], r.centre_mm[1]);
+        let at = |r: &PartErrorReport| format!("Z {:.3} X {:.3} mm", r.centre_mm[0], r.centre_mm[1]);
         let found = format!("arcs {off_mm:.2} mm apart, about {} and {}", at(&before), at(&after));
         let expected = "the points of the same arc of the same part, in the same clamping";
         return Err(usage("--before and --after", found, expected));
     }
-    let largest = |r: &ErrorReport| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
+    let largest = |r: &PartErrorReport| r.errors.iter().map(|e| e.error_um.abs()).fold(0.0, f64::max);
     let [(was_um, was_sd_um), (is_um, is_sd_um)] =
         [&before, &after].map(|report| (largest(report), report.sd_before_um));
     let mut decisions =

@@ -10,7 +10,7 @@ use crate::prelude::*;
 use rtec_model::record::hex;
 use rtec_part::contour::Contour;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::ProbingPlan;
+use rtec_part::probe_path::ProbingPlan;
 use rtec_part::unit::Unit;
 use std::fs::File;
 use std::io::Read;

@@ -5,7 +5,7 @@ use super::plan_page::{PlanEditor, PlanPage};
 use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{Collision, ProbeGeometry, ProbingMotion, ProbingPlan, Stem, number_at};
+use rtec_part::probe_path::{Collision, ProbeGeometry, ProbingMotion, ProbingPlan, StylusStem, number_at};
 use rtec_part::unit::Unit;
 use std::str::FromStr;
 
@@ -150,7 +150,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let stem = match args.stem.as_deref() {
         None => None,
         Some(&[length_mm, radius_mm, deg]) if length_mm > 0.0 && radius_mm > 0.0 && deg.is_finite() => {
-            Some(Stem { length_mm, radius_mm, angle_rad: deg.to_radians() })
+            Some(StylusStem { length_mm, radius_mm, angle_rad: deg.to_radians() })
         }
         Some(other) => {
             let found = other.iter().map(f64::to_string).collect::<Vec<_>>().join(",");

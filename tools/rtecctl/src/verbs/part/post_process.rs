@@ -5,7 +5,7 @@ use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_files::text::short;
 use rtec_part::batch::{
-    Batch, BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns,
+    BatchEvaluation, BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns,
 };
 use rtec_part::error_cor_file::{error_cor, read_arc};
 
@@ -90,7 +90,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     answer(args.json, &batch, || text(&batch))
 }
 
-fn text(batch: &Batch) -> String {
+fn text(batch: &BatchEvaluation) -> String {
     let mut t =
         "feature         angle rad  parts  mean µm    SD µm        p   trend µm        p\n".to_owned();
     for p in &batch.places {

@@ -12,8 +12,8 @@ use rtec_files::options::one_of;
 use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::path::{approaches, read_expected, read_pathfin};
-use rtec_part::probe::{CapturedTrips, Trip, TripFault, assign, probed_csv, run_record};
+use rtec_part::probe_path::{approaches, read_expected, read_pathfin};
+use rtec_part::trip_check::{CapturedTrips, Trip, TripFault, assign, probed_csv, run_record};
 use rtec_part::unit::Unit;
 use rtec_sim::workpiece::Workpiece;
 use std::io::ErrorKind;
@@ -112,7 +112,7 @@ fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
 }
 
 /// Results of a session by the daemon.
-struct ProbedSession {
+struct ProbingResult {
     trips: Vec<Trip>,
     sensors: Vec<String>,
     /// Temperatures at each trip, one value per sensor, °C.
@@ -125,7 +125,7 @@ struct ProbedSession {
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// Compares every trip with the plan; probing ends whatever happens.
-fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbedSession> {
+fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbingResult> {
     let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
     let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {
         return Err(usage("--origin-mm", "nothing", "the machine's position at the part's origin, Z,X"));
@@ -169,7 +169,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     }
     let sensors = kept.iter().copied().map(name).collect();
     let degc = degc.iter().map(|d| kept.iter().filter_map(|&n| d[n]).collect()).collect();
-    Ok(ProbedSession { trips, sensors, degc, origin, seconds: began.elapsed().as_secs_f64() })
+    Ok(ProbingResult { trips, sensors, degc, origin, seconds: began.elapsed().as_secs_f64() })
 }
 
 /// Temperatures of each trip, in the order of the status's sensors.

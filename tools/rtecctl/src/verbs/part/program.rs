@@ -5,8 +5,10 @@ use super::points::positive;
 use super::{usage, write_all};
 use crate::prelude::*;
 use rtec_files::options::one_of;
-use rtec_part::path::{PathRole, read_pathfin};
-use rtec_part::program::{BUILT_IN, Controller, PARAMETERS, Parameters, ProbingProgram, date_time};
+use rtec_part::probe_path::{PathRole, read_pathfin};
+use rtec_part::probing_program::{
+    BUILT_IN, DialectWithTemplate, PARAMETERS, Parameters, ProbingProgramInputs, date_time,
+};
 use rtec_part::unit::Unit;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -78,8 +80,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let path_unit = args.path_units;
     let unit = args.units.unwrap_or(path_unit);
     let records = read_pathfin(path, path_unit)?;
-    let mut controller = match (&args.dialect_file, Controller::built_in(&args.dialect)) {
-        (Some(dialect), _) => Controller::read(dialect, args.template.as_deref().unwrap_or(dialect))?,
+    let mut controller = match (&args.dialect_file, DialectWithTemplate::built_in(&args.dialect)) {
+        (Some(dialect), _) => {
+            DialectWithTemplate::read(dialect, args.template.as_deref().unwrap_or(dialect))?
+        }
         (None, Some(built_in)) => built_in?,
         (None, None) => {
             let expected = format!("one of {}", list(BUILT_IN.iter().map(|b| b.0)));
@@ -110,7 +114,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let made = args.date.clone().map_or_else(|| Ok(date_time(now_s()?)), anyhow::Ok)?;
     let (controller, parameters, records) = (&controller, &parameters, &records);
     let (comments, made) = (args.comments == Comments::Full, made.as_str());
-    let job = ProbingProgram { controller, parameters, records, unit, comments, made };
+    let job = ProbingProgramInputs { controller, parameters, records, unit, comments, made };
     let text = job.text(args.template.as_deref().unwrap_or(Path::new("template.prb")))?;
     let name = parameters.file_name();
     write_all(&args.out, &[(&name, &text)])?;

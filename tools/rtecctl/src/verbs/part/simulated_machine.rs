@@ -4,7 +4,7 @@ use super::points::{checked, positive};
 use super::{usage, within};
 use crate::prelude::*;
 use rtec_model::machine::Machine;
-use rtec_part::path::ProbingMotion;
+use rtec_part::probe_path::ProbingMotion;
 use rtec_sim::lathe::{self, LatheSpec};
 use rtec_sim::turning::TurningExperiment;
 

@@ -4,9 +4,9 @@ use super::points::positive;
 use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_part::error_cor_file::FeatureErrors;
+use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc, csv};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::straight_table::StraightTable;
-use rtec_part::table::{AxisCounts, FinishArc, FinishTable, csv};
+use rtec_part::straight_table::StraightFinishTable;
 
 /// Turn part errors into the table of corrections for the finish cut
 #[derive(Debug, clap::Args)]
@@ -158,13 +158,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
         FeatureErrors::Line(errors) => {
             args.cut.is_of_no_arc()?;
-            let table = StraightTable { errors, axes, nose_mm, origin };
+            let table = StraightFinishTable { errors, axes, nose_mm, origin };
             let rows = table.rows(usize::from(args.between));
             let text = table.csv(&rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|_| table.straight_moves()))
         }
         FeatureErrors::Arc(errors) => {
-            let table = FinishTable::new(args.cut.cut()?, axes, errors);
+            let table = ArcFinishTable::new(args.cut.cut()?, axes, errors);
             let rows = table.rows(usize::from(args.between));
             let text = csv(&table, &rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))

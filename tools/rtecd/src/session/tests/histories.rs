@@ -35,7 +35,7 @@ use rtec_control::role::Role as Caller;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
-use rtec_rt::journal::{Journal, MachineRecord};
+use rtec_rt::journal::{Journal, MachineStateRecord};
 use rtec_rt::link::link;
 use rtec_rt::link_messages::{Fault, Faults};
 use rtec_rt::thread::SteppedLoop;
@@ -265,7 +265,7 @@ impl Life {
                 ..SensorConfig::believed(n, Role::Temperature)
             })
         };
-        let played = Buses::of(["T1", "T2"].map(sensor).to_vec());
+        let played = SensorThreads::of(["T1", "T2"].map(sensor).to_vec());
         let mut session = Session::by(time, self.config.clone(), set_up, played);
         session.watch_over(state_file.filter(|_| self.planted != Some(Planted::FileUnwatched)));
         session.today = || DAY.get();

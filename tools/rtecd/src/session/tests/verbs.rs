@@ -64,7 +64,7 @@ impl Hand {
         let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
         let set_up = set_up(&engine, false);
         let time = Rc::new(SystemClock(Clock::start()));
-        let session = Session::by(time, config, set_up, Buses::of(Vec::new()));
+        let session = Session::by(time, config, set_up, SensorThreads::of(Vec::new()));
         let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
         let running = spawn(engine, card, options).unwrap();
         Self { session, running, inputs, _directory: directory }

@@ -261,7 +261,10 @@ impl Life {
         if m.state_file.exists() {
             // A damaged record would be noticed, so a valid one is written.
             let (mut journal, _) = Journal::open(&m.state_file, &self.config.identity()).unwrap();
-            journal.record_machine(MachineRecord { held: None, hold_output: false, faults: Faults::NONE }, 0);
+            journal.record_machine(
+                MachineStateRecord { held: None, hold_output: false, faults: Faults::NONE },
+                0,
+            );
         }
     }
 

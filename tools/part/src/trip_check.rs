@@ -1,8 +1,8 @@
 //! Compares the probe's trips with the plan.
 //! Each point needs one trip, at the expected place.
 
-use crate::errors::sensor_column;
 use crate::geometric_fit::Zx;
+use crate::part_errors::sensor_column;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use serde::Serialize;
 use std::fmt::Write as _;

@@ -27,12 +27,12 @@ pub(crate) const WINDOW_COUNTS: i64 = 64;
 
 /// The control side of a simulation: checked sensors and the control law.
 #[derive(Debug)]
-pub(crate) struct Control {
+pub(crate) struct CorrectionControl {
     law: Corrector,
     watches: Vec<SensorMonitor>,
 }
 
-impl Control {
+impl CorrectionControl {
     /// The control side of a machine switched on at time 0.
     /// The law evaluates the model `lead_s` ahead.
     pub(crate) fn new(axes: Vec<AxisSetup>, channels: &[String], lead_s: f64) -> Self {
@@ -116,7 +116,7 @@ mod tests {
             window_counts: 50,
             max_counts: 1000,
         };
-        let mut control = Control::new(["x", "y", "z"].map(axis).to_vec(), &[], 0.02);
+        let mut control = CorrectionControl::new(["x", "y", "z"].map(axis).to_vec(), &[], 0.02);
         control.load(&Machine::read(&folder.join("machine.toml")).unwrap(), &[]).unwrap();
         let place = |name: &str| SENSORS.iter().position(|s| s.0 == name).unwrap();
         let mut degc = vec![20.0; SENSORS.len()];

@@ -21,7 +21,7 @@ const TELLING: [usize; 4] = [3, 4, 5, 6];
 /// Harmonics common to both directions of rotation, cosine and sine of each order.
 /// With one direction only smoothness separates them from reversals.
 #[derive(Clone)]
-pub(super) struct Structure {
+pub(super) struct UnexplainedHarmonics {
     /// Whether both directions of rotation were measured.
     pub(super) both_ways: bool,
     /// Columns over all rows.
@@ -48,7 +48,7 @@ pub(super) struct StructureVariance {
     pub(super) rms_um: f64,
 }
 
-impl Structure {
+impl UnexplainedHarmonics {
     /// Harmonics of these records, of `n` rows altogether.
     pub(super) fn of(traces: &[Trace], n: usize) -> Self {
         let angles = || traces.iter().flat_map(|t| t.angle.iter().copied());

@@ -3,7 +3,7 @@
 
 use super::{CardConfig, Config};
 use rtec_correct::Corrector;
-use rtec_files::keys::SourceFile;
+use rtec_files::keys::FileWithFindings;
 use rtec_files::message_text::quoted;
 use rtec_files::toml::{Document, Table};
 use rtec_files::trace::TraceReader;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// Findings and notes about what the configuration names.
 /// Findings are unusable files, or a model that this machine does not take. Notes are things that may come later,
 /// such as a sensor, and parts of a model without effect.
-pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config) {
+pub(super) fn look(source: &mut FileWithFindings<'_>, document: &Document<'_>, config: &mut Config) {
     let whole = source.findings.is_empty();
     model(source, document, config, whole);
     traces(source, document, config);
@@ -39,7 +39,7 @@ pub(super) fn look(source: &mut SourceFile<'_>, document: &Document<'_>, config:
 
 /// Prepares the model that runs from the start, as the daemon does.
 /// Only if the rest of the configuration is free of mistakes (`whole`).
-fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Config, whole: bool) {
+fn model(source: &mut FileWithFindings<'_>, document: &Document<'_>, config: &mut Config, whole: bool) {
     let Some(file) = &config.model.file else { return };
     let entry = document.root().get("model").and_then(|e| e.as_table()).and_then(|t| t.get("file"));
     let at = entry.map_or(0, |e| e.offset());
@@ -65,7 +65,7 @@ fn model(source: &mut SourceFile<'_>, document: &Document<'_>, config: &mut Conf
 }
 
 /// Checks the traces of a card that replays.
-fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config) {
+fn traces(source: &mut FileWithFindings<'_>, document: &Document<'_>, config: &Config) {
     let CardConfig::Replay { traces } = &config.card else { return };
     let tables = document.root().get("axis").and_then(|e| e.tables("[[axis]] tables").ok());
     let named = tables.iter().flatten().filter_map(|table| table.get("trace"));
@@ -81,7 +81,7 @@ fn traces(source: &mut SourceFile<'_>, document: &Document<'_>, config: &Config)
 }
 
 /// Checks a recording to replay: a run record that the daemon can read.
-fn recording(source: &mut SourceFile<'_>, table: &Table<'_>, record: &Path, column: &str) {
+fn recording(source: &mut FileWithFindings<'_>, table: &Table<'_>, record: &Path, column: &str) {
     let at = table.get("record").map_or(0, |e| e.offset());
     let read = match rtec_records::record::read_log(record) {
         Ok(read) => read,

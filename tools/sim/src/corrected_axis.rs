@@ -2,7 +2,7 @@
 //!
 //! | design | implemented by |
 //! |---|---|
-//! | Original RTEC, Design A (NISTIR 4832) | [`crate::full_cycle::FullCycle`] |
+//! | Original RTEC, Design A (NISTIR 4832) | [`crate::full_cycle::FullCycleCorrector`] |
 //! | Design B (NISTIR 4832) | [`crate::design_b::DesignB`] |
 //! | Design C (NISTIR 4832) | [`rtec_rt::engine::Engine`], which is the one that corrects machines |
 //! | Error Correction Circuit (CMTI 2014) | [`crate::ecc::Ecc`] |
@@ -86,7 +86,7 @@ pub trait CorrectedAxis {
     /// Time of the last poll on the card's clock, ns.
     fn now_ns(&self) -> u64;
 
-    /// Largest deviation of split pulses from 90°, and shortest and longest time of a pulse, ns.
+    /// Largest deviation of split pulses from 90°, and range of a pulse's time, ns.
     fn split_pulses(&self) -> (f64, Option<(u64, u64)>) {
         (0.0, None)
     }

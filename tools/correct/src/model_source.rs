@@ -2,7 +2,9 @@
 //! From the sensors it gives each axis's error, or why the error is unknown.
 
 use rtec_files::InputError;
-use rtec_model::effect::{Difference, Effect, Naming, RequiredInput, STANDARD_DEGC, ThermalDependence};
+use rtec_model::effect::{
+    Effect, Naming, RequiredInput, STANDARD_DEGC, TemperatureDifference, ThermalDependence,
+};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role, span};
@@ -196,10 +198,12 @@ fn places(
 /// The parts of a model that read a sensor or channel of this name.
 fn readers(machine: &Machine, name: &str) -> Vec<String> {
     let reads = |e: &&Effect| {
-        e.delta.iter().flat_map(Difference::sensors).any(|s| s == name) || e.channel() == Some(name)
+        e.delta.iter().flat_map(TemperatureDifference::sensors).any(|s| s == name)
+            || e.channel() == Some(name)
     };
     let mut readers: Vec<String> = machine.effects().filter(reads).map(Effect::name).collect();
-    let mut of_chain = machine.chain().into_iter().flat_map(|c| c.deltas().flat_map(Difference::sensors));
+    let mut of_chain =
+        machine.chain().into_iter().flat_map(|c| c.deltas().flat_map(TemperatureDifference::sensors));
     if of_chain.any(|s| s == name) {
         readers.push("the chain".to_owned());
     }
@@ -267,7 +271,11 @@ fn reads(machine: &Machine, axes: &[Axis], watches: &[SensorMonitor]) -> Vec<Vec
     let mut reads = vec![Vec::new(); axes.len()];
     for (n, effect) in acting(machine, axes) {
         reads[n].extend(
-            effect.delta.iter().flat_map(Difference::sensors).filter_map(|name| of_name(watches, name)),
+            effect
+                .delta
+                .iter()
+                .flat_map(TemperatureDifference::sensors)
+                .filter_map(|name| of_name(watches, name)),
         );
         reads[n].extend(effect.channel().and_then(|name| of_name(watches, name)));
         let roles = effect.description().needs.iter().map(|need| need.role(effect.axes()));
@@ -275,7 +283,7 @@ fn reads(machine: &Machine, axes: &[Axis], watches: &[SensorMonitor]) -> Vec<Vec
         reads[n].extend(others.filter_map(|r| of_role(watches, &r)));
     }
     if let Some(chain) = machine.chain() {
-        let sensors = chain.deltas().flat_map(Difference::sensors);
+        let sensors = chain.deltas().flat_map(TemperatureDifference::sensors);
         let read: Vec<usize> = sensors.filter_map(|name| of_name(watches, name)).collect();
         for (n, axis) in axes.iter().enumerate() {
             if ["x", "y", "z"].contains(&axis.as_str()) {

@@ -2,7 +2,7 @@
 //! It is made from a template, named parameters and the probe's moves.
 
 use crate::geometric_fit::Zx;
-use crate::path::{PathPoint, PathRole};
+use crate::probe_path::{PathPoint, PathRole};
 use crate::unit::Unit;
 use rtec_files::toml::Document;
 use rtec_files::{InputError, date};
@@ -45,7 +45,7 @@ pub struct Dialect {
 
 /// A dialect with its template.
 #[derive(Debug, Clone)]
-pub struct Controller {
+pub struct DialectWithTemplate {
     /// The format of its programs.
     pub dialect: Dialect,
     /// `template.prb`, copied unchanged except for `$n` and `@n`.
@@ -205,7 +205,7 @@ impl Parameters {
     }
 }
 
-impl Controller {
+impl DialectWithTemplate {
     /// A built-in dialect.
     /// `None` if there is none of this name.
     ///
@@ -233,9 +233,9 @@ impl Controller {
 
 /// The inputs of an NC probing program.
 #[derive(Debug, Clone)]
-pub struct ProbingProgram<'a> {
+pub struct ProbingProgramInputs<'a> {
     /// The controller that it is for.
-    pub controller: &'a Controller,
+    pub controller: &'a DialectWithTemplate,
     /// Values of the template's `$n`.
     pub parameters: &'a Parameters,
     /// The probe's path, record by record.
@@ -249,7 +249,7 @@ pub struct ProbingProgram<'a> {
     pub made: &'a str,
 }
 
-impl ProbingProgram<'_> {
+impl ProbingProgramInputs<'_> {
     /// The text of the program.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 //! The corrected axes of a simulated machine, by engine or full-cycle design.
 
-use crate::full_cycle::FullCycle;
-use crate::insertion::{CardResult, CorrectedAxis as _, EventSink, GateDesign};
+use crate::corrected_axis::{CardResult, CorrectedAxis as _, EventSink, GateDesign};
+use crate::full_cycle::FullCycleCorrector;
 use rtec_driver::card::{Card, MachineLines};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
@@ -9,12 +9,12 @@ use rtec_rt::link_messages::{Request, Status};
 
 /// The corrected axes of a simulated machine, for any gate design.
 #[derive(Debug)]
-pub(crate) enum CorrectedMachine {
+pub(crate) enum GateCorrectedAxes {
     C(Box<Engine>),
-    FullCycle(FullCycle),
+    FullCycle(FullCycleCorrector),
 }
 
-impl CorrectedMachine {
+impl GateCorrectedAxes {
     /// Takes over the card in its present state.
     /// It homes axis `n` at `origins[n]` and enables corrections.
     pub(crate) fn new<C: Card>(
@@ -26,7 +26,8 @@ impl CorrectedMachine {
         report: &mut impl EventSink,
     ) -> Result<Self, StartError> {
         if design != GateDesign::C {
-            return FullCycle::new(design, card, configs, lines, |n| origins[n]).map(Self::FullCycle);
+            return FullCycleCorrector::new(design, card, configs, lines, |n| origins[n])
+                .map(Self::FullCycle);
         }
         let mut engine = Engine::new(card, configs, MachineConfig { lines, may_arm: true }, &[])?;
         engine.start_homed_at(card, |n| origins[n], report)?;

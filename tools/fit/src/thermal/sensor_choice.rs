@@ -5,7 +5,7 @@ use super::problem::Problem;
 use super::term::pair_of;
 use crate::denoise;
 use rtec_files::InputError;
-use rtec_model::effect::Difference;
+use rtec_model::effect::TemperatureDifference;
 use rtec_model::record::{Record, Role};
 
 /// The temperature differences that [`super::fit`] selects for a response.
@@ -18,12 +18,12 @@ pub fn select_differences(
     train: &[&Record],
     response: &Role,
     options: &Options,
-) -> Result<Vec<Difference>, InputError> {
+) -> Result<Vec<TemperatureDifference>, InputError> {
     let quiet: Vec<Record> = train.iter().map(|r| denoise::temperatures(r)).collect();
     let problem = Problem::new(&quiet.iter().collect::<Vec<_>>(), response, options)?;
     let all: Vec<usize> = (0..problem.folds).collect();
     let terms = problem.select(&all).map_or_else(Vec::new, |s| s.structure.terms);
-    let mut out: Vec<Difference> = Vec::new();
+    let mut out: Vec<TemperatureDifference> = Vec::new();
     for pair in terms.iter().filter_map(|t| pair_of(*t)) {
         let difference = problem.difference(pair);
         if !out.contains(&difference) {

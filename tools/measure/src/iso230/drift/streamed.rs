@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 const PIECE_ROWS: usize = 4096;
 
 /// A drift test on file after its first pass.
-pub(crate) struct LongDrift {
+pub(crate) struct StreamedDrift {
     path: PathBuf,
     pieces: RecordPieceReader,
     /// The record with its first rows only.
@@ -65,7 +65,7 @@ impl Usual {
 /// Distance from usual at which 85 or 0 °C is an error code, K.
 const UNUSUAL_K: f64 = 15.0;
 
-impl LongDrift {
+impl StreamedDrift {
     /// Reads a record of more than `more_than` rows; `None` for a shorter one.
     /// Also `None` if an axis moves, because its positions are grouped over all rows.
     pub(crate) fn of(path: &Path, more_than: usize) -> Result<Option<Self>> {

@@ -4,11 +4,11 @@
 use crate::contour::folded_deg;
 use crate::error_cor_file::{PointError, error_cor, turned_near};
 use crate::geometric_fit::{self, FitError, FitShape, FittedShape, RobustFit, TwoStepFit, Zx, sequence};
-use crate::path::{PathPoint, touches};
+use crate::probe_path::{PathPoint, touches};
 use crate::repeats::{self, RepeatedTouches};
 use crate::svg::Svg;
 use crate::written_step::written_step_mm;
-use rtec_files::{Columns, InputError, Sheet};
+use rtec_files::{ColumnAssignment, CsvTable, InputError};
 use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
@@ -26,7 +26,7 @@ pub const MAGNIFICATION: f64 = 250.0;
 /// The recorded points: the centre of the probe's tip at each trip.
 #[derive(Debug, Clone)]
 pub struct ProbedPoints {
-    sheet: Sheet,
+    sheet: CsvTable,
     /// Centre of the tip, in mm.
     pub tip_centre: Vec<Zx>,
     /// Unit direction of motion at the trip, if recorded.
@@ -76,7 +76,7 @@ pub struct RobustSummary {
 
 /// The result of the fit. SDs are sample standard deviations (divisor n − 1).
 #[derive(Debug, Clone, Serialize)]
-pub struct ErrorReport {
+pub struct PartErrorReport {
     /// The fitted shape: `circle` or `line`.
     pub feature: &'static str,
     /// Number of probed points.
@@ -153,9 +153,9 @@ impl ProbedPoints {
     /// for the off-line correction.
     ///
     /// # Errors
-    /// As [`Sheet::read`]; a direction without length; one approach column without the other.
+    /// As [`CsvTable::read`]; a direction without length; one approach column without the other.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        Self::of(Sheet::read(file, &COLUMNS, is_sensor)?)
+        Self::of(CsvTable::read(file, &COLUMNS, is_sensor)?)
     }
 
     /// As [`ProbedPoints::read`], with columns that the user has assigned.
@@ -164,8 +164,8 @@ impl ProbedPoints {
     /// # Errors
     /// As [`ProbedPoints::read`]; an invalid word, a column that is missing.
     pub fn read_columns(file: &Path, columns: &[String]) -> Result<Self, InputError> {
-        let columns = Columns::parse(columns, &COLUMNS, is_sensor)?;
-        Self::of(Sheet::read_columns(file, &COLUMNS, is_sensor, &columns)?)
+        let columns = ColumnAssignment::parse(columns, &COLUMNS, is_sensor)?;
+        Self::of(CsvTable::read_columns(file, &COLUMNS, is_sensor, &columns)?)
     }
 
     /// As [`ProbedPoints::read`], from text already in memory; `file` only names it.
@@ -173,10 +173,10 @@ impl ProbedPoints {
     /// # Errors
     /// As [`ProbedPoints::read`].
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
-        Self::of(Sheet::parse(file, text, &COLUMNS, is_sensor)?)
+        Self::of(CsvTable::parse(file, text, &COLUMNS, is_sensor)?)
     }
 
-    fn of(sheet: Sheet) -> Result<Self, InputError> {
+    fn of(sheet: CsvTable) -> Result<Self, InputError> {
         let pair = |z: &str, x: &str| -> Result<Vec<Zx>, InputError> {
             Ok(sheet.numbers(z)?.into_iter().zip(sheet.numbers(x)?).map(|(z, x)| Zx::new(z, x)).collect())
         };
@@ -360,7 +360,7 @@ impl ProbedPoints {
 
     /// Mean distance of the points outside the expected ones, along the normals, µm.
     /// For a straight feature this is its constant error, which its form does not include.
-    pub fn outside_um(&self, report: &ErrorReport, expected: &[Zx]) -> Option<f64> {
+    pub fn outside_um(&self, report: &PartErrorReport, expected: &[Zx]) -> Option<f64> {
         let FittedShape::Line { normal, .. } = report.outline else { return None };
         // Each point's distance less its error is the distance of the fitted line. The mean of all would be
         // shifted by a bump.
@@ -377,7 +377,7 @@ impl ProbedPoints {
     ///
     /// # Errors
     /// Too few or degenerate points; approaches from both sides of the surface or along it.
-    pub fn errors(&self, nominal: NominalShape, tip_mm: f64) -> Result<ErrorReport, InputError> {
+    pub fn errors(&self, nominal: NominalShape, tip_mm: f64) -> Result<PartErrorReport, InputError> {
         self.fitted(nominal, tip_mm, |shape, points, robust, repeats| {
             let least_um = written_step_mm(&coordinates(points)).map_or(0.0, |mm| 1e3 * mm / 12f64.sqrt());
             let rejected = match repeats {
@@ -399,7 +399,11 @@ impl ProbedPoints {
     ///
     /// # Errors
     /// As [`ProbedPoints::errors`].
-    pub fn errors_by_report(&self, nominal: NominalShape, tip_mm: f64) -> Result<ErrorReport, InputError> {
+    pub fn errors_by_report(
+        &self,
+        nominal: NominalShape,
+        tip_mm: f64,
+    ) -> Result<PartErrorReport, InputError> {
         self.fitted(nominal, tip_mm, |shape, points, _, _| geometric_fit::two_step(shape, points))
     }
 
@@ -408,7 +412,7 @@ impl ProbedPoints {
         nominal: NominalShape,
         tip_mm: f64,
         second_fit: impl Fn(FitShape, &[Zx], &RobustFit, Option<&RepeatedTouches>) -> Result<TwoStepFit, FitError>,
-    ) -> Result<ErrorReport, InputError> {
+    ) -> Result<PartErrorReport, InputError> {
         let shape = match nominal {
             NominalShape::Circle { .. } => FitShape::Circle,
             NominalShape::Line { .. } => FitShape::Line,
@@ -463,7 +467,7 @@ impl ProbedPoints {
             }
         };
         let known = standard_errors(&two.fitted, &kept);
-        Ok(ErrorReport {
+        Ok(PartErrorReport {
             feature: if shape == FitShape::Circle { "circle" } else { "line" },
             points: points.len(),
             tip_mm,
@@ -684,7 +688,7 @@ pub(crate) struct Whiskers {
     size_mm: f64,
 }
 
-impl ErrorReport {
+impl PartErrorReport {
     /// The text of `error.cor`.
     /// An arc is by angle, as in the report. A straight feature has one angle and five numbers per line:
     /// angle (rad), error (µm), place along it (mm), and the surface's Z and X there (mm). With `with_size`

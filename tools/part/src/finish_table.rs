@@ -120,7 +120,7 @@ pub(crate) fn interpolated<T>(points: &[T], of: impl Fn(&T) -> (f64, f64), at: f
 
 /// Errors by angle, ready for the finish cut.
 #[derive(Debug, Clone)]
-pub struct FinishTable {
+pub struct ArcFinishTable {
     /// The arc that is cut.
     pub cut: FinishArc,
     /// The counts of Z and of X.
@@ -128,7 +128,7 @@ pub struct FinishTable {
     errors: Vec<PointError>,
 }
 
-impl FinishTable {
+impl ArcFinishTable {
     /// A table from the errors of the semi-finish cut.
     /// Their angles ascend, as [`crate::error_cor_file::read_arc`] reads them.
     pub fn new(cut: FinishArc, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
@@ -244,7 +244,7 @@ const HEADER: &str = "angle_rad,error_um,part_z_mm,part_x_mm,machine_z_mm,machin
 /// The table as CSV.
 /// `lead_mm` is the distance before each position, along the cut, at which its totals are sent. The cut runs
 /// towards larger angles, or with `backwards` towards smaller ones.
-pub fn csv(table: &FinishTable, rows: &[FinishCorrectionRow], lead_mm: f64, backwards: bool) -> String {
+pub fn csv(table: &ArcFinishTable, rows: &[FinishCorrectionRow], lead_mm: f64, backwards: bool) -> String {
     let lead_rad = lead_mm / (table.cut.radius_mm + table.cut.nose_mm) * if backwards { 1.0 } else { -1.0 };
     csv_of(rows, |r| table.cut.machine_at(r.angle_rad + lead_rad))
 }

@@ -1,7 +1,7 @@
 //! Laws without state or shape parameter.
 //! Each is a function of what is read, times one parameter (or two).
 
-use super::{Basis, Effect, Input, Law, LawDescription, Out, State};
+use super::{Basis, Effect, EffectState, Input, Law, LawDescription, Out};
 
 /// A law whose parameters are all linear.
 #[derive(Debug)]
@@ -15,7 +15,7 @@ impl Law for Linear {
         &self.description
     }
 
-    fn basis(&self, _: &Effect, now: &Input, component: usize, _: &mut State, out: Out<'_>) {
+    fn basis(&self, _: &Effect, now: &Input, component: usize, _: &mut EffectState, out: Out<'_>) {
         (self.basis)(now, component, out);
     }
 

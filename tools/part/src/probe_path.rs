@@ -6,7 +6,7 @@ use crate::error_cor_file::MOST_MM;
 use crate::geometric_fit::Zx;
 use crate::svg::Svg;
 use crate::unit::Unit;
-use rtec_files::{InputError, Sheet};
+use rtec_files::{CsvTable, InputError};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -55,7 +55,7 @@ impl ProbingMotion {
 
 /// The stylus behind the tip, a straight rod.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stem {
+pub struct StylusStem {
     /// Length from the tip's centre.
     pub length_mm: f64,
     /// Radius of the rod.
@@ -74,7 +74,7 @@ pub struct ProbeGeometry {
     /// Travel from the trip to the end of the touch.
     pub over_travel_mm: f64,
     /// Its stylus, if collisions of it count.
-    pub stem: Option<Stem>,
+    pub stem: Option<StylusStem>,
 }
 
 /// A gauging point and the path of the probe to it.
@@ -165,7 +165,7 @@ impl ProbingPlan {
     /// # Errors
     /// A bad file, or a point further than `off_mm` from the contour.
     pub fn add_file(&mut self, contour: &Contour, file: &Path, off_mm: f64) -> Result<(), InputError> {
-        let sheet = Sheet::read(file, &["z_mm", "x_mm"], |_| false)?;
+        let sheet = CsvTable::read(file, &["z_mm", "x_mm"], |_| false)?;
         for (row, (z, x)) in sheet.numbers("z_mm")?.into_iter().zip(sheet.numbers("x_mm")?).enumerate() {
             let p = Zx::new(z, x);
             match contour.nearest(p) {
