@@ -56,6 +56,13 @@ pub fn orthonormal(columns: DMatrix<f64>) -> DMatrix<f64> {
     if columns.ncols() == 0 { columns } else { columns.qr().q() }
 }
 
+/// What remains of a column after projection on orthonormal ones.
+/// Not generic, so that it is compiled in this crate only.
+pub fn projected_out(orthonormal: &DMatrix<f64>, column: DVector<f64>) -> DVector<f64> {
+    let along = orthonormal * orthonormal.tr_mul(&column);
+    column - along
+}
+
 /// Orthonormal directions of what remains of columns after projection on others.
 /// Directions with less than `share` of the largest are left out.
 pub fn principal(columns: &DMatrix<f64>, beside: DMatrix<f64>, share: f64) -> Vec<DVector<f64>> {

@@ -12,7 +12,7 @@ pub mod directions;
 pub mod factor;
 pub mod solution;
 
-pub use directions::{Directions, orthonormal, principal, projected_eigen};
+pub use directions::{Directions, orthonormal, principal, projected_eigen, projected_out};
 pub use factor::{Factor, add, dot, products_beside};
 pub use solution::{Solution, compress_rows, solve};
 

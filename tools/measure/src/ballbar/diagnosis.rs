@@ -10,7 +10,7 @@ use crate::export::each_once;
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::Result;
-use rtec_least_squares::{Directions, orthonormal};
+use rtec_least_squares::{Directions, orthonormal, projected_out};
 use rtec_model::ballbar_circle::{rates, tick};
 use rtec_model::effect::{Dictionary, Effect, EffectColumns, laws};
 use rtec_model::record::{Axis, Role, median, rounding_error};
@@ -522,9 +522,7 @@ impl<'t> Fit<'t> {
 
     /// Whitens a column and projects out the columns beside the terms.
     pub(super) fn white(&self, column: &DVector<f64>) -> DVector<f64> {
-        let own = self.whitened(column);
-        let beside = &self.beside_white * self.beside_white.tr_mul(&own);
-        own - beside
+        projected_out(&self.beside_white, self.whitened(column))
     }
 
     pub(super) fn whitened(&self, column: &DVector<f64>) -> DVector<f64> {

@@ -3,7 +3,7 @@
 use super::diagnosis::{Fit, columns_of};
 use super::{law, unexplained_structure};
 use nalgebra::{DMatrix, DVector};
-use rtec_least_squares::{Factor, orthonormal};
+use rtec_least_squares::{Factor, orthonormal, projected_out};
 use rtec_model::effect::{Dictionary, Effect, laws};
 use rtec_model::record::{Axis, median, span};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -141,8 +141,7 @@ impl Fit<'_> {
 
     /// A whitened column less its part along the basis `q`.
     pub(super) fn apart(&self, q: &DMatrix<f64>, column: &DVector<f64>) -> DVector<f64> {
-        let c = self.white(column);
-        &c - q * q.tr_mul(&c)
+        projected_out(q, self.white(column))
     }
 
     fn prepared(&self) -> (DMatrix<f64>, DVector<f64>, f64) {
