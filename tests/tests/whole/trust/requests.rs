@@ -91,7 +91,8 @@ fn who_goes_away_during_a_load_leaves_nothing_behind() {
         loader.say(&loads(&at("slow.toml")));
         loader.0.get_ref().shutdown(std::net::Shutdown::Write).unwrap();
         answer = loader.hear();
-        answer["refused"]["why"] != "loading"
+        // On a busy machine a load may take longer than is allowed, and is asked for again.
+        ["loading", "too_long"].iter().all(|why| answer["refused"]["why"] != *why)
     });
     assert!(answer["model_preview"].is_object() || answer["bad"].is_object(), "{answer}");
     until("its place is free", || connected() == 0);
