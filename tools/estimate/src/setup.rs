@@ -459,13 +459,15 @@ pub fn unknown_centre_columns(rows: &Rows<'_>, effect: &Effect, sizes: &[f64]) -
     out
 }
 
+/// The same circle about another centre.
+fn about(record: &Record, centre_mm: [f64; 2]) -> Option<Record> {
+    let circle = record.circle()?.clone();
+    record.clone().with_circle(Circle { centre_mm: Some(centre_mm), ..circle }).ok()
+}
+
 /// The same circle, moved along each of its axes.
 fn elsewhere(record: &Record) -> Vec<Record> {
-    let Some(circle) = record.circle() else { return Vec::new() };
-    let at = |centre: [f64; 2]| {
-        record.clone().with_circle(Circle { centre_mm: Some(centre), ..circle.clone() }).ok()
-    };
-    [[PLACE_MM, 0.0], [0.0, PLACE_MM]].into_iter().filter_map(at).collect()
+    [[PLACE_MM, 0.0], [0.0, PLACE_MM]].into_iter().filter_map(|centre| about(record, centre)).collect()
 }
 
 /// A map of the model in circles of unknown centre, at one standard deviation.
@@ -497,8 +499,7 @@ fn somewhere_within(
         for i in 0..CIRCLE_PLACES {
             let mut centre = [0.0; 2];
             centre[side] = middle + reach * ((2 * i + 1) as f64 / CIRCLE_PLACES as f64 - 1.0);
-            let there = record.clone().with_circle(Circle { centre_mm: Some(centre), ..circle.clone() });
-            let Ok(there) = there else { continue };
+            let Some(there) = about(record, centre) else { continue };
             let Ok(bound) = map.bind(&there) else { continue };
             let mut basis = vec![0.0; record.rows() * map.coefficient_count()];
             bound.basis(map, *component, &mut basis);

@@ -20,6 +20,7 @@ mod siemens;
 mod siemens_cec;
 pub mod user_format;
 
+use crate::each_once;
 use rtec_files::{InputError, Result, nearest};
 use rtec_model::effect::{Effect, Naming, Quantity, RequiredInput, TemperatureDifference};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
@@ -383,17 +384,6 @@ fn acts_on(effect: &Effect, axis: &Axis) -> bool {
     let description = effect.description();
     let components = if description.naming == Naming::Pair { 2 } else { 1 };
     description.quantity == Quantity::Error && effect.axes().iter().take(components).any(|a| a == axis)
-}
-
-/// All in order, those that come again left out.
-pub(crate) fn each_once<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
-    let mut kept = Vec::new();
-    for one in all {
-        if !kept.contains(&one) {
-            kept.push(one);
-        }
-    }
-    kept
 }
 
 /// The axes with errors in a model.

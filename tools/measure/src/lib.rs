@@ -38,3 +38,14 @@ pub use rtec_records::{record, spool};
 
 /// Where messages for people go.
 pub type Sink<'s> = &'s mut dyn FnMut(rtec_files::InputNotice);
+
+/// All in order, those that come again left out.
+pub(crate) fn each_once<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut kept = Vec::new();
+    for one in all {
+        if !kept.contains(&one) {
+            kept.push(one);
+        }
+    }
+    kept
+}

@@ -6,7 +6,7 @@
 
 use super::unexplained_structure::{self, StructureVariance, UnexplainedHarmonics};
 use super::{ByAxis, Trace, law};
-use crate::export::each_once;
+use crate::each_once;
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::Result;
