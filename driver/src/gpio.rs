@@ -333,7 +333,7 @@ fn read_levels(file: &File, lines: usize) -> Result<u64, CardError> {
 
 /// Numbers of the latest edges, as the kernel counts them; a gap is a lost edge.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Numbering {
+struct EdgeSequenceNumbers {
     /// Edges of the request so far.
     /// The kernel counts them in its interrupt, so that a merged one leaves a gap.
     all: u32,
@@ -342,7 +342,7 @@ struct Numbering {
     line: Box<[u32]>,
 }
 
-impl Numbering {
+impl EdgeSequenceNumbers {
     /// Takes the numbers of an edge of line `n`; returns what a gap before it means.
     fn next(&mut self, n: usize, all: u32, line: u32) -> Option<CardFaultKind> {
         let merged = all != self.all.wrapping_add(1);
@@ -373,7 +373,7 @@ struct Inputs {
     /// Those of `edges` whose level an edge has already set.
     /// The next edge of such a line must change its level.
     known: u64,
-    numbering: Numbering,
+    numbering: EdgeSequenceNumbers,
     /// Edges read from the kernel: `queued` of them, of which `shown` are shown.
     queue: Box<[u64]>,
     queued: usize,
@@ -636,7 +636,7 @@ fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
             mask: mask(false),
             edges: if setup.events { mask(true) } else { 0 },
             known: 0,
-            numbering: Numbering { all: 0, line: vec![0; lines.len()].into() },
+            numbering: EdgeSequenceNumbers { all: 0, line: vec![0; lines.len()].into() },
             lines: lines.iter().map(|(offset, i)| (*offset, i.bit)).collect(),
             queue: vec![0; if setup.events { BATCH * EDGE_WORDS } else { 0 }].into(),
             queued: 0,
@@ -742,7 +742,7 @@ mod tests {
             mask: 0b11,
             edges: 0b11,
             known: 0,
-            numbering: Numbering { all: 0, line: [0, 0].into() },
+            numbering: EdgeSequenceNumbers { all: 0, line: [0, 0].into() },
             queue: queue.into(),
             queued: edges.len(),
             shown: 0,
@@ -785,7 +785,7 @@ mod tests {
 
     #[test]
     fn numbers_wrap() {
-        let mut n = Numbering { all: u32::MAX, line: [u32::MAX, 7].into() };
+        let mut n = EdgeSequenceNumbers { all: u32::MAX, line: [u32::MAX, 7].into() };
         assert_eq!(n.next(0, 0, 0), None);
         assert_eq!(n.next(1, 1, 8), None);
     }

@@ -41,7 +41,7 @@ pub struct Register {
 
 /// A line's place in the card's input or output word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum WordBit {
+pub enum IoBit {
     /// Bit of the input word.
     Input(u8),
     /// Bit of the output word.
@@ -59,7 +59,7 @@ pub struct RegisterWrite {
 
 /// One bit of a register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Flag {
+pub struct RegisterBit {
     /// The register.
     pub register: Register,
     /// The bit.
@@ -86,9 +86,9 @@ pub struct Counter {
     /// Written before the count is read.
     pub latch: Option<RegisterWrite>,
     /// The counter has overflowed.
-    pub overflow: Option<Flag>,
+    pub overflow: Option<RegisterBit>,
     /// The card's decoder has seen an illegal transition.
-    pub error: Option<Flag>,
+    pub error: Option<RegisterBit>,
     /// Written after a flag was seen.
     pub clear: Option<RegisterWrite>,
 }
@@ -137,7 +137,7 @@ pub struct CardProfile {
     /// Output bits that are active low.
     pub output_invert: u64,
     /// The lines by name.
-    pub lines: BTreeMap<String, WordBit>,
+    pub lines: BTreeMap<String, IoBit>,
     /// Location on the PCI bus.
     pub pci: Option<PciBarSpec>,
     /// Registers to be set before use.
@@ -161,8 +161,8 @@ impl CardProfile {
     /// 32 inputs `in0`… are at byte 0, 32 outputs `out0`… at byte 4.
     pub fn shared_memory() -> Self {
         let register = |offset| vec![Register { offset, width: Width::Bits32 }];
-        let inputs = (0..32).map(|bit| (format!("in{bit}"), WordBit::Input(bit)));
-        let outputs = (0..32).map(|bit| (format!("out{bit}"), WordBit::Output(bit)));
+        let inputs = (0..32).map(|bit| (format!("in{bit}"), IoBit::Input(bit)));
+        let outputs = (0..32).map(|bit| (format!("out{bit}"), IoBit::Output(bit)));
         Self {
             name: "shared-memory test card".to_owned(),
             source: "this project: inputs at byte 0, outputs at byte 4, little-endian. On the PCI bus it is QEMU's \
@@ -201,8 +201,8 @@ mod tests {
     fn the_test_card_has_its_lines() {
         let p = CardProfile::shared_memory();
         assert_eq!((p.size(), p.lines.len()), (8, 64));
-        assert_eq!(p.lines["in3"], WordBit::Input(3));
-        assert_eq!(p.lines["out31"], WordBit::Output(31));
+        assert_eq!(p.lines["in3"], IoBit::Input(3));
+        assert_eq!(p.lines["out31"], IoBit::Output(31));
     }
 
     /// A mapping reaches to the last register used, of whatever kind.
@@ -210,7 +210,7 @@ mod tests {
     fn a_mapping_holds_the_registers_of_set_up_and_counters_too() {
         let register = |offset| Register { offset, width: Width::Bits16 };
         let order = |offset| RegisterWrite { register: register(offset), value: 1 };
-        let flag = |offset| Flag { register: register(offset), bit: 0 };
+        let flag = |offset| RegisterBit { register: register(offset), bit: 0 };
         let counter = Counter {
             lines: (0, 1),
             count: register(0x10),

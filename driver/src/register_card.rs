@@ -2,7 +2,7 @@
 
 use crate::card::{Card, CardError, CardFault, CardFaultKind, Sample};
 use crate::clock::Clock;
-use crate::profile::{CardProfile, Counter, Flag, Register, RegisterPreset, RegisterWrite, Width};
+use crate::profile::{CardProfile, Counter, Register, RegisterBit, RegisterPreset, RegisterWrite, Width};
 
 /// Access to registers.
 /// An implementation that cannot fail costs nothing.
@@ -213,7 +213,7 @@ impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
         order.map_or(Ok(()), |o| self.bus.write(o.register.offset, o.register.width, o.value))
     }
 
-    fn flag(&self, flag: Option<Flag>) -> Result<bool, CardError> {
+    fn flag(&self, flag: Option<RegisterBit>) -> Result<bool, CardError> {
         flag.map_or(Ok(false), |f| Ok(self.bus.read(f.register.offset, f.register.width)? >> f.bit & 1 != 0))
     }
 
@@ -332,8 +332,8 @@ mod tests {
             lines: (2 * n, 2 * n + 1),
             count: at(12 + 4 * usize::from(n)),
             latch: Some(RegisterWrite { register: at(8), value: 1 << n }),
-            overflow: Some(Flag { register: at(20), bit: 2 * n }),
-            error: Some(Flag { register: at(20), bit: 2 * n + 1 }),
+            overflow: Some(RegisterBit { register: at(20), bit: 2 * n }),
+            error: Some(RegisterBit { register: at(20), bit: 2 * n + 1 }),
             clear: Some(RegisterWrite { register: at(20), value: 3 << (2 * n) }),
         };
         let profile = CardProfile { counters: vec![counter(0), counter(1)], ..CardProfile::shared_memory() };

@@ -1,6 +1,6 @@
 //! One axis between two edges: insertion, ledger, belief, homing, probe capture.
 
-use crate::gate::{GateInput, SpeedGate};
+use crate::gate::{SpeedGate, SpeedGateConfig};
 use crate::link_messages::{AxisStatus, EventKind, Fault, Faults, InsertionStatus, ProbeCapture, Refusal};
 use rtec_driver::card::{AxisLines, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
@@ -90,7 +90,7 @@ impl AxisConfig {
     /// Time needed: detection + the MTC's separation after the edge + the inversions, each with its write and the
     /// separation behind it + guard.
     pub fn gate(&self) -> Option<SpeedGate> {
-        SpeedGate::new(GateInput {
+        SpeedGate::new(SpeedGateConfig {
             max_accel_counts_s2: self.max_accel_counts_s2,
             hysteresis_counts: self.hysteresis_counts,
             need_ns: (self.detect_ns + self.min_separation_ns + self.busy_ns()).max(1),
@@ -156,7 +156,7 @@ struct UnconfirmedInversion {
 
 /// An inversion to be written at this look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Inversion {
+pub(crate) struct InversionCommand {
     /// The inverter to be toggled: 1 A, 2 B.
     pub inverter: u8,
     /// Time from the look that saw the edge, ns, if this inversion ends an insertion.
@@ -165,9 +165,9 @@ pub(crate) struct Inversion {
 
 /// When an axis acts next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Due {
+enum NextAction {
     /// Invert at this look.
-    Now(Inversion),
+    Now(InversionCommand),
     /// Nothing before this time, ns, unless a line changes.
     At(u64),
 }
@@ -308,7 +308,7 @@ pub(crate) struct AxisEngine {
     wake_ns: u64,
     /// An edge only has to be counted.
     /// No insertion is open, pending or due, and only totals were requested since the last full look.
-    calm: bool,
+    count_only: bool,
     /// Masks in the input word: all lines of the axis, A alone, A and B.
     input_mask: u64,
     a_mask: u64,
@@ -319,7 +319,7 @@ pub(crate) struct AxisEngine {
     scale_inputs: u64,
     /// Line and signal that change at the next count in the last direction.
     /// The line is a mask in the input word. It is [`NOWHERE`] where the last edge had no direction.
-    onward: (u64, Signal),
+    expected_edge: (u64, Signal),
     insertions: u64,
     waited_for_gate: u64,
     overlaps: u64,
@@ -413,13 +413,13 @@ impl AxisEngine {
             faults,
             capture: None,
             wake_ns: found.t_ns,
-            calm: false,
+            count_only: false,
             input_mask: config.lines.input_mask(),
             a_mask: 1 << config.lines.a,
             scale_mask: 1 << config.lines.a | 1 << config.lines.b,
             invert_masks: (1 << config.lines.invert_a, 1 << config.lines.invert_b),
             scale_inputs: 0,
-            onward: NOWHERE,
+            expected_edge: NOWHERE,
             insertions: 0,
             waited_for_gate: 0,
             overlaps: 0,
@@ -455,13 +455,13 @@ impl AxisEngine {
 
     /// Makes the next look check whether something is due.
     pub(crate) fn wake(&mut self) {
-        (self.wake_ns, self.calm) = (0, false);
+        (self.wake_ns, self.count_only) = (0, false);
     }
 
     /// Makes the next edge take the full path.
     /// A request other than a total calls for it.
     pub(crate) fn take_care(&mut self) {
-        self.calm = false;
+        self.count_only = false;
     }
 
     pub(crate) const fn homed(&self) -> bool {
@@ -623,10 +623,10 @@ impl AxisEngine {
     /// [`AxisEngine::look`] has to check more.
     #[inline]
     pub(crate) fn count_regular_edge(&mut self, look: &AxisSample) -> bool {
-        let (Some(last_edge), true) = (self.last_edge, self.calm) else { return false };
+        let (Some(last_edge), true) = (self.last_edge, self.count_only) else { return false };
         let scale_inputs = look.inputs & self.scale_mask;
         let changed = scale_inputs ^ self.scale_inputs;
-        let (line, signal) = self.onward;
+        let (line, signal) = self.expected_edge;
         if changed != line {
             return changed == 0;
         }
@@ -650,7 +650,7 @@ impl AxisEngine {
         self.scale.take_step(self.scale.state().flipped(signal), step);
         self.scale_inputs = scale_inputs;
         // A and B alternate while the axis moves on.
-        self.onward = (line ^ self.scale_mask, signal.other());
+        self.expected_edge = (line ^ self.scale_mask, signal.other());
         self.period_ns = self.last_edge.map_or(REST, |(_, last_ns)| edge_ns.0.saturating_sub(last_ns));
         // Writing in place saves one instruction at a regular edge.
         *self.last_edge.get_or_insert(edge_ns) = edge_ns;
@@ -664,7 +664,7 @@ impl AxisEngine {
         look: &AxisSample,
         changed: bool,
         report: &mut impl FnMut(EventKind),
-    ) -> Option<Inversion> {
+    ) -> Option<InversionCommand> {
         if changed {
             let state = self.config.lines.scale(look.inputs);
             if state != self.scale.state() {
@@ -675,7 +675,7 @@ impl AxisEngine {
     }
 
     /// Continues an insertion under way, or begins one that is due.
-    fn advance(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> Option<Inversion> {
+    fn advance(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> Option<InversionCommand> {
         if let Some(u) = self.unsettled
             && u.done_ns.is_none_or(|done| look.edge_ns.1 > done)
         {
@@ -703,14 +703,14 @@ impl AxisEngine {
             self.capture = None;
             report(EventKind::Trip(c));
         }
-        match if look.more { Due::At(self.due_ns()) } else { self.act(look, report) } {
-            Due::At(wake_ns) => {
+        match if look.more { NextAction::At(self.due_ns()) } else { self.act(look, report) } {
+            NextAction::At(wake_ns) => {
                 self.set_wake(wake_ns);
                 None
             }
-            Due::Now(inversion) => {
+            NextAction::Now(inversion) => {
                 // The next look tells whether the inversion is in effect.
-                (self.wake_ns, self.calm) = (0, false);
+                (self.wake_ns, self.count_only) = (0, false);
                 Some(inversion)
             }
         }
@@ -826,7 +826,7 @@ impl AxisEngine {
         if last.is_some() && look.unseen & self.a_mask != 0 {
             self.check_gap(look.gap_ns, last_period_ns, report);
         }
-        (self.last_step, self.onward, self.alone) = (0, NOWHERE, SingleChannelEdges::default());
+        (self.last_step, self.expected_edge, self.alone) = (0, NOWHERE, SingleChannelEdges::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
         if let Insertion::Half { edges, .. } = &mut self.insertion {
             *edges += 1;
@@ -929,19 +929,19 @@ impl AxisEngine {
     }
 
     /// Finds what is due at this look, or the time when something is.
-    fn act(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> Due {
+    fn act(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> NextAction {
         let t_ns = look.t_ns;
         match self.insertion {
             Insertion::Idle => {
                 let due_ns = self.due_at_rest_ns();
                 if t_ns < due_ns || !look.permit.insert {
-                    return Due::At(due_ns);
+                    return NextAction::At(due_ns);
                 }
                 self.invert_first(self.pending() > 0, t_ns, t_ns)
             }
             Insertion::Opened { add, from_ns, until_ns } => {
                 if t_ns < from_ns {
-                    return Due::At(from_ns);
+                    return NextAction::At(from_ns);
                 }
                 self.insertion = Insertion::Idle;
                 let wanted = look.permit.insert && self.ready() && (self.pending() > 0) == add;
@@ -952,28 +952,28 @@ impl AxisEngine {
                     self.late += 1;
                     report(EventKind::Late);
                 }
-                Due::At(self.due_at_rest_ns())
+                NextAction::At(self.due_at_rest_ns())
             }
             Insertion::Half { add, effective_ns: Some(effective), edges, seen_ns } => {
                 // Two real edges came inside: the axis is too fast to keep a separation, and the MTC counts mirrored.
                 let due_ns = self.apart_ns(effective);
                 if t_ns < due_ns && edges < 2 {
-                    return Due::At(due_ns);
+                    return NextAction::At(due_ns);
                 }
                 self.invert_second(add, edges > 0, t_ns, seen_ns, report)
             }
-            Insertion::Half { .. } => Due::At(0),
+            Insertion::Half { .. } => NextAction::At(0),
         }
     }
 
     /// Makes the first inversion.
     /// With A and B equal, A adds and B subtracts; with A and B different it is the other way round (NISTIR 4832,
     /// Design C). Both inverters are equal here, so A' and B' decide alike.
-    fn invert_first(&mut self, add: bool, t_ns: u64, seen_ns: u64) -> Due {
+    fn invert_first(&mut self, add: bool, t_ns: u64, seen_ns: u64) -> NextAction {
         self.insertion = Insertion::Half { add, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
         let inverter = self.invert(self.wire.mtc.signal_towards(add), if add { 1 } else { -1 }, t_ns);
-        Due::Now(Inversion { inverter, edge_to_done_ns: None })
+        NextAction::Now(InversionCommand { inverter, edge_to_done_ns: None })
     }
 
     /// Makes the second inversion.
@@ -986,7 +986,7 @@ impl AxisEngine {
         t_ns: u64,
         seen_ns: u64,
         report: &mut impl FnMut(EventKind),
-    ) -> Due {
+    ) -> NextAction {
         let wanted = self.wire.completed + if add { 2 } else { -2 };
         let offset = self.wire.mtc_count - self.scale.count();
         // In the usual case the other signal completes the insertion.
@@ -1010,7 +1010,7 @@ impl AxisEngine {
         self.insertion = Insertion::Idle;
         self.insertions += 1;
         self.next_allowed_ns = t_ns + self.min_interval_ns;
-        Due::Now(Inversion { inverter, edge_to_done_ns: Some(t_ns - seen_ns) })
+        NextAction::Now(InversionCommand { inverter, edge_to_done_ns: Some(t_ns - seen_ns) })
     }
 
     /// Inverts a signal, which the MTC counts as `step`.
@@ -1068,7 +1068,7 @@ impl AxisEngine {
             wake = wake.min(c.trip_ns.1 + CAPTURE_LIMIT_NS + 1);
         }
         self.wake_ns = wake;
-        self.calm = wake == u64::MAX
+        self.count_only = wake == u64::MAX
             && !self.ready()
             && self.unsettled.is_none()
             && matches!(self.wire.inverters, 0 | 3);

@@ -1,13 +1,13 @@
 //! All axes of one machine: looks at the card, lets each axis act, writes once.
 
 use crate::axis::{
-    AxisConfig, AxisEngine, AxisSample, InitialAxisState, Inversion, Permit, TotalRequestResult,
+    AxisConfig, AxisEngine, AxisSample, InitialAxisState, InversionCommand, Permit, TotalRequestResult,
 };
 use crate::histogram::{Reader, Recorder, histogram};
-use crate::journal::{Journal, MachineStateRecord, StateRecord};
+use crate::journal::{AxisStateRecord, Journal, MachineStateRecord};
 use crate::link_messages::{
-    AxisStatus, DisableReason, Event, EventKind, Fault, Faults, HeldBy, InsertionStatus, MAX_AXES, Mode,
-    Refusal, Request, Status,
+    AxisStatus, DisableReason, Event, EventKind, Fault, Faults, FeedHoldSource, InsertionStatus, MAX_AXES,
+    Mode, Refusal, Request, Status,
 };
 use crate::state_file_watch::StateFileWatch;
 use rtec_driver::card::{Card, CardError, CardFault, MachineLines, Sample};
@@ -68,7 +68,7 @@ pub struct Engine {
     shadow: bool,
     probing: bool,
     off_because: DisableReason,
-    held: Option<HeldBy>,
+    held: Option<FeedHoldSource>,
     stale: bool,
     switch_off: bool,
     mtc_ready: bool,
@@ -154,7 +154,7 @@ impl Engine {
             shadow: false,
             probing: false,
             off_because: DisableReason::Start,
-            held: (outputs & mask(lines.hold) != 0).then_some(HeldBy::FoundOn),
+            held: (outputs & mask(lines.hold) != 0).then_some(FeedHoldSource::FoundOn),
             stale: false,
             switch_off: sample.inputs & disable_mask != 0,
             mtc_ready: true,
@@ -249,7 +249,7 @@ impl Engine {
             for (n, axis) in self.axes.iter().enumerate() {
                 let (inverters, completed) = axis.in_effect();
                 let (faults, mtc_known) = (axis.faults(), axis.mtc_known());
-                journal.record(n, StateRecord { inverters, completed, faults, mtc_known }, self.look_ns);
+                journal.record(n, AxisStateRecord { inverters, completed, faults, mtc_known }, self.look_ns);
             }
         }
     }
@@ -264,8 +264,8 @@ impl Engine {
 
     /// Takes over feed hold from the process before.
     /// It replaces the state found on the card.
-    pub fn take_over_hold(&mut self, held: Option<HeldBy>) {
-        self.held = held.or(self.held.filter(|by| *by == HeldBy::Controller));
+    pub fn take_over_hold(&mut self, held: Option<FeedHoldSource>) {
+        self.held = held.or(self.held.filter(|by| *by == FeedHoldSource::Controller));
     }
 
     /// Sets whether corrections may be enabled.
@@ -470,7 +470,7 @@ impl Engine {
             let moved = changed & axis.input_mask() != 0;
             if moved || t_ns >= axis.wake_ns() {
                 let inversion = axis.look(look, moved, &mut |kind| emit(Some(n as u8), kind));
-                if let Some(Inversion { inverter, edge_to_done_ns }) = inversion {
+                if let Some(InversionCommand { inverter, edge_to_done_ns }) = inversion {
                     if let Some(ns) = edge_to_done_ns {
                         self.edge_to_done_ns.record(ns);
                     }
@@ -524,7 +524,7 @@ impl Engine {
 
     fn hold_for_mtc(&mut self) {
         if self.hold_without_mtc && !self.mtc_ready {
-            self.held.get_or_insert(HeldBy::Controller);
+            self.held.get_or_insert(FeedHoldSource::Controller);
         }
     }
 
@@ -678,7 +678,7 @@ impl Engine {
             Request::Probe(on) => self.probing = on,
             // The first user who asked holds the machine.
             Request::Hold { on: true, by } => {
-                self.held.get_or_insert(HeldBy::User(by));
+                self.held.get_or_insert(FeedHoldSource::User(by));
             }
             Request::Hold { on: false, .. } => self.held = None,
             Request::StateFileLost => {

@@ -30,7 +30,7 @@ pub struct SpeedGate {
 
 /// Inputs of the gate.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GateInput {
+pub struct SpeedGateConfig {
     /// The axis's acceleration limit, counts/s².
     /// Zero means that the axis cannot accelerate.
     pub max_accel_counts_s2: f64,
@@ -44,7 +44,7 @@ pub struct GateInput {
 impl SpeedGate {
     /// A gate, or `None` where no period of this axis is long enough.
     /// Then the acceleration limit contradicts the time needed.
-    pub fn new(input: GateInput) -> Option<Self> {
+    pub fn new(input: SpeedGateConfig) -> Option<Self> {
         let need = input.need_ns as f64;
         let a = input.max_accel_counts_s2 * 1e-18;
         let turn_back_ns = if a > 0.0 { (2.0 * input.hysteresis_counts / a).sqrt() } else { f64::INFINITY };
@@ -129,7 +129,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn gate(need_ns: u64, accel: f64) -> Option<SpeedGate> {
-        SpeedGate::new(GateInput { max_accel_counts_s2: accel, hysteresis_counts: 0.05, need_ns })
+        SpeedGate::new(SpeedGateConfig { max_accel_counts_s2: accel, hysteresis_counts: 0.05, need_ns })
     }
 
     #[test]
@@ -164,8 +164,12 @@ mod tests {
     fn a_run_up_through_the_hysteresis_is_within_the_limit() {
         for h in [0.05_f64, 0.3, 0.99, 2.5] {
             let a = 1e6;
-            let g = SpeedGate::new(GateInput { max_accel_counts_s2: a, hysteresis_counts: h, need_ns: 100 })
-                .unwrap();
+            let g = SpeedGate::new(SpeedGateConfig {
+                max_accel_counts_s2: a,
+                hysteresis_counts: h,
+                need_ns: 100,
+            })
+            .unwrap();
             let (v, next) = ((2.0 * a * (1.0 + h)).sqrt(), (2.0 * a * (2.0 + h)).sqrt());
             let (period_ns, after_ns) = (3e9 * v / a, 1e9 * (next - v) / a);
             assert!(!g.too_soon(period_ns as u64, after_ns as u64 + 1), "h {h}");

@@ -21,7 +21,7 @@
 //! start therefore writes a file without the name. It gives it the name once every record is in it
 //! ([`Journal::place`]).
 
-use crate::link_messages::{Fault, Faults, HeldBy, MAX_AXES};
+use crate::link_messages::{Fault, Faults, FeedHoldSource, MAX_AXES};
 use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, Flock, FlockArg, OFlag, RenameFlags, posix_fallocate, renameat2};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
@@ -83,7 +83,7 @@ thread_local! {
 
 /// State of an axis that was in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StateRecord {
+pub struct AxisStateRecord {
     /// Bit 0: A inverted, bit 1: B inverted.
     pub inverters: u8,
     /// Counts inserted into the MTC's count.
@@ -95,7 +95,7 @@ pub struct StateRecord {
     pub mtc_known: bool,
 }
 
-impl StateRecord {
+impl AxisStateRecord {
     /// Inverters, faults and the MTC's state in one word of the file.
     fn flags(self) -> u64 {
         u64::from(self.inverters) | u64::from(self.faults.bits()) << 8 | u64::from(self.mtc_known) << 40
@@ -114,7 +114,7 @@ impl StateRecord {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MachineStateRecord {
     /// Who asked for feed hold.
-    pub held: Option<HeldBy>,
+    pub held: Option<FeedHoldSource>,
     /// Feed hold is on, asked for by somebody or by a fault.
     pub hold_output: bool,
     /// The machine's own latched faults.
@@ -126,9 +126,9 @@ impl MachineStateRecord {
     fn words(self) -> [u64; 2] {
         let (by, user) = match self.held {
             None => (0, 0),
-            Some(HeldBy::User(user)) => (1, u64::from(user)),
-            Some(HeldBy::Controller) => (2, 0),
-            Some(HeldBy::FoundOn) => (3, 0),
+            Some(FeedHoldSource::User(user)) => (1, u64::from(user)),
+            Some(FeedHoldSource::Controller) => (2, 0),
+            Some(FeedHoldSource::FoundOn) => (3, 0),
         };
         [by | u64::from(self.hold_output) << 2 | u64::from(self.faults.bits()) << 8, user]
     }
@@ -136,9 +136,9 @@ impl MachineStateRecord {
     fn of([flags, user]: [u64; 2]) -> Option<Self> {
         let held = match flags & 3 {
             0 => None,
-            1 => Some(HeldBy::User(u32::try_from(user).ok()?)),
-            2 => Some(HeldBy::Controller),
-            _ => Some(HeldBy::FoundOn),
+            1 => Some(FeedHoldSource::User(u32::try_from(user).ok()?)),
+            2 => Some(FeedHoldSource::Controller),
+            _ => Some(FeedHoldSource::FoundOn),
         };
         let faults = Faults::from_bits(u32::try_from(flags >> 8).ok()?)?;
         (flags & 0xF8 == 0).then_some(Self { held, hold_output: flags >> 2 & 1 == 1, faults })
@@ -147,9 +147,9 @@ impl MachineStateRecord {
 
 /// Times of the latched faults and of the request for feed hold (card's clock).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Times([[Option<u64>; ROW_WORDS]; ROWS]);
+pub struct FaultAndHoldTimes([[Option<u64>; ROW_WORDS]; ROWS]);
 
-impl Times {
+impl FaultAndHoldTimes {
     /// When a fault was latched, ns; `None` where that is not known.
     /// Without an axis it is a fault of the machine as a whole.
     pub fn latched_ns(&self, axis: Option<usize>, fault: Fault) -> Option<u64> {
@@ -172,7 +172,7 @@ pub struct StateAtOpen {
     /// It does not record feed hold, faults that leave the count certain, or whether the MTC was homed.
     pub older: bool,
     /// Per axis, the valid records, newest first.
-    pub records: [[Option<StateRecord>; 2]; MAX_AXES],
+    pub records: [[Option<AxisStateRecord>; 2]; MAX_AXES],
     /// The computer was restarted since the file was written, or may have been.
     /// The MTC's count is then unknown. It is `false` where the kernel does not report its boot.
     pub other_boot: bool,
@@ -183,7 +183,7 @@ pub struct StateAtOpen {
     /// The machine's newest valid record.
     pub machine: Option<MachineStateRecord>,
     /// Times of faults and of feed hold.
-    pub times: Times,
+    pub times: FaultAndHoldTimes,
     /// The process before this one lost its real-time thread.
     /// See [`crate::state_file_watch::StateFileWatch::note_thread_lost`].
     pub thread_lost: bool,
@@ -199,7 +199,7 @@ impl StateAtOpen {
         damaged: [false; MAX_AXES],
         machine_damaged: false,
         machine: None,
-        times: Times([[None; ROW_WORDS]; ROWS]),
+        times: FaultAndHoldTimes([[None; ROW_WORDS]; ROWS]),
         thread_lost: false,
     };
 
@@ -317,7 +317,7 @@ impl Drop for Mapping {
 pub struct Journal {
     mapping: Arc<Mapping>,
     next: [u64; ROWS],
-    last: [Option<StateRecord>; MAX_AXES],
+    last: [Option<AxisStateRecord>; MAX_AXES],
     last_machine: Option<MachineStateRecord>,
     /// Faults whose times are in the file, a set for each row.
     /// `timed_hold` is the same for feed hold.
@@ -399,9 +399,9 @@ impl Journal {
         };
         let older = !first_start && journal.is_ours(path, identity)?;
         let mut before = StateAtOpen { first_start, older, ..StateAtOpen::NOTHING };
-        before.damaged = std::array::from_fn(|axis| journal.damaged(axis, StateRecord::of));
+        before.damaged = std::array::from_fn(|axis| journal.damaged(axis, AxisStateRecord::of));
         for (axis, found) in before.records.iter_mut().enumerate() {
-            *found = journal.newest_first(axis, StateRecord::of);
+            *found = journal.newest_first(axis, AxisStateRecord::of);
             journal.timed[axis] = found[0].map_or(Faults::NONE, |r| r.faults);
         }
         before.other_boot = !first_start && journal.boot.is_some_and(|now| journal.boot() != Some(now));
@@ -505,7 +505,7 @@ impl Journal {
         }
         let zero = (0..COPIES * PAGE_WORDS).all(|n| self.load(n) == 0);
         let a_record =
-            (0..MAX_AXES).any(|axis| (0..2).any(|n| self.slot(axis, n, StateRecord::of).is_some()));
+            (0..MAX_AXES).any(|axis| (0..2).any(|n| self.slot(axis, n, AxisStateRecord::of).is_some()));
         if zero || a_record {
             return Ok(false);
         }
@@ -557,7 +557,7 @@ impl Journal {
     /// Notes at `t_ns` the state of an axis that the following write puts in effect.
     /// It makes no system call.
     #[inline]
-    pub fn record(&mut self, axis: usize, record: StateRecord, t_ns: u64) {
+    pub fn record(&mut self, axis: usize, record: AxisStateRecord, t_ns: u64) {
         if self.last[axis] == Some(record) {
             return;
         }
@@ -642,8 +642,8 @@ impl Journal {
     }
 
     /// Reads the times from an undamaged copy.
-    fn read_times(&mut self) -> Times {
-        let mut times = Times([[None; ROW_WORDS]; ROWS]);
+    fn read_times(&mut self) -> FaultAndHoldTimes {
+        let mut times = FaultAndHoldTimes([[None; ROW_WORDS]; ROWS]);
         for (row, k) in (0..ROWS).flat_map(|row| (0..ROW_WORDS).map(move |k| (row, k))) {
             let copies = [0, PAGE_WORDS].map(|page| self.load(page + TIMES_AT + row * ROW_WORDS + k));
             let whole = |word: &u64| {
@@ -723,10 +723,10 @@ impl Drop for Journal {
 
 /// The newest record that agrees with the inverters as read back.
 /// Latched faults and the MTC's state come from the newest record, whether or not its write was made.
-pub fn resume(found: [Option<StateRecord>; 2], inverters: u8) -> Option<StateRecord> {
-    let StateRecord { faults, mtc_known, .. } = found.into_iter().flatten().next()?;
+pub fn resume(found: [Option<AxisStateRecord>; 2], inverters: u8) -> Option<AxisStateRecord> {
+    let AxisStateRecord { faults, mtc_known, .. } = found.into_iter().flatten().next()?;
     let agrees = found.into_iter().flatten().find(|r| r.inverters == inverters)?;
-    Some(StateRecord { faults, mtc_known, ..agrees })
+    Some(AxisStateRecord { faults, mtc_known, ..agrees })
 }
 
 #[cfg(test)]
@@ -752,18 +752,18 @@ mod tests {
     }
 
     /// Notes these records of axis 2.
-    fn note(path: &Path, records: &[StateRecord]) {
+    fn note(path: &Path, records: &[AxisStateRecord]) {
         let mut journal = begun(path, OURS);
         for record in records {
             journal.record(2, *record, 1000);
         }
     }
 
-    fn record(inverters: u8, completed: i64) -> StateRecord {
-        StateRecord { inverters, completed, faults: Faults::NONE, mtc_known: true }
+    fn record(inverters: u8, completed: i64) -> AxisStateRecord {
+        AxisStateRecord { inverters, completed, faults: Faults::NONE, mtc_known: true }
     }
 
-    fn found(path: &Path) -> [Option<StateRecord>; 2] {
+    fn found(path: &Path) -> [Option<AxisStateRecord>; 2] {
         let (_, before) = Journal::open(path, OURS).unwrap();
         assert!(!before.first_start);
         before.records[2]
@@ -797,12 +797,12 @@ mod tests {
             faults.latch(crate::link_messages::Fault::PollGap)
                 && faults.latch(crate::link_messages::Fault::OrderUnknown)
         );
-        let latched = StateRecord { faults, ..record(3, 8) };
+        let latched = AxisStateRecord { faults, ..record(3, 8) };
         note(&path, &[record(3, 8), latched]);
         assert_eq!(resume(found(&path), 3), Some(latched));
-        assert_eq!(StateRecord::of([latched.flags() | 1 << 39, 8]), None);
-        assert_eq!(StateRecord::of([latched.flags() | 1 << 41, 8]), None);
-        assert_eq!(StateRecord::of([4, 8]), None);
+        assert_eq!(AxisStateRecord::of([latched.flags() | 1 << 39, 8]), None);
+        assert_eq!(AxisStateRecord::of([latched.flags() | 1 << 41, 8]), None);
+        assert_eq!(AxisStateRecord::of([4, 8]), None);
     }
 
     fn set(faults: &[Fault]) -> Faults {
@@ -817,7 +817,12 @@ mod tests {
     #[test]
     fn hold_and_the_times_of_faults_outlive_the_process() {
         let (_directory, path) = new();
-        for held in [Some(HeldBy::User(u32::MAX)), Some(HeldBy::Controller), Some(HeldBy::FoundOn), None] {
+        for held in [
+            Some(FeedHoldSource::User(u32::MAX)),
+            Some(FeedHoldSource::Controller),
+            Some(FeedHoldSource::FoundOn),
+            None,
+        ] {
             for hold_output in [false, true] {
                 let machine = MachineStateRecord { held, hold_output, faults: set(&[Fault::Card]) };
                 let mut journal = begun(&path, OURS);
@@ -830,15 +835,18 @@ mod tests {
         assert_eq!(MachineStateRecord::of([1, 1 << 32]), None);
         let mut journal = begun(&path, OURS);
         let (first, both) = (set(&[Fault::ErrorLimit]), set(&[Fault::ErrorLimit, Fault::PollGap]));
-        journal.record(2, StateRecord { faults: first, ..record(0, 2) }, 7_000);
-        journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 9_999);
-        let user =
-            MachineStateRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
+        journal.record(2, AxisStateRecord { faults: first, ..record(0, 2) }, 7_000);
+        journal.record(2, AxisStateRecord { faults: both, ..record(0, 2) }, 9_999);
+        let user = MachineStateRecord {
+            held: Some(FeedHoldSource::User(7)),
+            hold_output: true,
+            faults: Faults::NONE,
+        };
         journal.record_machine(user, 11_000);
         drop(journal);
         let mut journal = begun(&path, OURS);
         // A fault that is still latched keeps its time in the next process, and so does feed hold.
-        journal.record(2, StateRecord { faults: both, ..record(0, 2) }, 20_000);
+        journal.record(2, AxisStateRecord { faults: both, ..record(0, 2) }, 20_000);
         journal.record_machine(MachineStateRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
         drop(journal);
         let times = Journal::open(&path, OURS).unwrap().1.times;
@@ -858,7 +866,7 @@ mod tests {
     /// A fault that is latched with an inversion survives a kill before the write.
     #[test]
     fn what_is_latched_does_not_hang_on_the_write_that_was_not_made() {
-        let latched = StateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
+        let latched = AxisStateRecord { faults: set(&[Fault::PollGap]), mtc_known: false, ..record(1, 3) };
         let found = [Some(latched), Some(record(0, 2))];
         let resumed = resume(found, 0).unwrap();
         assert_eq!((resumed.completed, resumed.faults, resumed.mtc_known), (2, latched.faults, false));
@@ -887,10 +895,11 @@ mod tests {
         let error = Journal::open(&path, "machine \"mill 2\"").unwrap_err().to_string();
         assert!(error.contains(OURS), "{error}");
         let (mut journal, before) = Journal::open(&path, OURS).unwrap();
-        let unknown = |inverters, completed| StateRecord { mtc_known: false, ..record(inverters, completed) };
+        let unknown =
+            |inverters, completed| AxisStateRecord { mtc_known: false, ..record(inverters, completed) };
         assert_eq!((before.older, before.machine, before.first_start), (true, None, false));
         assert_eq!(before.records[0], [Some(unknown(3, 10)), None]);
-        assert_eq!(before.records[1], [Some(StateRecord { faults: doubted, ..unknown(0, 4) }), None]);
+        assert_eq!(before.records[1], [Some(AxisStateRecord { faults: doubted, ..unknown(0, 4) }), None]);
         assert_eq!(before.times, StateAtOpen::NOTHING.times, "its text is no time");
         journal.place().unwrap();
         drop(journal);
@@ -950,14 +959,14 @@ mod tests {
     fn a_record_that_both_copies_have_lost_is_told() {
         let (_directory, path) = new();
         let machine = MachineStateRecord { held: None, hold_output: false, faults: Faults::NONE };
-        let held = MachineStateRecord { held: Some(HeldBy::User(7)), hold_output: true, ..machine };
+        let held = MachineStateRecord { held: Some(FeedHoldSource::User(7)), hold_output: true, ..machine };
         let mut journal = begun(&path, OURS);
         journal.record(2, record(0, 2), 1000);
         journal.record_machine(machine, 1000);
-        journal.record(2, StateRecord { faults: set(&[Fault::PollGap]), ..record(0, 2) }, 1000);
+        journal.record(2, AxisStateRecord { faults: set(&[Fault::PollGap]), ..record(0, 2) }, 1000);
         journal.record_machine(held, 1000);
-        journal.record(2, StateRecord { faults: set(&[Fault::Card]), ..record(0, 2) }, 1000);
-        journal.record_machine(MachineStateRecord { held: Some(HeldBy::Controller), ..held }, 1000);
+        journal.record(2, AxisStateRecord { faults: set(&[Fault::Card]), ..record(0, 2) }, 1000);
+        journal.record_machine(MachineStateRecord { held: Some(FeedHoldSource::Controller), ..held }, 1000);
         drop(journal);
         let found = || Journal::open(&path, OURS).unwrap().1;
         let told =

@@ -13,6 +13,6 @@ pub mod journal; // what survives a crash: inverters and completed totals in a m
 pub mod link; // requests down, events up, status in a snapshot
 pub mod link_messages; // requests, events and status: what goes over the link
 pub mod setup; // real-time set-up of the thread: applied, read back, reported
-pub mod snapshot; // the latest state, for a reader that never stops the writer
 pub mod state_file_watch; // watch over the journal's file: removed, replaced or cut short, it is written again
-pub mod thread; // the pinned thread and its loop
+pub mod thread;
+pub mod triple_buffer; // the latest state, for a reader that never stops the writer // the pinned thread and its loop

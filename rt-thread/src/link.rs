@@ -15,7 +15,7 @@ use std::sync::{
 };
 
 use crate::link_messages::{Event, Request, Status};
-use crate::snapshot::{SnapshotReader, SnapshotWriter, snapshot};
+use crate::triple_buffer::{SnapshotReader, SnapshotWriter, snapshot};
 use crossbeam_utils::CachePadded;
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};

@@ -218,7 +218,7 @@ pub enum Refusal {
 /// Who asked for the feed hold that is on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum HeldBy {
+pub enum FeedHoldSource {
     /// The user of this number.
     User(u32),
     /// The MTC: it was switched off, and the configuration asks for feed hold then.
@@ -430,7 +430,7 @@ pub struct Status {
     /// Why corrections were last switched off.
     pub off_because: DisableReason,
     /// Who asked for feed hold, if anybody. A fault asserts it too.
-    pub held: Option<HeldBy>,
+    pub held: Option<FeedHoldSource>,
     /// Feed hold as it is written to the card, asked for or by a fault.
     pub hold_output: bool,
     /// Looks at the card so far.

@@ -197,8 +197,8 @@ extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _co
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::journal::{MachineStateRecord, StateRecord};
-    use crate::link_messages::{Faults, HeldBy};
+    use crate::journal::{AxisStateRecord, MachineStateRecord};
+    use crate::link_messages::{Faults, FeedHoldSource};
 
     type Deed<'a> = (StateFileLoss, Box<dyn Fn() + 'a>);
 
@@ -208,9 +208,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let path = at("state");
-        let axis = |completed| StateRecord { inverters: 0, completed, faults: Faults::NONE, mtc_known: true };
-        let held =
-            MachineStateRecord { held: Some(HeldBy::User(7)), hold_output: true, faults: Faults::NONE };
+        let axis =
+            |completed| AxisStateRecord { inverters: 0, completed, faults: Faults::NONE, mtc_known: true };
+        let held = MachineStateRecord {
+            held: Some(FeedHoldSource::User(7)),
+            hold_output: true,
+            faults: Faults::NONE,
+        };
         let open = || Journal::open(&path, "lost").unwrap();
         let (mut journal, _) = open();
         journal.record(0, axis(0), 1_000_000);

@@ -4,7 +4,7 @@ use crate::root;
 use anyhow::{Context, ensure};
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
-use rtec_files::trace::TraceFile;
+use rtec_files::quadrature_trace::AtomicTraceFile;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::os::unix::fs::MetadataExt;
@@ -220,7 +220,7 @@ impl Sigrok {
     fn count(&mut self) -> anyhow::Result<()> {
         let directory = tempfile::tempdir()?;
         let vcd = directory.path().join("mtc.vcd");
-        let mut file = TraceFile::create(&vcd)?;
+        let mut file = AtomicTraceFile::create(&vcd)?;
         // It reports a state when the next one comes, and never the last. Two more edges make it report all of ours.
         let last = self.piece[self.piece.len() - 1].0;
         let more = [last.next(true), last.next(true).next(true)];

@@ -12,7 +12,7 @@ use rtec_driver::quadrature::Decoder;
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::link_messages::{
-    DisableReason, Event, EventKind, Fault, HeldBy, InsertionStatus, Mode, Refusal, Request, Status,
+    DisableReason, Event, EventKind, Fault, FeedHoldSource, InsertionStatus, Mode, Refusal, Request, Status,
 };
 
 const PROBE: u64 = 1 << 28;

@@ -162,7 +162,10 @@ fn an_mtc_that_was_off_has_to_be_homed() {
         rig.looks(2);
         let status = rig.status();
         assert!(!status.mtc_ready && !status.axes[0].homed && !status.axes[0].mtc_known);
-        assert_eq!((status.held, rig.card.outputs & HOLD != 0), (holds.then_some(HeldBy::Controller), holds));
+        assert_eq!(
+            (status.held, rig.card.outputs & HOLD != 0),
+            (holds.then_some(FeedHoldSource::Controller), holds)
+        );
         let home = |controller_homed| Request::Home { axis: 0, position_counts: 0, controller_homed };
         rig.take(home(true));
         assert_eq!(rig.refusals(), [Refusal::ControllerNotReady]);
@@ -242,10 +245,10 @@ fn hold_is_taken_over_from_the_card() {
     let engine = Engine::new(&mut card, &[windowed()], machine, &[]).unwrap();
     let mut rig = Rig { engine, card, events: Vec::new() };
     rig.looks(3);
-    assert_eq!((rig.status().mode, rig.status().held), (Mode::Hold, Some(HeldBy::FoundOn)));
+    assert_eq!((rig.status().mode, rig.status().held), (Mode::Hold, Some(FeedHoldSource::FoundOn)));
     assert_eq!((rig.card.outputs & HOLD, rig.card.writes), (HOLD, 1));
     rig.take(Request::Hold { on: true, by: 5 });
-    assert_eq!(rig.status().held, Some(HeldBy::FoundOn), "whoever came first");
+    assert_eq!(rig.status().held, Some(FeedHoldSource::FoundOn), "whoever came first");
     rig.take(Request::Hold { on: false, by: 5 });
     assert_eq!((rig.status().mode, rig.card.outputs & HOLD), (Mode::Disabled, 0));
 }
@@ -273,7 +276,7 @@ fn operator_hold_asserts_the_line_and_freezes() {
     assert_eq!(rig.refusals(), [Refusal::Held; 3], "nothing may come on by itself when hold ends");
     rig.step(10);
     assert_eq!((rig.card.outputs & HOLD, rig.status().axes[0].completed), (HOLD, 0));
-    assert!(rig.status().enabled && rig.status().held == Some(HeldBy::User(0)));
+    assert!(rig.status().enabled && rig.status().held == Some(FeedHoldSource::User(0)));
     rig.take(Request::Hold { on: false, by: 0 });
     rig.step(10);
     assert_eq!((rig.card.outputs & HOLD, rig.status().axes[0].completed), (0, 2));

@@ -13,7 +13,7 @@ use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::journal::{Journal, StateRecord};
+use rtec_rt::journal::{AxisStateRecord, Journal};
 use rtec_rt::link_messages::{Event, EventKind, Fault, Faults, InsertionStatus, Mode, Refusal, Request};
 use std::path::PathBuf;
 

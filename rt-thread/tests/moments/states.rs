@@ -248,7 +248,7 @@ fn everything_is_noted_before_it_is_made() {
     let record = |inverters, completed, fault: Option<Fault>| {
         let mut faults = Faults::NONE;
         fault.map(|f| faults.latch(f));
-        Some(StateRecord { inverters, completed, faults, mtc_known: fault.is_none() })
+        Some(AxisStateRecord { inverters, completed, faults, mtc_known: fault.is_none() })
     };
     let now = || found(&std::fs::read(&file).unwrap());
     assert_eq!(now(), record(0, 0, None), "noted from the start");

@@ -96,7 +96,7 @@ fn a_thread_leaves_the_cpu_and_may_come_back() {
     std::thread::spawn(|| {
         let before = shown().cpus;
         let cpu = SystemRoot::live().default_cpu();
-        match leave(cpu) {
+        match move_off_cpu(cpu) {
             Some(left) => {
                 assert!(
                     !std::thread::spawn(shown)

@@ -4,7 +4,7 @@
 mod applied;
 mod cases;
 
-use rtec_rt::setup::{OsError, RtSettings, SetupFinding, SetupReport, SystemRoot, apply, leave};
+use rtec_rt::setup::{OsError, RtSettings, SetupFinding, SetupReport, SystemRoot, apply, move_off_cpu};
 use std::fs;
 use std::path::Path;
 

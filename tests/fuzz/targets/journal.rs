@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_rt::journal::{Journal, MachineStateRecord, StateRecord};
-use rtec_rt::link_messages::{Faults, HeldBy, MAX_AXES};
+use rtec_rt::journal::{AxisStateRecord, Journal, MachineStateRecord};
+use rtec_rt::link_messages::{Faults, FeedHoldSource, MAX_AXES};
 
 const OURS: &str = "machine \"fuzz\"";
 
@@ -21,14 +21,15 @@ fuzz_target!(|data: &[u8]| {
     };
     assert!(before.records.iter().flatten().flatten().all(|r| r.inverters < 4));
     // A record noted now is found next, whatever the file held before.
-    let noted = [(1, 4), (3, 6)].map(|(inverters, completed)| StateRecord {
+    let noted = [(1, 4), (3, 6)].map(|(inverters, completed)| AxisStateRecord {
         inverters,
         completed,
         faults: Faults::NONE,
         mtc_known: completed > 4,
     });
     noted.iter().for_each(|record| journal.record(2, *record, 1000));
-    let machine = MachineStateRecord { held: Some(HeldBy::User(1)), hold_output: true, faults: Faults::NONE };
+    let machine =
+        MachineStateRecord { held: Some(FeedHoldSource::User(1)), hold_output: true, faults: Faults::NONE };
     journal.record_machine(machine, 1000);
     journal.place().expect("it is there already");
     drop(journal);

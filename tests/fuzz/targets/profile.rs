@@ -5,7 +5,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_control::profile;
-use rtec_driver::profile::WordBit;
+use rtec_driver::profile::IoBit;
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
@@ -20,8 +20,8 @@ fuzz_target!(|data: &[u8]| {
         |registers: &[rtec_driver::profile::Register]| registers.iter().map(|r| r.width.bits()).sum::<u32>();
     for place in profile.lines.values() {
         assert!(match *place {
-            WordBit::Input(bit) => u32::from(bit) < bits(&profile.inputs),
-            WordBit::Output(bit) => u32::from(bit) < bits(&profile.outputs),
+            IoBit::Input(bit) => u32::from(bit) < bits(&profile.inputs),
+            IoBit::Output(bit) => u32::from(bit) < bits(&profile.outputs),
         });
     }
     let Some(anew) = rtec_fuzz::said_anew(&text) else { return };

@@ -2,13 +2,13 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_files::trace::{TotalRequestReader, TraceFormat, TraceReader, TraceWriter};
+use rtec_files::quadrature_trace::{RequestedTotalReader, TraceFormat, TraceReader, TraceWriter};
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {
     let file = Path::new(rtec_fuzz::NAME);
     let Some(_) = rtec_fuzz::text(data) else { return };
-    if let Some(requests) = rtec_fuzz::checked(TotalRequestReader::new(file, data)) {
+    if let Some(requests) = rtec_fuzz::checked(RequestedTotalReader::new(file, data)) {
         rtec_fuzz::checked(requests.collect::<Result<Vec<_>, _>>());
     }
     let Some(points) = rtec_fuzz::checked(TraceReader::new(TraceFormat::Csv, file, data)) else { return };

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
+use rtec_files::quadrature_trace::{TraceFormat, TraceReader, TraceWriter};
 use std::path::Path;
 
 fuzz_target!(|data: &[u8]| {

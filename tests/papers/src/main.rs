@@ -94,7 +94,7 @@ fn write_all<'t>(folder: &Path, files: impl Iterator<Item = (&'t str, &'t str)>)
     std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
     for (name, text) in files {
         let file = folder.join(name);
-        rtec_files::write::whole(&file, text.as_bytes())
+        rtec_files::write::write_atomically(&file, text.as_bytes())
             .with_context(|| format!("writing {}", file.display()))?;
         eprintln!("rtec-papers: wrote {}", file.display());
     }

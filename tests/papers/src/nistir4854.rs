@@ -224,7 +224,7 @@ fn rewritten(lathe: &Lathe, setup: &TurningExperiment) -> usize {
         error_um: 0.0,
         along_mm: None,
     });
-    let design = lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateDesign::C);
+    let design = lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateInsertionDesign::C);
     let table =
         ArcFinishTable::new(setup.cut(lathe.radius_mm), lathe::axes(&lathe.bench, design), round.collect());
     table.straight_moves(lathe.g01_um * 1e-3, 4).len().saturating_sub(1)
@@ -273,7 +273,7 @@ pub fn size_and_form(
     let size_um = semi.size_error_um.unwrap_or(0.0);
     let axes = lathe::axes(
         &lathe.bench,
-        lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateDesign::C),
+        lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateInsertionDesign::C),
     );
     let table = |with_um: f64| {
         let sized = semi.errors.iter().map(|e| PointError { error_um: e.error_um + with_um, ..*e });

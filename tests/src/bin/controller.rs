@@ -13,7 +13,7 @@ use rtec_part::probe_path::{ProbeGeometry, ProbingMotion, ProbingPlan};
 use rtec_part::probing_program::{DialectWithTemplate, Parameters, ProbingProgramInputs};
 use rtec_part::trip_check::assign;
 use rtec_part::unit::Unit;
-use rtec_sim::lathe_program::captured;
+use rtec_sim::lathe_run::captured;
 use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;

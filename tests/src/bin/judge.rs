@@ -5,7 +5,7 @@
 use anyhow::{Context, ensure};
 use clap::{Parser, Subcommand};
 use rtec_driver::quadrature::State;
-use rtec_files::trace::TraceReader;
+use rtec_files::quadrature_trace::TraceReader;
 use rtec_tests::judge::{LinuxCnc, Sigrok, Verdict};
 use rtec_tests::ledger;
 use std::path::PathBuf;

@@ -2,7 +2,7 @@
 //! `.ci/run` installs them, and no test is skipped there.
 
 use rtec_driver::replay::TracePoint;
-use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
+use rtec_files::quadrature_trace::{TraceFormat, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};
 use rtec_tests::ledger;
 use rtec_tests::planted_traces::{PlantedFault, corrected, motion};

@@ -1,7 +1,7 @@
 //! Readers of the daemon: ledger, single values, JSON lines, bug reports.
 //! It also checks the texts of refusals.
 
-use rtec_files::trace::TraceReader;
+use rtec_files::quadrature_trace::TraceReader;
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, available};
 use rtec_tests::ledger::walk;

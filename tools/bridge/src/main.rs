@@ -20,7 +20,7 @@
 mod mqtt;
 
 use clap::Parser;
-use mqtt::{Connection, Login};
+use mqtt::{ConnectOptions, Connection};
 use rtec_control::client::Client;
 use rtec_control::config::{Config, ControlConfig};
 use rtec_control::protocol::{ClientRequest, DaemonSnapshot, DaemonStatus, Response, word};
@@ -100,7 +100,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     };
     let client_id = args.client_id.clone().unwrap_or_else(|| format!("rtec-{}", std::process::id()));
     let will = format!("{}/bridge", args.topic);
-    let login = Login {
+    let login = ConnectOptions {
         client_id: &client_id,
         user: args.user.as_deref().map(|name| (name, &password[..])),
         keep_alive: SLOWEST * 2,

@@ -14,7 +14,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LONGEST: usize = 268_435_455;
 
 /// Identity of the client, and its last will.
-pub(crate) struct Login<'a> {
+pub(crate) struct ConnectOptions<'a> {
     pub client_id: &'a str,
     /// Name and password.
     pub user: Option<(&'a str, &'a [u8])>,
@@ -28,7 +28,7 @@ pub(crate) struct Connection(TcpStream);
 
 impl Connection {
     /// Connects to the broker at `HOST:PORT`.
-    pub(crate) fn open(broker: &str, login: &Login<'_>) -> io::Result<Self> {
+    pub(crate) fn open(broker: &str, login: &ConnectOptions<'_>) -> io::Result<Self> {
         let mut last = Error::new(ErrorKind::NotFound, "the name has no address");
         for at in broker.to_socket_addrs()? {
             match TcpStream::connect_timeout(&at, PATIENCE) {
@@ -39,7 +39,7 @@ impl Connection {
         Err(last)
     }
 
-    fn over(stream: TcpStream, login: &Login<'_>) -> io::Result<Self> {
+    fn over(stream: TcpStream, login: &ConnectOptions<'_>) -> io::Result<Self> {
         stream.set_read_timeout(Some(PATIENCE))?;
         stream.set_write_timeout(Some(PATIENCE))?;
         stream.set_nodelay(true)?;
@@ -88,7 +88,7 @@ fn refusal(code: u8) -> String {
 }
 
 /// Variable header and payload of CONNECT, section 3.1.
-fn connect(login: &Login<'_>) -> io::Result<Vec<u8>> {
+fn connect(login: &ConnectOptions<'_>) -> io::Result<Vec<u8>> {
     let mut body = text("MQTT")?;
     // Clean session, will retained.
     let flags = 0x02 | 0x04 | 0x20 | if login.user.is_some() { 0xc0 } else { 0 };

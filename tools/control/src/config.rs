@@ -354,7 +354,7 @@ impl Config {
 
 impl ConfiguredAxis {
     /// The axis's settings for the control law.
-    pub fn law(&self) -> rtec_correct::AxisSetup {
+    pub fn axis_setup(&self) -> rtec_correct::AxisSetup {
         rtec_correct::AxisSetup {
             name: self.name.clone(),
             count_um: self.count_um,

@@ -3,7 +3,7 @@
 use crate::protocol::{LedgerPage, LedgerRow};
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
-use rtec_files::trace::TraceFile;
+use rtec_files::quadrature_trace::AtomicTraceFile;
 use std::fmt::Write as _;
 use std::io;
 use std::path::Path;
@@ -155,7 +155,7 @@ impl LedgerExportSummary {
             let name = file.display().to_string();
             move |e: io::Error| io::Error::new(e.kind(), format!("writing {name}: {e}"))
         };
-        let mut file = TraceFile::create_noted(trace, &TRACE_IS).map_err(io::Error::other)?;
+        let mut file = AtomicTraceFile::create_noted(trace, &TRACE_IS).map_err(io::Error::other)?;
         file.write(TracePoint { t_ns: Self::start_ns(&first), state: state(0) }).map_err(of(trace))?;
         let mut point =
             |t_ns, counts: i64| file.write(TracePoint { t_ns, state: state(counts - first.position_counts) });
@@ -165,7 +165,7 @@ impl LedgerExportSummary {
         };
         self.tell(kept, &mut point, &mut request).map_err(of(trace))?;
         file.finish().map_err(of(trace))?;
-        rtec_files::write::whole(requests, rows.as_bytes()).map_err(of(requests))?;
+        rtec_files::write::write_atomically(requests, rows.as_bytes()).map_err(of(requests))?;
         let mut table =
             "since_ns,since_counts,t_ns,position_counts,requested,completed,in_effect,insertions\n"
                 .to_owned();
@@ -173,7 +173,7 @@ impl LedgerExportSummary {
             let _ = write!(table, "{},{},{},{},", r.since_ns, r.since_counts, r.t_ns, r.position_counts);
             let _ = writeln!(table, "{},{},{},{}", r.requested, r.completed, r.in_effect, r.insertions);
         }
-        rtec_files::write::whole(insertions, table.as_bytes()).map_err(of(insertions))
+        rtec_files::write::write_atomically(insertions, table.as_bytes()).map_err(of(insertions))
     }
 }
 

@@ -185,7 +185,7 @@ fn read_gpio(config: &Config, setup: &GpioSetup) -> Result<CardReading, OpenErro
 
 /// An output that was switched over and back.
 #[derive(Debug, Serialize)]
-pub struct Switched {
+pub struct OutputSwitchResult {
     /// Inputs that changed with it.
     pub followed_by: Vec<String>,
     /// Its axis and its key.
@@ -202,21 +202,21 @@ const SETTLED: Duration = Duration::from_millis(20);
 ///
 /// # Errors
 /// When the card cannot be opened or does not answer, or has no lines outside the daemon.
-pub fn switch_outputs(config: &Config, told: impl FnMut(Switched)) -> Result<(), OpenError> {
+pub fn switch_outputs(config: &Config, told: impl FnMut(OutputSwitchResult)) -> Result<(), OpenError> {
     let mut named = config.card.clone();
     if let CardConfig::Gpio(setup) = &mut named {
         // Level mode reads the present levels; with edges it would have to wait for them.
         setup.events = false;
     }
-    Ok(card::with(&named, CardAccess::Drive, Switching { config, told })??)
+    Ok(card::with(&named, CardAccess::Drive, OutputSwitchTest { config, on_switched: told })??)
 }
 
-struct Switching<'a, T> {
+struct OutputSwitchTest<'a, T> {
     config: &'a Config,
-    told: T,
+    on_switched: T,
 }
 
-impl<T: FnMut(Switched)> CardOperation for Switching<'_, T> {
+impl<T: FnMut(OutputSwitchResult)> CardOperation for OutputSwitchTest<'_, T> {
     type Output = Result<(), CardError>;
 
     fn on<C: Card + Send + 'static>(mut self, mut card: C) -> Self::Output {
@@ -236,7 +236,7 @@ impl<T: FnMut(Switched)> CardOperation for Switching<'_, T> {
             let reads_back = switched? == before ^ mask && back == before;
             let follows = wires.iter().filter(|w| !w.output && changed >> w.bit & 1 == 1);
             let followed_by = follows.map(|w| w.name.clone()).collect();
-            (self.told)(Switched { line: wire.name.clone(), reads_back, followed_by });
+            (self.on_switched)(OutputSwitchResult { line: wire.name.clone(), reads_back, followed_by });
         }
         Ok(())
     }

@@ -30,8 +30,8 @@
 //! ```
 
 use rtec_driver::profile::{
-    AddressSpace, CardProfile, Counter, Flag, PciBarSpec, Register, RegisterPreset, RegisterWrite, Width,
-    WordBit, pci_id,
+    AddressSpace, CardProfile, Counter, IoBit, PciBarSpec, Register, RegisterBit, RegisterPreset,
+    RegisterWrite, Width, pci_id,
 };
 use rtec_files::file_kind::FileKind;
 use rtec_files::toml::{Document, Entry, Table};
@@ -96,8 +96,8 @@ pub fn parse(file: &Path, text: &str) -> Result<CardProfile, InputError> {
     for entry in root.required("lines", "a table [lines]")?.table("a table [lines]")?.entries() {
         let (place, active_low) = line(entry, input_bits, output_bits)?;
         match place {
-            WordBit::Input(bit) => profile.input_invert |= u64::from(active_low) << bit,
-            WordBit::Output(bit) => profile.output_invert |= u64::from(active_low) << bit,
+            IoBit::Input(bit) => profile.input_invert |= u64::from(active_low) << bit,
+            IoBit::Output(bit) => profile.output_invert |= u64::from(active_low) << bit,
         }
         profile.lines.insert(entry.key().to_owned(), place);
     }
@@ -158,7 +158,7 @@ fn set_up(table: Table<'_>) -> Result<RegisterPreset, InputError> {
     Ok(RegisterPreset { order, after_reset: value(table, "after_reset")? })
 }
 
-fn flag(entry: Entry<'_>) -> Result<Flag, InputError> {
+fn flag(entry: Entry<'_>) -> Result<RegisterBit, InputError> {
     let table = entry.table("{ register = 0, width = 32, bit = 0 }")?;
     table.only(&["register", "width", "bit"])?;
     let register = register(table)?;
@@ -168,7 +168,7 @@ fn flag(entry: Entry<'_>) -> Result<Flag, InputError> {
     if u32::from(bit) >= register.width.bits() {
         return Err(entry.mismatch(wanted));
     }
-    Ok(Flag { register, bit })
+    Ok(RegisterBit { register, bit })
 }
 
 fn counter(table: Table<'_>, input_bits: u32) -> Result<Counter, InputError> {
@@ -211,14 +211,14 @@ fn pci(table: Table<'_>) -> Result<PciBarSpec, InputError> {
 }
 
 /// Reads a line's place and whether it is active low.
-fn line(entry: Entry<'_>, input_bits: u32, output_bits: u32) -> Result<(WordBit, bool), InputError> {
+fn line(entry: Entry<'_>, input_bits: u32, output_bits: u32) -> Result<(IoBit, bool), InputError> {
     let wanted = "{ input = BIT } or { output = BIT }, BIT within the registers";
     let table = entry.table(wanted)?;
     table.only(&["input", "output", "active_low"])?;
     let bit = |key| table.get(key).map(|e| e.integer::<u8>(wanted)).transpose();
     let place = match (bit("input")?, bit("output")?) {
-        (Some(bit), None) if u32::from(bit) < input_bits => WordBit::Input(bit),
-        (None, Some(bit)) if u32::from(bit) < output_bits => WordBit::Output(bit),
+        (Some(bit), None) if u32::from(bit) < input_bits => IoBit::Input(bit),
+        (None, Some(bit)) if u32::from(bit) < output_bits => IoBit::Output(bit),
         _ => return Err(entry.mismatch(wanted)),
     };
     let active_low = table.get("active_low").map(|e| e.bool("true or false")).transpose()?;

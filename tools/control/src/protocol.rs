@@ -209,7 +209,7 @@ pub enum Response {
     Done {
         /// Movements that `enable` causes, axis by axis.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
-        jumps: Vec<Jump>,
+        jumps: Vec<EnableJump>,
         /// Corrections were on before `enable`, which moves nothing then.
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         already: bool,
@@ -225,7 +225,7 @@ pub enum Response {
         text: String,
         /// The jumps that `enable` would make.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
-        jumps: Vec<Jump>,
+        jumps: Vec<EnableJump>,
     },
     /// A fault is latched: because of this request, or before it.
     Fault {
@@ -419,7 +419,7 @@ pub struct LedgerRow {
 
 /// Movement of an axis if corrections are enabled now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Jump {
+pub struct EnableJump {
     /// Name of the axis.
     pub axis: String,
     /// Counts to be inserted.

@@ -5,7 +5,7 @@ use crate::AxisSetup;
 use crate::explain::{
     AxisExplanation, AxisTotalChange, Contribution, ModelPreview, RunningModel, SensorReading,
 };
-use crate::model_source::{ModelSource, acts};
+use crate::model_evaluator::{ModelEvaluator, acts};
 use crate::motion::Motion;
 use crate::part_table::{LoadedPartTable, NEAR_MM, PartTable, PartTableState};
 use crate::total::{TickInputs, Total};
@@ -30,7 +30,7 @@ const LONGEST_S: f64 = 1.0;
 
 /// The corrector's state of one axis.
 #[derive(Debug, Default)]
-struct AxisState {
+struct AxisCorrection {
     /// Its index in the model's layout; none if a model cannot name the axis.
     place: Option<usize>,
     /// Whole error by the model, µm.
@@ -50,8 +50,8 @@ struct AxisState {
 #[derive(Debug)]
 pub struct Corrector {
     setups: Vec<AxisSetup>,
-    axes: Vec<AxisState>,
-    model: Option<ModelSource>,
+    axes: Vec<AxisCorrection>,
+    model: Option<ModelEvaluator>,
     table: Option<LoadedPartTable>,
     ramp_um_s: f64,
     lead_s: f64,
@@ -81,7 +81,7 @@ pub struct Preparer {
 
 /// A model that is ready to run.
 #[derive(Debug)]
-pub struct PreparedModel(ModelSource);
+pub struct PreparedModel(ModelEvaluator);
 
 impl Preparer {
     /// Prepares a model and computes its lags from past temperatures.
@@ -89,7 +89,7 @@ impl Preparer {
     /// # Errors
     /// The model reads something that this machine does not have.
     pub fn prepare(&self, machine: Machine, past: Past<'_>) -> Result<PreparedModel, InputError> {
-        let mut source = ModelSource::new(machine, &self.layout_axes, &self.watches)?;
+        let mut source = ModelEvaluator::new(machine, &self.layout_axes, &self.watches)?;
         let rows = past(&source.live.layout().sensors);
         source.catch_up(rows, self.started_s, &self.now);
         Ok(PreparedModel(source))
@@ -139,10 +139,10 @@ impl Corrector {
                 layout_axes.push(a);
                 layout_axes.len() - 1
             });
-            axes.push(AxisState {
+            axes.push(AxisCorrection {
                 place,
                 total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
-                ..AxisState::default()
+                ..AxisCorrection::default()
             });
         }
         Self {
@@ -332,7 +332,7 @@ impl Corrector {
             if kept_counts == 0 {
                 axis.total.zero();
             } else {
-                axis.total.rest();
+                axis.total.stop_following();
             }
         }
         self.motion.forget();
@@ -341,7 +341,7 @@ impl Corrector {
     /// Notes that corrections have been enabled.
     /// Lost sensors that are good again are used from now on, in a ramp.
     pub fn enabled(&mut self) {
-        self.changed |= self.model.as_mut().is_some_and(ModelSource::enabled);
+        self.changed |= self.model.as_mut().is_some_and(ModelEvaluator::enabled);
     }
 
     /// Total of an axis with another operator's total, counts.
@@ -400,7 +400,7 @@ impl Corrector {
             let last = self.model.is_none();
             let axis = &mut self.axes[n];
             if !asks || !correcting || !s.homed || s.faults.any() {
-                axis.total.rest();
+                axis.total.stop_following();
                 self.motion.total_is(n, s.requested, 0);
                 continue;
             }
@@ -458,7 +458,7 @@ impl Corrector {
                 axis.turning_um = model.turning_um(p);
             }
             axis.thermal_hold_reason =
-                model.standing(p, watches, now_s).filter(|_| axis.hold_reason.is_none());
+                model.thermal_hold_reason(p, watches, now_s).filter(|_| axis.hold_reason.is_none());
         }
         changed
     }
@@ -549,7 +549,7 @@ impl Corrector {
     }
 
     /// The running model.
-    pub fn shown(&self) -> Option<RunningModel> {
+    pub fn running_model(&self) -> Option<RunningModel> {
         let model = self.model.as_ref()?;
         Some(RunningModel {
             name: model.machine.name().to_owned(),
@@ -563,7 +563,7 @@ impl Corrector {
         })
     }
 
-    fn notes(&self, model: &ModelSource) -> Vec<String> {
+    fn notes(&self, model: &ModelEvaluator) -> Vec<String> {
         let mut notes = model.notes(self.today);
         for (axis, setup) in self.axes.iter().zip(&self.setups) {
             if let Some(max) = axis.total.limited() {

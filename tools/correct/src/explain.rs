@@ -1,6 +1,6 @@
 //! Components of a correction, for people and for the control socket.
 
-use rtec_sensors::{SensorMonitor, SensorUse};
+use rtec_sensors::{SensorMonitor, SensorUsability};
 use serde::{Deserialize, Serialize};
 
 /// Changes that a model would make now.
@@ -110,9 +110,9 @@ impl SensorReading {
             degc: watch.value_degc(),
             age_s: watch.age_s(now_s),
             state: match watch.usable(now_s) {
-                SensorUse::Good => "good",
-                SensorUse::Frozen => "frozen",
-                SensorUse::Hold => "hold",
+                SensorUsability::Good => "good",
+                SensorUsability::Frozen => "frozen",
+                SensorUsability::Hold => "hold",
             }
             .to_owned(),
             fault: watch.fault().map(ToString::to_string),

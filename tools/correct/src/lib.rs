@@ -11,7 +11,7 @@
 pub mod corrector; // all axes: the sources' sum becomes totals
 pub mod explain; // components of a correction, for people
 pub mod jog_check; // judges a guided jog: sign, unit, compensation by the controller itself
-mod model_source; // the machine model as a source: sensors in, errors out, or why they are not known
+mod model_evaluator; // the machine model as a source: sensors in, errors out, or why they are not known
 mod motion; // position, velocity and direction of the axes from the engine's status
 pub mod part_table; // a part's errors as a source
 pub mod rehearse; // runs a recorded shift through the law with another model

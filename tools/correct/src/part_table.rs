@@ -3,7 +3,7 @@
 
 use crate::AxisSetup;
 use rtec_part::error_cor_file::FeatureErrors;
-use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc};
+use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc};
 use rtec_part::geometric_fit::Zx;
 use rtec_part::straight_table::StraightFinishTable;
 use serde::{Deserialize, Serialize};
@@ -107,7 +107,7 @@ impl LoadedPartTable {
                         lead_ms of 0 to 1000"
                 .to_owned());
         }
-        let counts = axes.map(|n| AxisCounts {
+        let counts = axes.map(|n| AxisCountConversion {
             count_um: of[n].count_um,
             increment: of[n].increment_counts,
             sign: 1.0,

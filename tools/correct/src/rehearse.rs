@@ -95,14 +95,14 @@ struct SensorColumn<'r> {
 }
 
 /// The law with one model, and the machine's state that it sees.
-struct RehearsedLaw<'r> {
+struct RehearsedCorrector<'r> {
     corrector: Corrector,
     status: Status,
     watches: Vec<SensorMonitor>,
     feeds: &'r [SensorColumn<'r>],
 }
 
-impl RehearsedLaw<'_> {
+impl RehearsedCorrector<'_> {
     /// One tick with the present sensors and positions; totals complete at once.
     fn tick(&mut self, t_s: f64, t_ns: u64, position_counts: &[i64], reading: impl Fn(&[f64]) -> f64) {
         for feed in self.feeds {
@@ -166,16 +166,16 @@ pub fn rehearse(
         })?;
         let mut status = Status { mode: Mode::Run, axes_used: setups.len() as u8, ..Status::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
-        Ok(RehearsedLaw { corrector, status, watches, feeds: &feeds })
+        Ok(RehearsedCorrector { corrector, status, watches, feeds: &feeds })
     };
     let mut stages = [stage(present)?, stage(new)?];
-    let mut changes = Rows::new(setups);
+    let mut changes = TotalsByRow::new(setups);
     run(shift, &axes, &mut stages, &mut changes);
     Ok(changes.judge(shift.rows()))
 }
 
 /// Calls the law at each row and between rows.
-fn run(shift: &Record, axes: &[Axis], stages: &mut [RehearsedLaw<'_>; 2], changes: &mut Rows) {
+fn run(shift: &Record, axes: &[Axis], stages: &mut [RehearsedCorrector<'_>; 2], changes: &mut TotalsByRow) {
     let t = shift.time_s();
     let places: Vec<Option<&[f64]>> = axes.iter().map(|a| shift.data(&Role::Position(a.clone()))).collect();
     for row in 0..shift.rows() {
@@ -203,20 +203,20 @@ fn run(shift: &Record, axes: &[Axis], stages: &mut [RehearsedLaw<'_>; 2], change
 }
 
 /// Totals collected row by row.
-struct Rows {
+struct TotalsByRow {
     setups: Vec<AxisSetup>,
     totals: Vec<Vec<(f64, [i64; 2])>>,
     held: Vec<usize>,
     outside: BTreeMap<String, usize>,
 }
 
-impl Rows {
+impl TotalsByRow {
     fn new(setups: Vec<AxisSetup>) -> Self {
         let axes = setups.len();
         Self { setups, totals: vec![Vec::new(); axes], held: vec![0; axes], outside: BTreeMap::new() }
     }
 
-    fn take(&mut self, t_s: f64, [present, new]: &mut [RehearsedLaw<'_>; 2]) {
+    fn take(&mut self, t_s: f64, [present, new]: &mut [RehearsedCorrector<'_>; 2]) {
         for (n, rows) in self.totals.iter_mut().enumerate() {
             rows.push((t_s, [present.status.axes[n].requested, new.status.axes[n].requested]));
             self.held[n] += usize::from(new.corrector.holds(n).is_some());

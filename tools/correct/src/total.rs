@@ -82,7 +82,7 @@ impl Total {
     }
 
     /// Stops following; the next time it follows, it starts from where it is.
-    pub(crate) fn rest(&mut self) {
+    pub(crate) fn stop_following(&mut self) {
         self.following = false;
     }
 
@@ -313,7 +313,7 @@ mod tests {
     #[test]
     fn taken_up_again_it_starts_from_where_it_is() {
         let mut total = following();
-        total.rest();
+        total.stop_following();
         assert_eq!(total.next(wanted(0.0, 40)), None, "40 counts were there: a ramp takes them back");
         assert!((total.ramp_left_um() - 39.95).abs() < 1e-9);
     }
@@ -345,7 +345,7 @@ mod tests {
         let mut total = following();
         assert_eq!(total.next(slow(1.0, 0.5)), None);
         assert!(total.settled(0));
-        total.rest();
+        total.stop_following();
         assert!(!total.settled(0) && !total.following(), "nobody says where it goes");
     }
 

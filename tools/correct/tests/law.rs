@@ -235,7 +235,7 @@ fn a_model_that_reads_what_the_machine_has_not_is_refused_by_name() {
     assert!(text.contains("role = \"channel\"") && text.ends_with("it has none"), "{text}");
     assert!(refuse("[[effect]]\nname = \"channel.x.flow\"\ngain = 1.0\n").contains("channel flow"));
     bench.load("[[effect]]\nname = \"coolant.z\"\num = 5.0\n");
-    assert!(bench.corrector.shown().unwrap().notes[0].contains("no [[sensor]] of role coolant"));
+    assert!(bench.corrector.running_model().unwrap().notes[0].contains("no [[sensor]] of role coolant"));
 }
 
 /// A model that was loaded after its end has been accepted by its user.
@@ -258,12 +258,12 @@ fn a_model_that_ends_while_it_runs_goes_on_and_is_known_to_have_ended() {
     bench.status.axes[0].position_counts = 420_000;
     bench.tick();
     assert_eq!(bench.status.axes[0].requested, 42, "what cuts now goes on");
-    let shown = bench.corrector.shown().unwrap();
+    let shown = bench.corrector.running_model().unwrap();
     assert!(shown.expired == [ended] && shown.notes.contains(&ended.to_owned()), "{shown:?}");
     // Loading it again means acceptance.
     bench.load(&[SCALE, fit].concat());
     assert!(bench.corrector.expired().is_empty());
-    assert_eq!(bench.corrector.shown().unwrap().expired, [ended]);
+    assert_eq!(bench.corrector.running_model().unwrap().expired, [ended]);
 }
 
 #[test]

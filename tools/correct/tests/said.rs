@@ -106,7 +106,7 @@ fn what_a_preview_says_comes_to_pass() {
     bench.status.mode = Mode::Disabled;
     bench.tick();
     assert_eq!(names(&bench, 1), ["warm_up.y", "not followed now"]);
-    assert_eq!(bench.corrector.shown().unwrap().fits, [fit]);
+    assert_eq!(bench.corrector.running_model().unwrap().fits, [fit]);
 }
 
 /// The promise of a fit includes the reversal that a correction at rest may leave.
@@ -116,7 +116,7 @@ fn a_promise_names_the_reversal_that_a_correction_leaves() {
     let said = |um: f64| format!("{SCALE_Z}{FIT}[[effect]]\nname = \"reversal.z\"\num = {um}\n");
     for um in [3.0, -3.0] {
         bench.load(&said(um));
-        let fits = bench.corrector.shown().unwrap().fits;
+        let fits = bench.corrector.running_model().unwrap().fits;
         assert!(
             fits[0].ends_with("; a correction at rest may leave 3.00 µm of the reversal beside that"),
             "{fits:?}"
@@ -166,7 +166,7 @@ fn a_models_clock_begins_with_the_daemon() {
         let at = |n: usize| bench.corrector.error_um_at(n, bench.status.t_ns, 20.0).unwrap();
         assert!((at(1) - 63.2).abs() < 0.05, "{}", at(1));
         assert!((at(0) - 5.0).abs() < 1e-9, "50 µrad of 100 mm: {}", at(0));
-        let notes = bench.corrector.shown().unwrap().notes;
+        let notes = bench.corrector.running_model().unwrap().notes;
         assert_eq!(notes, ["warm_up.y: its time counts from the daemon's start"]);
     }
 }
@@ -288,7 +288,7 @@ fn says_at_load_that_the_fit_never_saw_this_state() {
         assert_eq!(preview.warnings, notes);
         bench.load(&model);
         bench.tick();
-        assert_eq!(bench.corrector.shown().unwrap().notes, notes);
+        assert_eq!(bench.corrector.running_model().unwrap().notes, notes);
     }
 }
 
@@ -297,10 +297,10 @@ fn says_at_load_that_the_fit_never_saw_this_state() {
 fn what_is_taken_as_zero_is_said() {
     let mut bench = Bench::of(5.0, 1000.0, vec![sensor("wet", Role::Coolant)]);
     bench.load("[[effect]]\nname = \"coolant.z\"\num = 5.0\n");
-    assert_eq!(bench.corrector.shown().unwrap().notes, [""; 0]);
+    assert_eq!(bench.corrector.running_model().unwrap().notes, [""; 0]);
     bench.load("[[effect]]\nname = \"form_bump\"\num = 5.0\ncentre_rad = 0.0\nwidth_rad = 1.0\n");
     let said = "form_bump: is over the angle of a circle, which a machine at work does not have: without effect here";
-    assert_eq!(bench.corrector.shown().unwrap().notes, [said]);
+    assert_eq!(bench.corrector.running_model().unwrap().notes, [said]);
 }
 
 /// Regression: a curve over the angle of a circle was corrected as a constant.
@@ -319,7 +319,7 @@ fn an_effect_over_an_angle_corrects_nothing_at_work() {
     // The other effect of the axis is corrected.
     assert_eq!(bench.status.axes[1].requested, 4);
     assert_eq!(names(&bench, 1), ["offset.y"]);
-    let notes = bench.corrector.shown().unwrap().notes;
+    let notes = bench.corrector.running_model().unwrap().notes;
     assert!(notes.len() == 1 && notes[0].starts_with("bend.y: is over the angle of a circle"), "{notes:?}");
 }
 

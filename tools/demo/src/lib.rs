@@ -29,7 +29,7 @@ use std::time::{Duration, Instant};
 #[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct Options {
     /// How long to run
-    #[cfg_attr(feature = "clap", arg(long, default_value = "10s", value_parser = rtec_files::options::duration))]
+    #[cfg_attr(feature = "clap", arg(long, default_value = "10s", value_parser = rtec_files::cli_options::duration))]
     pub duration: Duration,
     /// Print one JSON document at the end instead of the live view
     #[cfg_attr(feature = "clap", arg(long))]
@@ -169,7 +169,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         }
     }
     if let Some(file) = &options.errors {
-        rtec_files::write::whole(file, errors.as_bytes())
+        rtec_files::write::write_atomically(file, errors.as_bytes())
             .with_context(|| format!("writing {}", file.display()))?;
     }
     let (ended, mut control) = running.stop();

@@ -12,7 +12,7 @@ fn main() -> ExitCode {
         return ExitCode::from(2);
     }
     let Err(error) = run(&Options::default()) else { return ExitCode::SUCCESS };
-    tell(&rtec_files::message_text::whole(error.as_ref()));
+    tell(&rtec_files::message_text::error_with_causes(error.as_ref()));
     let latched = matches!(error.downcast_ref(), Some(DemoError::Fault(_)));
     ExitCode::from(if latched { 4 } else { 1 })
 }

@@ -6,9 +6,9 @@ mod final_fit;
 use crate::contribution::UnnamedShape;
 use crate::hypothesis_family::HypothesisFamilies;
 use crate::priors::{KNOWN_SHARE, MOST_PHI};
-use crate::problem::{EstimationProblem, UnitAssumption, in_step};
+use crate::problem::{EstimationProblem, UnitAssumption, with_corrected_periods};
 use crate::rows::{Noise, Rows};
-use crate::search::{HypothesisSearch, HypothesisSet, Member, fit, known_again};
+use crate::search::{HypothesisSearch, HypothesisSet, Member, converted_members, profile_log_likelihood};
 use crate::search_limits::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
 use crate::setup;
 use crate::wander::{self, Wander, wanders};
@@ -145,7 +145,7 @@ pub fn estimate(
 ) -> Estimate {
     let rows = Rows::new(records);
     let given = model;
-    let model = &in_step(&rows, model)[..];
+    let model = &with_corrected_periods(&rows, model)[..];
     let mut problem = EstimationProblem::new(&rows, model, intervals);
     let mut families = HypothesisFamilies::new(&rows, dictionary, model);
     let noise = problem.first_noise();
@@ -189,10 +189,10 @@ pub fn score(
     enough: f64,
 ) -> f64 {
     let rows = Rows::new(records);
-    let model = &in_step(&rows, model)[..];
+    let model = &with_corrected_periods(&rows, model)[..];
     let problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
     let mut families = HypothesisFamilies::new(&rows, dictionary, model);
-    let start = known_again(&families, start);
+    let start = converted_members(&families, start);
     let noise = under(&problem, &start, problem.first_noise()).1;
     let mut best = f64::NEG_INFINITY;
     let goes_on = |search: &HypothesisSearch<'_>, set: &HypothesisSet| {
@@ -241,7 +241,7 @@ fn settled<T>(
         families.bank.whiten(rows, &noise);
         let search = HypothesisSearch::new(problem, families, problem.base(noise.clone()));
         // Under another noise a value may be impossible.
-        let start = search.possible_part(search.of(members.take().unwrap_or_default()));
+        let start = search.possible_part(search.set_of_members(members.take().unwrap_or_default()));
         let set = search.best(&start, regrow && round == 0);
         if !goes_on(&search, &set) {
             return then(&search, &set);
@@ -299,7 +299,7 @@ fn under(problem: &EstimationProblem<'_>, members: &[Member], mut noise: Noise) 
         }
         let prior: f64 = members.iter().map(|m| m.prior).sum();
         let freedom = base.freedom;
-        total = fit(factor.left(), freedom) - factor.half_log_det()
+        total = profile_log_likelihood(factor.left(), freedom) - factor.half_log_det()
             + prior
             + problem.log_scale(&noise)
             + noise.log_prior(problem.rows);
@@ -448,7 +448,7 @@ fn without_hypotheses(mut problem: EstimationProblem<'_>) -> (f64, Noise) {
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
         let base = problem.base(noise.clone());
-        total = fit(base.factor.left(), base.freedom) - base.factor.half_log_det()
+        total = profile_log_likelihood(base.factor.left(), base.freedom) - base.factor.half_log_det()
             + problem.log_scale(&noise)
             + noise.log_prior(problem.rows);
         noise = problem.renewed(&noise, &base.factor);
@@ -459,7 +459,7 @@ fn without_hypotheses(mut problem: EstimationProblem<'_>) -> (f64, Noise) {
 /// Log evidence of one record if the model lacks nothing.
 /// Also returns the size of the residual noise per response.
 #[must_use]
-pub fn alone(
+pub fn evidence_without_hypotheses(
     record: &Record,
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],

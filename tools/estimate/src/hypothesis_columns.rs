@@ -3,7 +3,7 @@
 //! computed exactly.
 
 use crate::rows::{Noise, Rows};
-use rtec_least_squares::{Factor, add};
+use rtec_least_squares::{QrFactor, add};
 use std::ops::Range;
 
 /// Columns in groups.
@@ -66,7 +66,7 @@ impl HypothesisColumns {
 
     /// The first look: products of the columns with a factor's residual.
     #[must_use]
-    pub fn look(&self, factor: &Factor) -> ScreeningProducts {
+    pub fn screening_products(&self, factor: &QrFactor) -> ScreeningProducts {
         let along = self.shares(factor.residual());
         let mut among = vec![0.0; self.count];
         let n = self.n;
@@ -139,7 +139,7 @@ impl HypothesisColumns {
     /// Updates a look after further orthonormal columns were added.
     /// `shares` are the bank's products with each of them, `along` their products with the residual before
     /// they were added.
-    pub fn after(&self, look: &mut ScreeningProducts, shares: &[Vec<f64>], along: &[f64]) {
+    pub fn update_products(&self, look: &mut ScreeningProducts, shares: &[Vec<f64>], along: &[f64]) {
         for (shares, along) in shares.iter().zip(along) {
             add(&mut look.along, -along, shares);
         }

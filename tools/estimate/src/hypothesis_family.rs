@@ -8,10 +8,10 @@ use crate::hypothesis_columns::HypothesisColumns;
 use crate::priors::{IMPLAUSIBLE, JUMP_UM_PROBABILITY, KNOTS, LENGTHS, NAMED_SHARE, PAIR_SHARE, PRICE};
 use crate::rows::{Rows, Segment, is_placed};
 use crate::setup;
-use crate::shapes::shapes;
-use crate::wave::WaveVariable;
+use crate::unnamed_shapes::shapes;
+use crate::wave::Periodogram;
 use rtec_model::effect::{
-    Dictionary, Effect, GridHypothesis, ParameterSearch, Quantity, Refine, RequiredInput,
+    AffectedQuantity, Dictionary, Effect, GridHypothesis, ParameterSearch, Refine, RequiredInput,
     TemperatureDifference, ThermalDependence,
 };
 use rtec_model::record::{Axis, Record, Role};
@@ -57,7 +57,7 @@ pub enum Scan {
     /// A wave of any period.
     Wave {
         /// The variable it runs along.
-        along: WaveVariable,
+        along: Periodogram,
         /// Unit of the period in that of the variable.
         unit: f64,
     },
@@ -198,7 +198,7 @@ impl HypothesisFamilies {
     fn effect(&mut self, rows: &Rows<'_>, own: &[&Effect], model: &[Effect]) {
         let effect = own[0];
         let law = effect.description();
-        if law.constant && law.quantity == Quantity::Error {
+        if law.constant && law.quantity == AffectedQuantity::Error {
             // Every gauge has its own zero, so a constant cannot be attributed to the machine.
             return;
         }
@@ -239,7 +239,7 @@ impl HypothesisFamilies {
             if let (Some(steps), Some(step)) = (facts.steps, step_of(&along)) {
                 range[1] = range[1].min(1.0 / (steps * step));
             }
-            if let Some(along) = WaveVariable::new(along, range) {
+            if let Some(along) = Periodogram::new(along, range) {
                 self.push(effect, Scan::Wave { along, unit: facts.unit_mm });
             }
             return;
@@ -373,7 +373,7 @@ impl HypothesisFamilies {
                 along.push((s.rows.start + i, *place, *share));
             }
         }
-        let Some(along) = WaveVariable::new(along, [0.0, fastest]) else { return };
+        let Some(along) = Periodogram::new(along, [0.0, fastest]) else { return };
         let response = rows.responses[response].to_string();
         let shape =
             UnnamedShape { response, against: vec![against.to_owned()], manner: "periodic".to_owned() };
@@ -424,7 +424,7 @@ const fn gcd(a: i64, b: i64) -> i64 {
 
 /// A map on the measured positions, as long and as short waves.
 fn maps(rows: &Rows<'_>, effect: &Effect) -> Vec<(f64, Contribution)> {
-    use rtec_model::effect::Extent as _;
+    use rtec_model::effect::RecordExtent as _;
     // Its knots are on the last axis of its name.
     let Some(axis) = effect.axes().last() else { return Vec::new() };
     let mut knots = knots(&rows.places_mm(axis), KNOTS);

@@ -9,7 +9,7 @@
 //! | [`search_limits`] | limits of the search's work |
 //! | [`rows`] | records as rows under one noise |
 //! | [`setup`] | set-up terms, in one list |
-//! | [`shapes`] | shapes without a name, in one list |
+//! | [`unnamed_shapes`] | shapes without a name, in one list |
 //! | `contribution`, `hypothesis_family` | contribution of a hypothesis to the rows; all hypotheses |
 //! | `gaussian_process`, `wave` | smooth functions as columns; frequencies that rows show |
 //! | `wander` | walks that last longer than the noise's correlation |
@@ -31,12 +31,12 @@ pub mod rows;
 pub mod search;
 pub mod search_limits;
 pub mod setup;
-pub mod shapes;
+pub mod unnamed_shapes;
 pub mod wander;
 pub mod wave;
 
 pub use contribution::UnnamedShape;
 pub use estimate::{
-    Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, alone, estimate,
-    of_other_machine, score, unexplained,
+    Estimate, EstimatedMember, RefinedEffect, Rival, SetUpEstimate, TriedExplanation, estimate,
+    evidence_without_hypotheses, of_other_machine, score, unexplained,
 };

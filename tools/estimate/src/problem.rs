@@ -5,7 +5,7 @@ use crate::priors::{CHANCE, KNOWN_SHARE, MOST_PHI, NOISE, PERIOD_SHARE, TAILS};
 use crate::rows::{Noise, Rows, Segment};
 use crate::search_limits::{OUT_OF_STEP, ROUNDING_STEPS};
 use crate::setup::{self, SetUpTerm};
-use rtec_least_squares::{Factor, add, dot};
+use rtec_least_squares::{QrFactor, add, dot};
 use rtec_model::effect::{Effect, ParameterSearch, Refine};
 use rtec_model::record::rounding_error;
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
@@ -82,7 +82,7 @@ impl WaveCycles {
     /// The turns of a wave of the model.
     fn of(rows: &Rows<'_>, wave: &Effect) -> Option<Self> {
         let facts = wave.description().searched.wave?;
-        let places = rtec_model::effect::Extent::places_mm(rows, wave.axes().first()?);
+        let places = rtec_model::effect::RecordExtent::places_mm(rows, wave.axes().first()?);
         let (lo, hi) = (places.first()?, places.last()?);
         let period_mm = wave.scalar(0) * facts.unit_mm;
         Some(Self { over_travel: (hi - lo) / period_mm, to_middle: 0.5 * (lo + hi) / period_mm })
@@ -92,7 +92,7 @@ impl WaveCycles {
 /// Waves of the model with their periods corrected by the rows.
 /// Over many turns a period of four digits is out of step.
 #[must_use]
-pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
+pub fn with_corrected_periods(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
     let mut model = model.to_vec();
     for e in 0..model.len() {
         let effect = &model[e];
@@ -147,7 +147,7 @@ pub fn in_step(rows: &Rows<'_>, model: &[Effect]) -> Vec<Effect> {
 }
 
 /// Log likelihood gained by columns of any size.
-fn columns_gain(factor: &Factor, columns: &[Vec<f64>], freedom: f64) -> f64 {
+fn columns_gain(factor: &QrFactor, columns: &[Vec<f64>], freedom: f64) -> f64 {
     let mut with = factor.clone();
     for c in columns {
         with.push(&c.iter().map(|x| x * 30.0).collect::<Vec<_>>());
@@ -184,7 +184,7 @@ pub struct Baseline {
     /// The noise by which it is whitened.
     pub noise: Noise,
     /// Set-up terms, then known effects.
-    pub factor: Factor,
+    pub factor: QrFactor,
     /// Degrees of freedom of the rows, with all of this fitted.
     pub freedom: f64,
 }
@@ -325,7 +325,7 @@ impl<'r> EstimationProblem<'r> {
             noise.whiten(self.rows, &mut c);
             c
         };
-        let mut factor = Factor::new(&whiten(&self.missing, 1.0));
+        let mut factor = QrFactor::new(&whiten(&self.missing, 1.0));
         for t in &self.terms {
             factor.push(&whiten(&t.column, t.sd));
         }
@@ -383,7 +383,7 @@ impl<'r> EstimationProblem<'r> {
     /// The noise estimated from a fit's residual.
     /// One step of expectation and maximisation.
     #[must_use]
-    pub fn renewed(&self, noise: &Noise, factor: &Factor) -> Noise {
+    pub fn renewed(&self, noise: &Noise, factor: &QrFactor) -> Noise {
         let rows = self.rows;
         let e = factor.residual();
         let mut new = noise.clone();

@@ -5,7 +5,7 @@ use crate::contribution::Contribution;
 use crate::priors::WIDE;
 use crate::problem::EstimationProblem;
 use crate::rows::{Noise, Rows};
-use rtec_least_squares::{Factor, add};
+use rtec_least_squares::{QrFactor, add};
 use rtec_model::effect::Effect;
 use rtec_model::machine::NORMAL_95;
 use rtec_model::record::Record;
@@ -37,7 +37,7 @@ impl<'p, 'r> Refit<'p, 'r> {
         Self { problem, columns, effects: effects.to_vec() }
     }
 
-    fn factor(&self, noise: &Noise) -> (Factor, usize) {
+    fn factor(&self, noise: &Noise) -> (QrFactor, usize) {
         let base = self.problem.base(noise.clone());
         let from = base.factor.len();
         let mut factor = base.factor;
@@ -124,7 +124,7 @@ pub fn left(record: &Record, model: &[Effect]) -> Vec<Vec<f64>> {
     let mut noise = problem.first_noise();
     noise.phi.fill(0.0);
     let problem = problem.by_hand();
-    let mut factor = Factor::new(&{
+    let mut factor = QrFactor::new(&{
         let mut y = problem.missing.clone();
         noise.whiten(&rows, &mut y);
         y

@@ -2,7 +2,7 @@
 
 use crate::priors::{ALIKE_ROWS, MOST_PHI, NOISE};
 use crate::search_limits::{MUCH_MEMORY, ONE_PLACE, SIZE_STEPS, TIME_CONSTANTS};
-use rtec_model::effect::{Dictionary, Effect, Extent, Law, Quantity};
+use rtec_model::effect::{AffectedQuantity, Dictionary, Effect, Law, RecordExtent};
 use rtec_model::record::{Axis, Record, Role, span};
 use std::ops::Range;
 
@@ -86,8 +86,10 @@ impl<'r> Rows<'r> {
     #[must_use]
     pub fn share(&self, axis: &Axis) -> Option<Vec<f64>> {
         let dictionary = Dictionary::default();
-        let law =
-            dictionary.laws().map(Law::describe).find(|l| l.constant && l.quantity == Quantity::Error)?;
+        let law = dictionary
+            .laws()
+            .map(Law::describe)
+            .find(|l| l.constant && l.quantity == AffectedQuantity::Error)?;
         let constant = dictionary.effect(&format!("{}.{axis}", law.name)).ok()?;
         Some(self.basis(&constant).swap_remove(0))
     }
@@ -114,7 +116,7 @@ impl<'r> Rows<'r> {
         &self,
         effect: &Effect,
         k: usize,
-        fill: impl Fn(&rtec_model::effect::EffectColumns<'_>, usize, &mut [f64]),
+        fill: impl Fn(&rtec_model::effect::EffectInputColumns<'_>, usize, &mut [f64]),
     ) -> Vec<Vec<f64>> {
         let mut out: Vec<Vec<f64>> = (0..k).map(|_| vec![0.0; self.n]).collect();
         let mut buffer = Vec::new();
@@ -166,7 +168,7 @@ pub fn is_placed(record: &Record, effect: &Effect) -> bool {
     record.knows_places() || !needs_place(effect)
 }
 
-impl Extent for Rows<'_> {
+impl RecordExtent for Rows<'_> {
     fn rows(&self) -> usize {
         self.n
     }

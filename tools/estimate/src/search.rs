@@ -11,7 +11,7 @@ use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
 use crate::problem::{Baseline, EstimationProblem};
 use crate::search_limits::{MOST_MEMBERS, MOST_SHAPES};
-use rtec_least_squares::{Factor, add, dot};
+use rtec_least_squares::{QrFactor, add, dot};
 use rtec_model::effect::{Effect, TemperatureDifference};
 use screening::turns_back;
 use std::cell::{OnceCell, RefCell};
@@ -76,7 +76,7 @@ pub struct HypothesisSet {
     /// The members.
     pub members: Vec<Member>,
     /// The base's columns, then the members'.
-    pub factor: Factor,
+    pub factor: QrFactor,
     /// log p(y | S) + log p(S), up to a constant.
     pub score: f64,
 }
@@ -129,7 +129,7 @@ type Screenings = HashMap<(Vec<u64>, bool), Rc<[ScreenedHypothesis]>>;
 
 /// Evidence of columns at each level of their size.
 #[derive(Debug, Clone, Copy)]
-pub struct SizeEvidence {
+pub struct PriorScaleEvidence {
     /// Log Bayes factor, summed over the levels.
     pub total: f64,
     /// The best level.
@@ -150,24 +150,24 @@ pub(crate) fn log_sum(values: impl IntoIterator<Item = f64>) -> f64 {
 /// Log likelihood of a residual.
 /// The noise's size is estimated from it, but not below its floor.
 #[must_use]
-pub fn fit(left: f64, freedom: f64) -> f64 {
+pub fn profile_log_likelihood(left: f64, freedom: f64) -> f64 {
     let left = left.max(1e-9 * freedom);
     if left > freedom { -0.5 * freedom * ((left / freedom).ln() + 1.0) } else { -0.5 * left }
 }
 
 /// Gain of columns from ½ log |I + t²S| and t²hᵀ(I + t²S)⁻¹h at each level.
-fn gain_of(at_level: impl Fn(f64) -> (f64, f64), left: f64, freedom: f64) -> SizeEvidence {
-    let now = fit(left, freedom);
+fn gain_of(at_level: impl Fn(f64) -> (f64, f64), left: f64, freedom: f64) -> PriorScaleEvidence {
+    let now = profile_log_likelihood(left, freedom);
     let at = LEVELS.map(|(level, weight)| {
         let (half_log_det, less) = at_level(level * level);
-        weight.ln() - half_log_det + fit(left - less, freedom) - now
+        weight.ln() - half_log_det + profile_log_likelihood(left - less, freedom) - now
     });
     let best = (0..at.len()).max_by(|a, b| at[*a].total_cmp(&at[*b])).unwrap_or(0);
-    SizeEvidence { total: log_sum(at), level: LEVELS[best].0, best: at[best] }
+    PriorScaleEvidence { total: log_sum(at), level: LEVELS[best].0, best: at[best] }
 }
 
 /// Gain of one column.
-fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> SizeEvidence {
+fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> PriorScaleEvidence {
     let of = |t: f64| {
         let l = 1.0 + t * square.max(0.0);
         (0.5 * l.ln(), t * along * along / l)
@@ -177,7 +177,7 @@ fn gain_of_one(square: f64, along: f64, left: f64, freedom: f64) -> SizeEvidence
 
 /// Gain of columns with these products with the residual and among each other.
 #[must_use]
-pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> SizeEvidence {
+pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> PriorScaleEvidence {
     let p = along.len();
     if p == 1 {
         return gain_of_one(among[0], along[0], left, freedom);
@@ -210,7 +210,7 @@ impl<'p> HypothesisSearch<'p> {
     /// The families' columns must be whitened already.
     #[must_use]
     pub fn new(problem: &'p EstimationProblem<'p>, families: &'p HypothesisFamilies, base: Baseline) -> Self {
-        let look = families.bank.look(&base.factor);
+        let look = families.bank.screening_products(&base.factor);
         let rounding = crate::setup::rounding(problem.rows);
         Self { problem, families, base, look, rounding, cache: Cache::default() }
     }
@@ -222,7 +222,7 @@ impl<'p> HypothesisSearch<'p> {
     /// The set without members.
     #[must_use]
     pub fn nothing(&self) -> HypothesisSet {
-        let score = fit(self.base.factor.left(), self.base.freedom);
+        let score = profile_log_likelihood(self.base.factor.left(), self.base.freedom);
         HypothesisSet { members: Vec::new(), factor: self.base.factor.clone(), score }
     }
 
@@ -241,25 +241,25 @@ impl<'p> HypothesisSearch<'p> {
 
     /// Gain of columns added to a factor.
     #[must_use]
-    pub fn gain(&self, factor: &Factor, columns: &[Vec<f64>]) -> SizeEvidence {
+    pub fn gain(&self, factor: &QrFactor, columns: &[Vec<f64>]) -> PriorScaleEvidence {
         let (along, among) = Self::products(factor, columns);
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
     /// As [`Self::products_of`], for columns that are new to the factor.
-    fn products(factor: &Factor, columns: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
+    fn products(factor: &QrFactor, columns: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
         Self::products_of(factor, columns, &columns.iter().map(|c| factor.shares(c)).collect::<Columns>())
     }
 
     /// As [`Self::gain`], for columns whose products with the factor are known.
-    fn gain_of(&self, factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> SizeEvidence {
+    fn gain_of(&self, factor: &QrFactor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> PriorScaleEvidence {
         let (along, among) = Self::products_of(factor, columns, shares);
         gain(&along, &among, factor.left(), self.base.freedom)
     }
 
     /// Products of columns with a factor's residual, and among each other.
     /// The latter are those after projection on the factor.
-    fn products_of(factor: &Factor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
+    fn products_of(factor: &QrFactor, columns: &[Vec<f64>], shares: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
         let p = columns.len();
         let along: Vec<f64> = columns.iter().map(|c| dot(c, factor.residual())).collect();
         let mut among = vec![0.0; p * p];
@@ -282,7 +282,7 @@ impl<'p> HypothesisSearch<'p> {
         let from = self.base.factor.len();
         let mut new: Columns = Vec::new();
         for m in &set.members {
-            let beside = |c: &Vec<f64>| self.base.factor.beside(c);
+            let beside = |c: &Vec<f64>| self.base.factor.projected_out(c);
             let shares = || bank.shares_of(&m.columns.iter().map(beside).collect::<Columns>());
             for raw in m.shares.get_or_init(shares) {
                 let r = &set.factor.triangle()[from + new.len()][from..];
@@ -298,7 +298,7 @@ impl<'p> HypothesisSearch<'p> {
             }
         }
         let mut look = self.look.clone();
-        bank.after(&mut look, &new, &set.factor.along()[from..]);
+        bank.update_products(&mut look, &new, &set.factor.along()[from..]);
         look
     }
 
@@ -344,16 +344,18 @@ impl<'p> HypothesisSearch<'p> {
         self.possible(&set).then_some(set)
     }
 
-    fn scored(&self, members: Vec<Member>, factor: Factor) -> HypothesisSet {
+    fn scored(&self, members: Vec<Member>, factor: QrFactor) -> HypothesisSet {
         let prior: f64 = members.iter().map(|m| m.prior).sum();
         let det = factor.half_log_det() - self.base.factor.half_log_det();
-        let score = fit(factor.left(), self.base.freedom) - det + prior + self.whole(&members, &factor);
+        let score = profile_log_likelihood(factor.left(), self.base.freedom) - det
+            + prior
+            + self.whole_count_correction(&members, &factor);
         HypothesisSet { members, factor, score }
     }
 
     /// Correction to the likelihood for lost counts, which are whole numbers.
     /// There are fewer whole numbers than real ones.
-    fn whole(&self, members: &[Member], factor: &Factor) -> f64 {
+    fn whole_count_correction(&self, members: &[Member], factor: &QrFactor) -> f64 {
         let count_um = self.problem.rows.records.iter().find_map(|r| r.count_um);
         let Some(count_um) = count_um else { return 0.0 };
         let of = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
@@ -381,7 +383,7 @@ impl<'p> HypothesisSearch<'p> {
 
     /// The fit of the members of another search, unchanged.
     #[must_use]
-    pub fn of(&self, mut members: Vec<Member>) -> HypothesisSet {
+    pub fn set_of_members(&self, mut members: Vec<Member>) -> HypothesisSet {
         for m in &mut members {
             m.set_columns(self.columns(&m.cause));
         }
@@ -389,7 +391,7 @@ impl<'p> HypothesisSearch<'p> {
     }
 
     /// The fit of members, of which the first `done` are in the factor already.
-    fn grown_from(&self, mut factor: Factor, members: Vec<Member>, done: usize) -> HypothesisSet {
+    fn grown_from(&self, mut factor: QrFactor, members: Vec<Member>, done: usize) -> HypothesisSet {
         for m in &members[done..] {
             push(&mut factor, m);
         }
@@ -397,7 +399,7 @@ impl<'p> HypothesisSearch<'p> {
     }
 
     /// The factor of a set's first `count` members.
-    fn first(&self, set: &HypothesisSet, count: usize) -> Factor {
+    fn first(&self, set: &HypothesisSet, count: usize) -> QrFactor {
         let width: usize = set.members[..count].iter().map(Member::width).sum();
         set.factor.first(self.base.factor.len() + width)
     }
@@ -529,7 +531,7 @@ impl<'p> HypothesisSearch<'p> {
 /// Converts members of another search into members of these families.
 /// Members that depend on the rows themselves are dropped.
 #[must_use]
-pub fn known_again(families: &HypothesisFamilies, members: &[Member]) -> Vec<Member> {
+pub fn converted_members(families: &HypothesisFamilies, members: &[Member]) -> Vec<Member> {
     let of = |m: &Member| {
         let effect = m.cause.effect()?;
         let same = |f: &HypothesisFamily| {
@@ -548,7 +550,7 @@ pub(crate) fn same_period(a: &Effect, b: &Effect) -> bool {
 }
 
 /// Adds a member's columns to a factor.
-fn push(factor: &mut Factor, member: &Member) {
+fn push(factor: &mut QrFactor, member: &Member) {
     for c in member.columns.iter() {
         factor.push(&c.iter().map(|x| x * member.level).collect::<Vec<_>>());
     }

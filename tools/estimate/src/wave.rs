@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 /// A variable that a wave may run along, at the rows that show it.
 #[derive(Clone)]
-pub struct WaveVariable {
+pub struct Periodogram {
     /// Row, position, and the share of the wave that the row shows.
     rows: Vec<(usize, f64, f64)>,
     /// Range of frequencies, in turns per unit of position.
@@ -28,13 +28,13 @@ pub struct WaveVariable {
     products: Vec<[f64; 3]>,
 }
 
-impl fmt::Debug for WaveVariable {
+impl fmt::Debug for Periodogram {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "a wave over {} rows, {:?} turns", self.rows.len(), self.range)
     }
 }
 
-impl WaveVariable {
+impl Periodogram {
     /// A variable with these positions; `None` if nothing moves or no period fits.
     #[must_use]
     pub fn new(rows: Vec<(usize, f64, f64)>, [lowest, highest]: [f64; 2]) -> Option<Self> {
@@ -147,7 +147,7 @@ impl WaveVariable {
     /// The strongest frequency near each of these, best first.
     /// Near means within a share of it. Strongest is by the power of a weighted residual.
     #[must_use]
-    pub fn near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
+    pub fn strongest_near(&self, residual: &[f64], frequencies: &[f64], share: f64) -> Vec<f64> {
         let step = FREQUENCY_STEP / self.span;
         let best = |f: &f64| {
             let steps = (share * f / step).ceil().clamp(1.0, 60.0);
@@ -175,7 +175,7 @@ impl WaveVariable {
 
     /// Frequencies of waves that look nearly the same at these positions.
     #[must_use]
-    pub fn alike(&self, frequency: f64) -> Vec<f64> {
+    pub fn alias_frequencies(&self, frequency: f64) -> Vec<f64> {
         let rows = self.rows.iter().map(|r| r.0).max().map_or(0, |last| last + 1);
         let (step, power) = self.spectrum(&vec![1.0; rows]);
         let whole: f64 = self.rows.iter().map(|r| r.2).sum();

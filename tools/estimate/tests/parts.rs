@@ -8,7 +8,7 @@ use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Rows, needs_place};
 use rtec_estimate::search::{HypothesisSearch, Member};
 use rtec_estimate::setup::step_of;
-use rtec_estimate::wave::WaveVariable;
+use rtec_estimate::wave::Periodogram;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::Dictionary;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -18,16 +18,16 @@ fn finds_a_period_between_uneven_places() {
     let places: Vec<f64> = (0..200).map(|i| f64::from(i) * 2.0 + f64::from(i * i % 17) * 0.1).collect();
     let residual: Vec<f64> = places.iter().map(|p| (std::f64::consts::TAU * p / 7.3 + 0.4).sin()).collect();
     let rows = places.iter().enumerate().map(|(i, p)| (i, *p, 1.0)).collect();
-    let along = WaveVariable::new(rows, [1.0 / 60.0, 2.0]).unwrap();
+    let along = Periodogram::new(rows, [1.0 / 60.0, 2.0]).unwrap();
     let best = along.peaks(&residual, 3)[0];
     assert!((1.0 / best - 7.3).abs() < 0.1, "{}", 1.0 / best);
-    assert!(along.alike(best).is_empty());
+    assert!(along.alias_frequencies(best).is_empty());
     let grid = (0..60).map(|i| (i, 4.0 * (i % 20) as f64, 1.0)).collect();
-    let alike = WaveVariable::new(grid, [1.0 / 60.0, 1.0]).unwrap().alike(0.1);
+    let alike = Periodogram::new(grid, [1.0 / 60.0, 1.0]).unwrap().alias_frequencies(0.1);
     for f in [0.15, 0.35, 0.4, 0.6] {
         assert!(alike.iter().any(|a| (a - f).abs() < 0.002), "{f}: {alike:?}");
     }
-    assert!(WaveVariable::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
+    assert!(Periodogram::new(vec![(0, 1.0, 1.0); 20], [0.1, 1.0]).is_none());
 }
 
 /// The products that follow from R equal those computed directly.
@@ -59,7 +59,7 @@ fn the_look_beside_a_set_is_that_beside_its_factor() {
     let set = search.grown(&search.nothing(), 1, true).swap_remove(0);
     let set = search.grown(&set, 1, true).into_iter().next().unwrap_or(set);
     assert!(!set.members.is_empty());
-    let (quick, anew) = (search.look_at(&set), families.bank.look(&set.factor));
+    let (quick, anew) = (search.look_at(&set), families.bank.screening_products(&set.factor));
     let near = |a: &[f64], b: &[f64], size: f64| {
         a.iter().zip(b).map(|(x, y)| (x - y).abs() / (size + y.abs())).fold(0.0, f64::max)
     };
@@ -106,7 +106,7 @@ fn only_what_is_impossible_leaves_a_set() {
     assert_eq!(axes(&both), ["thermal_growth.x", "thermal_growth.z"]);
     // 300 µm/K are more than any machine grows.
     let left = searched(&record([5.0, 300.0]), &|search| {
-        let set = search.of(both.clone());
+        let set = search.set_of_members(both.clone());
         assert!(!search.possible(&set));
         search.possible_part(set).members
     });

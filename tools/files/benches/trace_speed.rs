@@ -3,7 +3,7 @@
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
-use rtec_files::trace::{TraceFormat, TraceReader, TraceWriter};
+use rtec_files::quadrature_trace::{TraceFormat, TraceReader, TraceWriter};
 use std::path::Path;
 use std::time::Instant;
 

@@ -1,6 +1,6 @@
 //! Reads a recorded quadrature trace and counts its edges.
 //! A wrong row is reported with its place.
-use rtec_files::trace::{TraceFormat, TraceReader};
+use rtec_files::quadrature_trace::{TraceFormat, TraceReader};
 use std::path::Path;
 
 const TRACE: &str = "t_ns,a,b\n0,0,0\n1000,1,0\n2500,1,1\n4000,0,1\n5200,1,1\n";

@@ -34,7 +34,7 @@ impl ComputationHandle {
     }
 
     /// Computes in this thread, watched; `None` if it was given up.
-    pub fn over<T>(self: &Arc<Self>, work: impl FnOnce() -> T) -> Option<T> {
+    pub fn run_cancellable<T>(self: &Arc<Self>, work: impl FnOnce() -> T) -> Option<T> {
         let before = HERE.replace(Some(Arc::clone(self)));
         // Unwinding drops everything half done, so nothing reads it again.
         let done = catch_unwind(AssertUnwindSafe(work));
@@ -70,7 +70,7 @@ mod tests {
     fn steps_are_counted_where_somebody_watches() {
         step();
         let watch = Arc::new(ComputationHandle::default());
-        assert_eq!(watch.over(|| (0..7).for_each(|_| step())), Some(()));
+        assert_eq!(watch.run_cancellable(|| (0..7).for_each(|_| step())), Some(()));
         step();
         assert_eq!(watch.steps(), 7);
     }
@@ -82,7 +82,7 @@ mod tests {
         let computing = std::thread::spawn({
             let watch = Arc::clone(&watch);
             move || {
-                watch.over(|| {
+                watch.run_cancellable(|| {
                     loop {
                         step();
                         begun.send(()).unwrap_or_default();
@@ -98,7 +98,8 @@ mod tests {
     #[test]
     fn a_panic_is_no_giving_up() {
         let watch = Arc::new(ComputationHandle::default());
-        let caught = catch_unwind(AssertUnwindSafe(|| watch.over(|| resume_unwind(Box::new("mistake")))));
+        let caught =
+            catch_unwind(AssertUnwindSafe(|| watch.run_cancellable(|| resume_unwind(Box::new("mistake")))));
         assert!(caught.is_err_and(|why| why.is::<&str>()));
     }
 }

@@ -344,7 +344,7 @@ pub struct EpochTime {
 /// Recognises a time counted from a zero long before the run.
 /// It is a Unix time between 2000 and 2100 in any unit, or Windows' FILETIME of those years. It may also be
 /// seconds since 1904 if the same number as a Unix time is still in the future. `None` for any other number.
-pub fn counted(time: f64) -> Option<EpochTime> {
+pub fn recognise_epoch_time(time: f64) -> Option<EpochTime> {
     let Some((unit, day)) = unix(time) else { return filetime(time) };
     let since_1904 = time - SINCE_1904_S;
     let is_to_come = date::parse(&day)? > date::today() + 1;
@@ -525,12 +525,12 @@ mod tests {
     #[test]
     fn knows_seconds_since_1904_and_spreadsheet_dates() {
         // datetime(1904, 1, 1) + timedelta(seconds=3840000000); datetime(1899, 12, 30) + timedelta(45963.5)
-        let since_1904 = counted(3_840_000_000.0).unwrap();
+        let since_1904 = recognise_epoch_time(3_840_000_000.0).unwrap();
         assert_eq!((since_1904.what, since_1904.day.as_str()), ("seconds since 1904", "2025-09-06"));
-        assert_eq!(counted(1_767_700_000.0).unwrap().what, "Unix time");
+        assert_eq!(recognise_epoch_time(1_767_700_000.0).unwrap().what, "Unix time");
         assert_eq!(spreadsheet(45_963.5).unwrap().day, "2025-11-02");
         // (datetime(2025, 11, 2) - datetime(1601, 1, 1)) / timedelta(microseconds=1) * 10
-        let windows = counted(134_065_152_000_000_000.0).unwrap();
+        let windows = recognise_epoch_time(134_065_152_000_000_000.0).unwrap();
         assert_eq!(
             (windows.what, windows.unit, windows.day.as_str()),
             ("Windows FILETIME", "100ns", "2025-11-02")

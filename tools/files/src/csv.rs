@@ -26,7 +26,7 @@ pub use writing::{CsvStyle, cell, header_line};
 use crate::decimal::decimal;
 use crate::file_kind::FileKind;
 use crate::input_error::InputError;
-use crate::lines::Lines;
+use crate::lines::LineReader;
 use crate::message_text::quoted;
 use crate::text::{UTF8, WESTERN, is_western, not_utf8, opened, western};
 use comments::{
@@ -40,7 +40,7 @@ use std::path::Path;
 /// Reads a CSV row by row; memory stays flat for a file of any length.
 #[derive(Debug)]
 pub struct Reader<R> {
-    pub(crate) lines: Lines<R>,
+    pub(crate) lines: LineReader<R>,
     parser: Parser,
     by: u8,
     /// Cells per row, once the header is read.
@@ -54,7 +54,7 @@ pub struct Reader<R> {
 /// Oddities of a table so far, which a note reports.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Oddities {
-    pub(crate) commented: Option<Commented>,
+    pub(crate) commented: Option<CommentedRows>,
     /// Rows that end with extra separators after the last named column, and others.
     pub(crate) beyond: TrailingSeparators,
     /// Number of another program's lines before the columns' names.
@@ -81,7 +81,7 @@ enum Encoding {
 
 /// Lines that begin with `#` but look like rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Commented {
+pub(crate) struct CommentedRows {
     /// The first such line, from 1.
     pub(crate) line: usize,
     /// The number of such lines.
@@ -117,7 +117,7 @@ impl<R: Read> Reader<R> {
     /// The input cannot be read.
     pub fn new(file: &Path, input: R) -> Result<Self, InputError> {
         Ok(Self {
-            lines: Lines::new(file, input)?,
+            lines: LineReader::new(file, input)?,
             parser: parser(b','),
             by: b',',
             width: None,
@@ -143,7 +143,7 @@ impl<R: Read> Reader<R> {
                 break (range, length);
             }
             if looks_like_a_row(line, self.by, self.width) {
-                let first = Commented { line: self.lines.line, lines: 0 };
+                let first = CommentedRows { line: self.lines.line, lines: 0 };
                 self.oddities.commented.get_or_insert(first).lines += 1;
             }
         };
@@ -422,7 +422,7 @@ impl<R: Read> Reader<R> {
 
     /// The finding that there is no row, only comments that look like rows.
     pub fn rows_are_comments(&self) -> Option<InputError> {
-        let Commented { line, lines } = self.oddities.commented?;
+        let CommentedRows { line, lines } = self.oddities.commented?;
         let found = format!("{lines} lines that begin with # and have a row's cells, and no other row");
         let expected =
             "rows: a line that begins with # is a comment; put its first cell in quotes if it is a row";
@@ -642,7 +642,7 @@ mod tests {
         let mut reader = reader("n;e\n#1;2,5\n# 2;2,5\n#3;2,5\n## 4;5\n#5;a\n6;1\n");
         reader.header_with("names", &[]).unwrap();
         assert_eq!(reader.row().unwrap().unwrap().text(), "6;1");
-        assert_eq!(reader.oddities.commented, Some(Commented { line: 2, lines: 2 }));
+        assert_eq!(reader.oddities.commented, Some(CommentedRows { line: 2, lines: 2 }));
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub fn built_from(commit: &'static str) {
 
 /// The writer: `rtec 0.1.0`.
 /// A release adds its commit: `rtec 0.1.0 (c7e189b04e)`.
-pub fn by() -> String {
+pub fn writer() -> String {
     match COMMIT.get() {
         Some(commit) if !commit.is_empty() => format!("rtec {VERSION} ({commit})"),
         _ => format!("rtec {VERSION}"),
@@ -57,7 +57,7 @@ pub fn signed(mut json: String) -> String {
     let (before, after) = if json.contains('\n') { ("\n  ", "\n") } else { ("", "") };
     json.truncate(json.trim_end().len());
     let (comma, space) = (if json == "{" { "" } else { "," }, if after.is_empty() { "" } else { " " });
-    let stamp = format!("{before}\"format\":{space}{FORMAT},{before}\"by\":{space}\"{}\"", by());
+    let stamp = format!("{before}\"format\":{space}{FORMAT},{before}\"by\":{space}\"{}\"", writer());
     format!("{json}{comma}{stamp}{after}}}")
 }
 
@@ -70,7 +70,7 @@ mod tests {
     #[test]
     fn a_document_ends_with_its_writer() {
         let signed = |json: &str| super::signed(json.to_owned());
-        let by = by();
+        let by = writer();
         assert_eq!(signed("{\"a\":1}"), format!("{{\"a\":1,\"format\":1,\"by\":\"{by}\"}}"));
         let pretty = format!("{{\n  \"a\": 1,\n  \"format\": 1,\n  \"by\": \"{by}\"\n}}");
         assert_eq!(signed("{\n  \"a\": 1\n}"), pretty);

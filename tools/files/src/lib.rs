@@ -8,6 +8,8 @@
 //! An example: `cargo run -p rtec-files --example read_trace`. The tests run it too.
 
 pub mod cancellable_computation; // a long computation that another thread waits for
+#[cfg(feature = "clap")]
+pub mod cli_options; // parsers of command-line options
 pub mod clock_column; // clocks whose zero is not the start of the run: ISO 8601, DD.MM.YYYY, times of the day, Unix times
 pub mod csv; // CSV: rows of cells with their places, columns by name
 pub mod date; // calendar days
@@ -19,19 +21,17 @@ pub mod keys; // one table of keys per section of a TOML file, to read, check an
 mod lines; // a file line by line through one buffer
 pub mod message_text; // text of messages: the word that was probably meant, printable and quoted text
 mod numbers; // the format of a column's numbers: decimal point or comma, thousands
-#[cfg(feature = "clap")]
-pub mod options; // parsers of command-line options
-pub mod position_record; // the quadrature trace that a scale gives along measured positions
+pub mod quadrature_trace; // recorded quadrature, as CSV and VCD, and requested totals
 mod sheet; // a CSV whose columns are known, read whole
 pub mod text; // a text file read whole: UTF-8 or UTF-16, without its byte-order mark
 pub mod toml; // strict reading of TOML: the first finding, or all of them
-pub mod trace; // recorded quadrature, as CSV and VCD, and requested totals
+pub mod trace_from_positions; // the quadrature trace that a scale gives along measured positions
 pub mod units; // units that the name of a column states
 pub mod untrusted_folder; // a folder that other users may write to: no link in it is followed
-mod vcd; // the VCD half of `trace`
+mod vcd; // the VCD half of `quadrature_trace`
 pub mod write; // files that appear whole or not at all
 
 pub use input_error::{InputError, InputNotice, Result};
 pub use message_text::nearest;
-pub use numbers::{DecimalMarks, TableMarks};
+pub use numbers::{DecimalMarks, TableNumberFormat};
 pub use sheet::{ColumnAssignment, CsvTable};

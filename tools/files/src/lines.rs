@@ -27,7 +27,7 @@ impl std::fmt::Debug for Utf16 {
 
 /// The input and the part of it that is in the buffer.
 #[derive(Debug)]
-pub(crate) struct Lines<R> {
+pub(crate) struct LineReader<R> {
     pub(crate) file: PathBuf,
     input: R,
     buffer: Box<[u8]>,
@@ -43,7 +43,7 @@ pub(crate) struct Lines<R> {
     line_start: usize,
 }
 
-impl<R: Read> Lines<R> {
+impl<R: Read> LineReader<R> {
     /// Begins to read; a byte-order mark is dropped.
     pub(crate) fn new(file: &Path, input: R) -> Result<Self, InputError> {
         let buffer = vec![0; BUFFER].into_boxed_slice();
@@ -252,7 +252,7 @@ fn read_some(input: &mut impl Read, into: &mut [u8]) -> io::Result<usize> {
     }
 }
 
-impl<R> Lines<R> {
+impl<R> LineReader<R> {
     pub(crate) fn is_utf16(&self) -> bool {
         self.utf16.is_some()
     }

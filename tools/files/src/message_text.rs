@@ -74,7 +74,7 @@ pub(crate) fn cut_at(text: &str, characters: usize) -> String {
 }
 
 /// An error with its causes, each once: many errors already contain their cause.
-pub fn whole(error: &dyn std::error::Error) -> String {
+pub fn error_with_causes(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
@@ -164,9 +164,12 @@ mod tests {
             }
         }
         let cause = fmt::Error.to_string();
-        assert_eq!(whole(&fmt::Error), cause);
-        assert_eq!(whole(&Outer("opening it".to_owned(), fmt::Error)), format!("opening it: {cause}"));
+        assert_eq!(error_with_causes(&fmt::Error), cause);
+        assert_eq!(
+            error_with_causes(&Outer("opening it".to_owned(), fmt::Error)),
+            format!("opening it: {cause}")
+        );
         let says_it = format!("opening it: {cause}; is it there?");
-        assert_eq!(whole(&Outer(says_it.clone(), fmt::Error)), says_it);
+        assert_eq!(error_with_causes(&Outer(says_it.clone(), fmt::Error)), says_it);
     }
 }

@@ -5,7 +5,7 @@
 //! (`1.000.000`), or one that cannot separate thousands (`38,1125`, `0,125`). One mark before three digits
 //! (`1.000`, `38,125`) does not show it; then the other cells of the column decide.
 
-use crate::csv::{Commented, CsvStyle, Oddities, Reader, TrailingSeparators};
+use crate::csv::{CommentedRows, CsvStyle, Oddities, Reader, TrailingSeparators};
 use crate::decimal::{SIGNS, number};
 use crate::input_error::InputError;
 use crate::text::unreadable;
@@ -111,7 +111,7 @@ impl DecimalMarks {
 
 /// The format of a table: its separator, and the decimal mark of each column.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct TableMarks {
+pub struct TableNumberFormat {
     columns: Vec<Option<char>>,
     table: Option<char>,
     by: char,
@@ -124,7 +124,7 @@ pub struct TableMarks {
     oddities: Oddities,
 }
 
-impl TableMarks {
+impl TableNumberFormat {
     /// The format of a table before its first row.
     pub fn new<R: Read>(reader: &Reader<R>) -> Self {
         let mut marks = Self { by: reader.separator(), ..Self::default() };
@@ -233,15 +233,15 @@ impl TableMarks {
         let comma = (self.table == Some(',')).then_some("decimal commas");
         let parts: Vec<&str> = [self.encoding, by, comma].into_iter().flatten().collect();
         let read = (!parts.is_empty()).then(|| format!("read as {}", parts.join(", ")));
-        self.said(file, read)
+        self.format_note(file, read)
     }
 
     /// The cells of the file with two readings, in words.
     pub fn questions(&self, file: &Path) -> Option<String> {
-        self.said(file, None)
+        self.format_note(file, None)
     }
 
-    fn said(&self, file: &Path, read: Option<String>) -> Option<String> {
+    fn format_note(&self, file: &Path, read: Option<String>) -> Option<String> {
         let preamble = self.oddities.preamble;
         let lines = if preamble == 1 { "1 line".to_owned() } else { format!("{preamble} lines") };
         let passed_over =
@@ -277,7 +277,7 @@ impl TableMarks {
     }
 
     fn rows_commented(&self) -> Option<String> {
-        let Commented { line, lines } = self.oddities.commented?;
+        let CommentedRows { line, lines } = self.oddities.commented?;
         let (are, they) = if lines == 1 { ("line begins", "it is") } else { ("lines begin", "they are") };
         Some(format!(
             "{lines} {are} with # and a row's cells (line {line} first): a comment; put the first cell in quotes if {they} a row"
@@ -420,7 +420,7 @@ mod tests {
         let written = |text: &str| {
             let mut reader = Reader::new(Path::new("a.csv"), text.as_bytes()).unwrap();
             reader.header_with("names", &[]).unwrap();
-            TableMarks::of(&mut reader).unwrap().written(Path::new("a.csv"))
+            TableNumberFormat::of(&mut reader).unwrap().written(Path::new("a.csv"))
         };
         let says = "a.csv: read as columns parted by semicolons; 1.500 was read as 1.500, with a decimal point; it may be 1500, as \
                     no cell shows the decimal mark: if so, write it without the point, or one cell with a decimal comma";

@@ -5,7 +5,7 @@ use crate::csv::{Header, Reader};
 use crate::file_kind::FileKind;
 use crate::input_error::InputError;
 use crate::message_text::{cut, shown};
-use crate::numbers::TableMarks;
+use crate::numbers::TableNumberFormat;
 use std::path::{Path, PathBuf};
 
 /// A CSV file read whole.
@@ -15,7 +15,7 @@ pub struct CsvTable {
     header: Header,
     names: Vec<String>,
     rows: Vec<Row>,
-    marks: TableMarks,
+    marks: TableNumberFormat,
     /// Columns that were ignored.
     unrelated: Vec<String>,
 }
@@ -177,7 +177,7 @@ impl CsvTable {
             return Err(commented);
         }
         let names = header.names().filter(|name| !name.is_empty()).map(str::to_owned).collect();
-        let mut marks = TableMarks::new(&reader);
+        let mut marks = TableNumberFormat::new(&reader);
         for (place, (text, _)) in rows.iter().flat_map(|r: &Row| r.cells.iter().enumerate()) {
             marks.see(place, text);
         }

@@ -91,7 +91,7 @@ pub fn contradicted<'n>(name: &'n str, said: &str) -> Option<&'n str> {
 }
 
 /// The name with its unit replaced by the one that its column was converted to.
-pub fn restated(name: &str, unit: &str) -> String {
+pub fn with_unit_replaced(name: &str, unit: &str) -> String {
     let Some(found) = contradicted(name, unit).and_then(|_| stated(name)) else { return name.to_owned() };
     let written = &name.trim()[found.name.len()..];
     let of_unit = written.trim_matches([' ', '[', ']', '(', ')', '/', '_']);
@@ -158,7 +158,7 @@ mod tests {
             ("nominal", "mm", None, "nominal"),
         ] {
             assert_eq!(contradicted(name, said), stated, "{name}");
-            assert_eq!(restated(name, said), restated_as, "{name}");
+            assert_eq!(with_unit_replaced(name, said), restated_as, "{name}");
         }
     }
 

@@ -2,7 +2,7 @@
 //! Simulators and logic analysers write them.
 
 use crate::input_error::InputError;
-use crate::lines::Lines;
+use crate::lines::LineReader;
 use crate::message_text::quoted;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
@@ -18,7 +18,7 @@ const MOST_NAMED: usize = 16;
 
 /// The definitions of a VCD, and the state of reading its changes.
 #[derive(Debug)]
-pub(crate) struct Vcd {
+pub(crate) struct VcdReader {
     /// ns per time unit as a fraction: 1 µs is (1000, 1), 100 ps is (1, 10).
     ns_per_unit: (u64, u64),
     /// Identifier codes of a and b.
@@ -33,12 +33,12 @@ pub(crate) struct Vcd {
     unknown_until: Option<u64>,
 }
 
-impl Vcd {
+impl VcdReader {
     /// Reads the definitions.
     /// `names` are the names of a and b if they have others, or their numbers from 1 among the one-bit
     /// signals. A name may begin with its scopes, as `axis.a`.
     pub(crate) fn definitions<R: Read>(
-        input: &mut Lines<R>,
+        input: &mut LineReader<R>,
         names: [Option<&str>; 2],
     ) -> Result<Self, InputError> {
         input.line = 1;
@@ -107,7 +107,7 @@ impl Vcd {
     /// Reads to the end of the next time step in which a or b changed.
     pub(crate) fn next<R: Read>(
         &mut self,
-        input: &mut Lines<R>,
+        input: &mut LineReader<R>,
         last: Option<TracePoint>,
     ) -> Result<Option<TracePoint>, InputError> {
         loop {
@@ -160,7 +160,7 @@ impl Vcd {
         }
     }
 
-    fn set<R: Read>(&mut self, input: &Lines<R>, signal: usize, value: u8) -> Result<(), InputError> {
+    fn set<R: Read>(&mut self, input: &LineReader<R>, signal: usize, value: u8) -> Result<(), InputError> {
         self.touched = true;
         self.levels[signal] = match value {
             b'0' | b'L' | b'l' => Some(false),
@@ -181,7 +181,7 @@ impl Vcd {
     }
 
     /// A note if a level was unknown at first, and until when.
-    pub(crate) fn said(&self) -> Option<String> {
+    pub(crate) fn unknown_level_note(&self) -> Option<String> {
         let names: Vec<&str> =
             ["a", "b"].into_iter().zip(self.unknown).filter(|(_, is)| *is).map(|(name, _)| name).collect();
         let until = self.unknown_until?;
@@ -194,7 +194,7 @@ impl Vcd {
     /// The point of the present time step, if a or b changed in it.
     fn step<R: Read>(
         &mut self,
-        input: &Lines<R>,
+        input: &LineReader<R>,
         last: Option<TracePoint>,
     ) -> Result<Option<TracePoint>, InputError> {
         if !std::mem::take(&mut self.touched) {
@@ -228,16 +228,16 @@ impl Vcd {
 }
 
 /// A finding about the word that was just read.
-fn odd<R>(input: &Lines<R>, word: &[u8], expected: &str) -> InputError {
+fn odd<R>(input: &LineReader<R>, word: &[u8], expected: &str) -> InputError {
     input.at_word(&quoted(&String::from_utf8_lossy(word)), expected)
 }
 
-fn word<R: Read>(input: &mut Lines<R>) -> Result<Option<String>, InputError> {
+fn word<R: Read>(input: &mut LineReader<R>) -> Result<Option<String>, InputError> {
     Ok(input.word()?.map(|range| String::from_utf8_lossy(input.bytes(range)).into_owned()))
 }
 
 /// The words up to `$end`.
-fn until_end<R: Read>(input: &mut Lines<R>) -> Result<Vec<String>, InputError> {
+fn until_end<R: Read>(input: &mut LineReader<R>) -> Result<Vec<String>, InputError> {
     let mut words = Vec::new();
     while let Some(word) = word(input)? {
         if word == "$end" {
@@ -252,7 +252,7 @@ fn until_end<R: Read>(input: &mut Lines<R>) -> Result<Vec<String>, InputError> {
 }
 
 /// Skips free text of any length up to `$end`.
-fn skip_to_end<R: Read>(input: &mut Lines<R>) -> Result<(), InputError> {
+fn skip_to_end<R: Read>(input: &mut LineReader<R>) -> Result<(), InputError> {
     while let Some(range) = input.word()? {
         if *input.bytes(range) == *b"$end" {
             return Ok(());
@@ -261,7 +261,7 @@ fn skip_to_end<R: Read>(input: &mut Lines<R>) -> Result<(), InputError> {
     Err(input.at_word("the end of the file", "$end"))
 }
 
-fn timescale<R>(input: &Lines<R>, text: &str) -> Result<(u64, u64), InputError> {
+fn timescale<R>(input: &LineReader<R>, text: &str) -> Result<(u64, u64), InputError> {
     let digits = text.bytes().take_while(u8::is_ascii_digit).count();
     let (magnitude, unit) = text.split_at(digits);
     let magnitude = match magnitude {
@@ -290,7 +290,7 @@ type Signal = (Vec<u8>, String);
 
 /// Takes the code of a or b from `$var TYPE SIZE CODE NAME [RANGE] $end`.
 fn variable<R>(
-    input: &Lines<R>,
+    input: &LineReader<R>,
     body: &[String],
     names: [Option<&str>; 2],
     number: usize,

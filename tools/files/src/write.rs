@@ -35,7 +35,7 @@ pub(crate) fn is_input(file: &File) {
 }
 
 /// Refuses to overwrite a file that was read, so that the user loses nothing.
-fn spared(file: &Path) -> io::Result<()> {
+fn refuse_input_overwrite(file: &Path) -> io::Result<()> {
     is_no_input(file).map_err(io::Error::other)
 }
 
@@ -60,7 +60,7 @@ pub fn is_no_input(file: &Path) -> Result<(), InputError> {
 ///
 /// # Errors
 /// What the file system reports; then nothing is left behind, and the previous file stays.
-pub fn whole(file: &Path, content: &[u8]) -> io::Result<()> {
+pub fn write_atomically(file: &Path, content: &[u8]) -> io::Result<()> {
     let mut out = AtomicFile::create(file)?;
     out.write_all(content)?;
     out.finish()
@@ -101,7 +101,7 @@ impl AtomicFile {
         if before.as_ref().is_some_and(|m| !m.is_file() && !m.is_dir()) {
             return Ok(Self(WriteTarget::Through(OpenOptions::new().write(true).open(file)?)));
         }
-        spared(file)?;
+        refuse_input_overwrite(file)?;
         let file = if before.is_some() { std::fs::canonicalize(file)? } else { file.to_owned() };
         let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
         // As for any new file: read and write for all, less the process's umask.
@@ -131,7 +131,7 @@ impl AtomicFile {
         match self.0 {
             WriteTarget::Through(mut out) => out.flush(),
             WriteTarget::Unnamed { temporary, folder, file } => {
-                spared(&file)?;
+                refuse_input_overwrite(&file)?;
                 temporary.sync_all()?;
                 let mut named = tempfile::Builder::new();
                 let named = named.prefix(HIDDEN).make_in(&folder, |path| name(&temporary, path));
@@ -142,7 +142,7 @@ impl AtomicFile {
                 sync_folder(&File::open(folder)?)
             }
             WriteTarget::Beside { temporary, folder, file } => {
-                spared(&file)?;
+                refuse_input_overwrite(&file)?;
                 temporary.as_file().sync_all()?;
                 temporary.persist(file).map_err(|e| e.error)?;
                 sync_folder(&File::open(folder)?)
@@ -227,12 +227,12 @@ mod tests {
         assert!(!file.exists());
         drop(out);
         assert!(names(folder.path()).is_empty());
-        whole(&file, b"one").unwrap();
+        write_atomically(&file, b"one").unwrap();
         let mut out = AtomicFile::create(&file).unwrap();
         out.write_all(b"half").unwrap();
         drop(out);
         assert_eq!(fs::read(&file).unwrap(), b"one");
-        whole(&file, b"two").unwrap();
+        write_atomically(&file, b"two").unwrap();
         assert_eq!(fs::read(&file).unwrap(), b"two");
         assert_eq!(names(folder.path()), ["a.toml"]);
     }
@@ -261,9 +261,9 @@ mod tests {
         let taken = folder.path().join("taken");
         fs::create_dir(&taken).unwrap();
         fs::write(taken.join("inside"), "x").unwrap();
-        whole(&taken, b"no").unwrap_err();
+        write_atomically(&taken, b"no").unwrap_err();
         assert_eq!(names(folder.path()), ["taken"]);
-        whole(&folder.path().join("none/a.toml"), b"no").unwrap_err();
+        write_atomically(&folder.path().join("none/a.toml"), b"no").unwrap_err();
         assert_eq!(names(folder.path()), ["taken"]);
     }
 
@@ -274,12 +274,12 @@ mod tests {
             (folder.path().join("plain"), folder.path().join("f"), folder.path().join("link"));
         // Another program's new file has the permissions that the umask leaves; so has this one.
         fs::write(&plain, "x").unwrap();
-        whole(&file, b"one").unwrap();
+        write_atomically(&file, b"one").unwrap();
         let mode = |f: &Path| fs::metadata(f).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode(&file), mode(&plain));
         fs::set_permissions(&file, Permissions::from_mode(0o640)).unwrap();
         symlink("f", &link).unwrap();
-        whole(&link, b"two").unwrap();
+        write_atomically(&link, b"two").unwrap();
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!((fs::read(&file).unwrap().as_slice(), mode(&file)), (b"two".as_slice(), 0o640));
         assert_eq!(names(folder.path()), ["f", "link", "plain"]);
@@ -290,7 +290,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("socket");
         let _listener = UnixListener::bind(&file).unwrap();
-        whole(&file, b"x").unwrap_err();
+        write_atomically(&file, b"x").unwrap_err();
         assert!(fs::symlink_metadata(&file).unwrap().file_type().is_socket());
         assert_eq!(names(folder.path()), ["socket"]);
     }

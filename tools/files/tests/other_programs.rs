@@ -3,7 +3,7 @@
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::TracePoint;
-use rtec_files::trace::{TraceReader, trace_columns};
+use rtec_files::quadrature_trace::{TraceReader, trace_columns};
 use rtec_files::{CsvTable, InputError};
 use std::path::Path;
 
@@ -20,7 +20,7 @@ fn dates_and_levels_unknown_at_first_are_read_and_said() {
         std::fs::write(&file, text).unwrap();
         let mut reader = TraceReader::open_columns(&file, &columns)?;
         let points = reader.by_ref().collect::<Result<Vec<_>, _>>()?;
-        Ok::<_, InputError>((points, reader.said().unwrap_or_default()))
+        Ok::<_, InputError>((points, reader.notes().unwrap_or_default()))
     };
     // date -u -d 2026-01-02T03:04:05 +%s
     let at = 1_767_323_045_000_000_000;
@@ -52,7 +52,7 @@ fn dates_and_levels_unknown_at_first_are_read_and_said() {
         let mut reader = TraceReader::open_columns(&file, &columns).unwrap();
         let points: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
         assert_eq!(points, [point(4, 1, 0), point(6, 1, 1)], "{name}");
-        assert!(reader.said().unwrap().contains("a and b is unknown before #4"), "{:?}", reader.said());
+        assert!(reader.notes().unwrap().contains("a and b is unknown before #4"), "{:?}", reader.notes());
     }
 }
 

@@ -7,7 +7,9 @@ use proptest::prelude::*;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{RequestedTotal, TracePoint};
 use rtec_files::InputError;
-use rtec_files::trace::{TotalRequestReader, TraceFile, TraceFormat, TraceReader, TraceWriter};
+use rtec_files::quadrature_trace::{
+    AtomicTraceFile, RequestedTotalReader, TraceFormat, TraceReader, TraceWriter,
+};
 use std::io::Read;
 use std::path::Path;
 
@@ -268,8 +270,9 @@ fn a_reader_ends_after_its_error() {
 
 #[test]
 fn requests_and_their_errors() {
-    let read =
-        |text: &str| TotalRequestReader::new(Path::new("r"), text.as_bytes())?.collect::<Result<Vec<_>, _>>();
+    let read = |text: &str| {
+        RequestedTotalReader::new(Path::new("r"), text.as_bytes())?.collect::<Result<Vec<_>, _>>()
+    };
     assert_eq!(
         read("t_ns,requested\n0,2\n5,-40 # back\n5,-42\n").unwrap(),
         [(0, 2), (5, -40), (5, -42)].map(|(t_ns, requested)| RequestedTotal { t_ns, requested })
@@ -302,13 +305,13 @@ fn a_file_appears_whole_or_not_at_all() {
         names
     };
     let file = directory.path().join("out.csv");
-    let mut out = TraceFile::create(&file).unwrap();
+    let mut out = AtomicTraceFile::create(&file).unwrap();
     out.write(point(0, 0, 0)).unwrap();
     assert!(!file.exists());
     drop(out);
     assert!(names().is_empty(), "an abandoned file stays: {:?}", names());
 
-    let mut out = TraceFile::create(&file).unwrap();
+    let mut out = AtomicTraceFile::create(&file).unwrap();
     for point in golden() {
         out.write(point).unwrap();
     }
@@ -318,8 +321,8 @@ fn a_file_appears_whole_or_not_at_all() {
     assert_eq!(TraceReader::open(&file).unwrap().collect::<Result<Vec<_>, _>>().unwrap(), golden());
 
     let nowhere = directory.path().join("none/out.csv");
-    assert!(TraceFile::create(&nowhere).unwrap_err().to_string().contains("No such file or directory"));
-    let odd = TraceFile::create(Path::new("out.txt")).unwrap_err().to_string();
+    assert!(AtomicTraceFile::create(&nowhere).unwrap_err().to_string().contains("No such file or directory"));
+    let odd = AtomicTraceFile::create(Path::new("out.txt")).unwrap_err().to_string();
     assert_eq!(odd, "out.txt: found extension .txt, expected a trace ending in .csv or .vcd");
 }
 

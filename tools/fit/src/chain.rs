@@ -261,7 +261,7 @@ pub fn fit(
 /// # Errors
 /// The file that it was read from does not exist any more, or the new one cannot be written.
 pub fn write(from: &Path, chain: &Chain, report: &ChainReport, to: &Path) -> Result<(), InputError> {
-    rtec_files::write::whole(to, text(from, chain, report)?.as_bytes())
+    rtec_files::write::write_atomically(to, text(from, chain, report)?.as_bytes())
         .map_err(|e| InputError::whole(to, format!("error `{e}`"), "a file that can be written"))
 }
 

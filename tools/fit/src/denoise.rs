@@ -42,7 +42,7 @@ pub fn temperatures(record: &Record) -> Record {
 }
 
 /// The smoothed record, and the uncertainty of its temperatures.
-pub(crate) fn smoothed(record: &Record) -> (Record, Spread) {
+pub(crate) fn smoothed(record: &Record) -> (Record, SmoothingUncertainty) {
     let mut quiet = record.clone();
     let mut spread = Vec::new();
     let time = record.time_s();
@@ -52,14 +52,14 @@ pub(crate) fn smoothed(record: &Record) -> (Record, Spread) {
             spread.push((at, found.factor, found.sd));
         }
     }
-    (quiet, Spread(spread))
+    (quiet, SmoothingUncertainty(spread))
 }
 
 /// Uncertainty of a record's smoothed temperatures.
 /// Per column: index, factor of the precision, and standard deviation of its unit.
-pub(crate) struct Spread(Vec<(usize, Factor, f64)>);
+pub(crate) struct SmoothingUncertainty(Vec<(usize, Factor, f64)>);
 
-impl Spread {
+impl SmoothingUncertainty {
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -88,7 +88,7 @@ impl Smooth {
     /// `t` never decreases.
     fn of(t: &[f64], y: &[f64]) -> Option<Self> {
         let bends = Bends::of(t, y)?;
-        let found = bends.near(y)?;
+        let found = bends.smooth_noisy(y)?;
         let taken: Vec<f64> = y.iter().zip(&found.x).map(|(y, x)| y - x).collect();
         let squares: f64 = taken.iter().map(|e| e * e).sum();
         // If noise is less than a step, what is removed is rounding, which neighbours share.
@@ -96,7 +96,7 @@ impl Smooth {
             step / 12f64.sqrt() <= NOISIEST_K && (squares / y.len() as f64).sqrt() < MOST_IN_STEPS * step
         };
         if let Some(step) = step_of(y).filter(is_rounded) {
-            return bends.within(y, step);
+            return bends.smooth_quantised(y, step);
         }
         // Accept only small noise without row-to-row correlation.
         let with_next: f64 = taken.windows(2).map(|w| w[0] * w[1]).sum();
@@ -136,7 +136,7 @@ impl Bends {
     }
 
     /// The smooth series whose difference from these readings is white noise.
-    fn near(&self, y: &[f64]) -> Option<Smooth> {
+    fn smooth_noisy(&self, y: &[f64]) -> Option<Smooth> {
         let weight = vec![1.0; self.n];
         let free = self.n as f64 - 2.0;
         let steps = DECADES.start() * STEPS..=DECADES.end() * STEPS;
@@ -154,7 +154,7 @@ impl Bends {
     }
 
     /// The smooth series whose noisy, rounded values are these readings.
-    fn within(&self, y: &[f64], step: f64) -> Option<Smooth> {
+    fn smooth_quantised(&self, y: &[f64], step: f64) -> Option<Smooth> {
         let cells: Vec<f64> = y.iter().map(|v| (v - y[0]) / step).collect();
         let mut best: Option<(f64, Smooth)> = None;
         for noise in NOISE_IN_STEPS {

@@ -16,7 +16,7 @@ use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::gauge_resolution::{ReadingResolution, is_coarse_cause, step_of};
 use rtec_model::effect::{
-    Dictionary, Effect, MissingInput, ParameterSearch, Quantity, RequiredInput, TemperatureDifference,
+    AffectedQuantity, Dictionary, Effect, MissingInput, ParameterSearch, RequiredInput, TemperatureDifference,
 };
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, SourceRecord};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
@@ -554,7 +554,8 @@ pub fn fit_named(
     let records: &[&Record] = &moving.iter().collect::<Vec<_>>();
     let effects = effects_of(base, names)?;
     if let Some(effect) = effects.iter().find(|e| records.iter().all(|r| e.acts_on(r).is_empty())) {
-        let quantity = if effect.description().quantity == Quantity::Force { "force" } else { "error" };
+        let quantity =
+            if effect.description().quantity == AffectedQuantity::Force { "force" } else { "error" };
         let axis = effect.axes().first().map_or("AXIS", Axis::as_str);
         let found = format!("`{}`, and no record with a response that it acts on", effect.identity());
         return Err(usage(found, &format!("a record with a column of role {quantity}.{axis}")));
@@ -567,7 +568,7 @@ pub fn fit_named(
     let mut owners: Vec<&Record> = Vec::new();
     let (mut coarse, mut blank) = (Vec::new(), Vec::new());
     for record in records {
-        let left = base.beyond(record)?;
+        let left = base.without_prediction(record)?;
         for column in left.responses() {
             let columns = basis_of(&effects, &left, &column.role).map_err(|m| m.of(record))?;
             let is_known = |e: &Effect| {
@@ -622,7 +623,7 @@ pub fn fit_named(
             from: seen.iter().map(|r| SourceRecord::of(r)).collect(),
         };
         if let Some(earlier) = base.fits().iter().find(|f| f.response == note.response) {
-            note.on(earlier, 0.0);
+            note.add_earlier_fit(earlier, 0.0);
         }
         machine.note_fit(note);
     }

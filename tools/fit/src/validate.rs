@@ -36,12 +36,12 @@ pub fn validate(
     say: &mut dyn FnMut(InputNotice),
 ) -> Result<Validation, InputError> {
     let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
-    let doubts = plausible::said(records, say);
+    let doubts = plausible::report_suspicions(records, say);
     for (record, all) in plausible::in_figures(records, &doubts).iter().zip(records) {
         let path = record.path.display();
         let record = plausible::good_rows(record, all.rows(), say);
         let record = record.as_ref();
-        for note in gauge_resolution::said(record, true) {
+        for note in gauge_resolution::resolution_notes(record, true) {
             say(InputNotice::Warning(format!("{path}: {note}")));
         }
         let (prediction, notes) = derivatives::predict(machine, record)?;
@@ -50,7 +50,7 @@ pub fn validate(
         }
         for (column, (_, predicted)) in record.responses().zip(&prediction.columns) {
             let widths = machine.half_widths_um(record, &column.role);
-            let no_interval = machine.stating(&RecordRanges::of(record), &column.role).err();
+            let no_interval = machine.fit_with_interval(&RecordRanges::of(record), &column.role).err();
             charts.push(prediction_chart(record, column, predicted, widths.as_deref()));
             let mut judged = judge(machine, record, column, predicted, widths.as_deref(), say);
             judged.figures["no_interval"] = json!(no_interval);

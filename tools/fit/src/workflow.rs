@@ -74,7 +74,7 @@ pub fn fit(
     asked: &FitRequest,
     say: &mut dyn FnMut(InputNotice),
 ) -> Result<ThermalFit, InputError> {
-    let doubts = plausible::said(&[train.as_slice(), &holdout].concat(), say);
+    let doubts = plausible::report_suspicions(&[train.as_slice(), &holdout].concat(), say);
     let (train, holdout) = plausible::once(train, holdout);
     if train.is_empty() {
         return Err(InputError::whole(Path::new("model fit"), "no record", "a record to fit on"));
@@ -102,7 +102,7 @@ pub fn fit(
         }
     }
     for record in &train {
-        for note in gauge_resolution::said(record, true) {
+        for note in gauge_resolution::resolution_notes(record, true) {
             say(InputNotice::Warning(format!("{}: {note}", record.path.display())));
         }
     }
@@ -137,7 +137,7 @@ pub fn fit_named(
     say: &mut dyn FnMut(InputNotice),
 ) -> Result<EffectFit, InputError> {
     let paths: Vec<_> = records.iter().map(|r| r.path.clone()).collect();
-    let doubts = plausible::said(&records, say);
+    let doubts = plausible::report_suspicions(&records, say);
     let (records, _) = plausible::once(records, Vec::new());
     if records.is_empty() {
         return Err(InputError::whole(Path::new("model fit"), "no record", "a record to fit on"));
@@ -221,7 +221,10 @@ impl EffectFit {
         let ideal = Machine::ideal("");
         let mut charts = Vec::new();
         for record in &self.records {
-            let (before, after) = (base.unwrap_or(&ideal).beyond(record)?, self.machine.beyond(record)?);
+            let (before, after) = (
+                base.unwrap_or(&ideal).without_prediction(record)?,
+                self.machine.without_prediction(record)?,
+            );
             let both = before.responses().zip(after.responses());
             charts.extend(both.map(|(b, a)| thermal::residual_chart(record, &b.role, &b.data, &a.data)));
         }

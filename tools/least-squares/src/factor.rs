@@ -10,7 +10,7 @@ use std::rc::Rc;
 
 /// Orthogonal factors of a growing set of columns, and the residual of a response.
 #[derive(Debug, Clone)]
-pub struct Factor {
+pub struct QrFactor {
     /// Upper parts (data rows) of the orthonormal columns.
     upper: Vec<Rc<[f64]>>,
     /// Rows in which each is non-zero: a set-up term acts only on its own record.
@@ -120,7 +120,7 @@ pub fn products_beside(orthonormal: &DMatrix<f64>, columns: &[Vec<f64>]) -> Vec<
     (&own * own.transpose() - &shares * shares.transpose()).as_slice().to_vec()
 }
 
-impl Factor {
+impl QrFactor {
     /// Factors without columns.
     pub fn new(response: &[f64]) -> Self {
         Self {
@@ -171,7 +171,7 @@ impl Factor {
     }
 
     /// The residual of another column after projection on these.
-    pub fn beside(&self, column: &[f64]) -> Vec<f64> {
+    pub fn projected_out(&self, column: &[f64]) -> Vec<f64> {
         let mut out = column.to_vec();
         for (share, (q, within)) in self.shares(column).iter().zip(self.upper.iter().zip(&self.within)) {
             add(&mut out[within.clone()], -share, &q[within.clone()]);
@@ -394,7 +394,7 @@ mod tests {
         let n = 40;
         let x = |i: usize, j: usize| ((i * (j + 2) + 3 * j) as f64 * 0.37).sin() * (1.0 + j as f64);
         let y: Vec<f64> = (0..n).map(|i| (i as f64 * 0.2).cos() * 3.0).collect();
-        let mut factor = Factor::new(&y);
+        let mut factor = QrFactor::new(&y);
         for j in 0..5 {
             factor.push(&(0..n).map(|i| x(i, j)).collect::<Vec<_>>());
         }
@@ -417,9 +417,9 @@ mod tests {
     fn the_first_columns_are_as_if_alone() {
         let y: Vec<f64> = (0..30).map(|i| f64::from(i).sin()).collect();
         let column = |j: u32| (0..30).map(|i| f64::from(i * (j + 1)).cos()).collect::<Vec<f64>>();
-        let mut all = Factor::new(&y);
+        let mut all = QrFactor::new(&y);
         (0..4).for_each(|j| all.push(&column(j)));
-        let mut two = Factor::new(&y);
+        let mut two = QrFactor::new(&y);
         (0..2).for_each(|j| two.push(&column(j)));
         let first = all.first(2);
         assert!((first.left() - two.left()).abs() < 1e-9 && first.len() == 2);
@@ -431,7 +431,7 @@ mod tests {
     #[test]
     fn products_of_matrices_are_those_of_columns() {
         let column = |j: u32| (0..30).map(|i| f64::from(i * (j + 1)).cos()).collect::<Vec<f64>>();
-        let mut factor = Factor::new(&column(20));
+        let mut factor = QrFactor::new(&column(20));
         (0..4).for_each(|j| factor.push(&column(j)));
         let others: Vec<Vec<f64>> = (5..9).map(column).collect();
         let among = products_beside(&factor.matrix(), &others);
@@ -454,7 +454,7 @@ mod tests {
             (0..30).map(of).collect::<Vec<f64>>()
         };
         let of = |kept: &dyn Fn(u32) -> bool| {
-            let mut factor = Factor::new(&y);
+            let mut factor = QrFactor::new(&y);
             for j in (0..7).filter(|j| kept(*j)) {
                 if j == 1 {
                     factor.push_free(&column(j));
@@ -487,7 +487,7 @@ mod tests {
     #[test]
     fn survives_equal_columns() {
         let y: Vec<f64> = (0..30).map(f64::from).collect();
-        let mut factor = Factor::new(&y);
+        let mut factor = QrFactor::new(&y);
         for _ in 0..3 {
             factor.push(&y.iter().map(|v| 1e6 * v).collect::<Vec<_>>());
         }

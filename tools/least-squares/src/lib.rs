@@ -13,7 +13,7 @@ pub mod factor;
 pub mod solution;
 
 pub use directions::{Directions, orthonormal, principal, projected_eigen, projected_out};
-pub use factor::{Factor, add, dot, products_beside};
+pub use factor::{QrFactor, add, dot, products_beside};
 pub use solution::{Solution, compress_rows, solve};
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The values of columns that explain a response best, and their uncertainty.
 
-use crate::factor::{Factor, dot};
+use crate::factor::{QrFactor, dot};
 use nalgebra::DMatrix;
 
 /// Share of a column below which it is rounding.
@@ -42,7 +42,7 @@ impl Solution {
 /// # Errors
 /// The index of the first column that is zero or that those before it explain.
 pub fn solve<C: AsRef<[f64]>>(columns: &[C], y: &[f64]) -> Result<Solution, usize> {
-    let mut factor = Factor::new(y);
+    let mut factor = QrFactor::new(y);
     let mut sizes = Vec::with_capacity(columns.len());
     let mut independent = Vec::with_capacity(columns.len());
     for (k, column) in columns.iter().map(AsRef::as_ref).enumerate() {
@@ -69,7 +69,7 @@ pub fn compress_rows(columns: &[Vec<f64>], y: &[f64]) -> (Vec<Vec<f64>>, Vec<f64
     if y.len() <= p {
         return (columns.to_vec(), y.to_vec());
     }
-    let mut factor = Factor::new(y);
+    let mut factor = QrFactor::new(y);
     for column in columns {
         factor.push_free(column);
     }

@@ -25,7 +25,7 @@ use std::ops::Range;
 
 mod diagnosis;
 mod search;
-mod spike;
+mod spike_interval;
 mod unexplained_structure;
 
 pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
@@ -33,7 +33,7 @@ pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
 /// One contour: a run in one direction of rotation at one feed.
 /// Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Contour {
+pub struct ContourResult {
     /// File name of its record.
     pub record: String,
     /// `ccw` (from the first axis towards the second) or `cw`.
@@ -66,7 +66,7 @@ pub struct Contour {
 /// Circular tests of one plane.
 /// Values in µm unless named otherwise; `None` where the runs do not show them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Ballbar {
+pub struct BallbarResult {
     /// The plane, as the two axes.
     pub plane: String,
     /// Nominal radius, mm.
@@ -100,7 +100,7 @@ pub struct Ballbar {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<CircleAndDriftUncertainty>,
     /// Every contour.
-    pub contours: Vec<Contour>,
+    pub contours: Vec<ContourResult>,
     /// Warnings about its use.
     pub warnings: Vec<String>,
 }
@@ -126,7 +126,7 @@ pub(crate) struct Trace {
 ///
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
-pub fn evaluate(records: &[Record]) -> Result<Vec<Ballbar>> {
+pub fn evaluate(records: &[Record]) -> Result<Vec<BallbarResult>> {
     let mut planes: Vec<(String, Vec<Trace>)> = Vec::new();
     for record in records {
         let trace = Trace::of(record)?;
@@ -153,16 +153,18 @@ fn same_plane(a: &str, b: &str) -> bool {
     a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
 }
 
-fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar> {
-    let contours: Vec<Contour> = traces.iter().flat_map(Trace::evaluate).collect();
-    let largest = |of: &dyn Fn(&Contour) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
-    let way = |w: &'static str| move |c: &Contour| (c.direction == w).then_some(c.g);
+fn plane_of(plane: String, traces: &[Trace]) -> Result<BallbarResult> {
+    let contours: Vec<ContourResult> = traces.iter().flat_map(Trace::evaluate).collect();
+    let largest =
+        |of: &dyn Fn(&ContourResult) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
+    let way = |w: &'static str| move |c: &ContourResult| (c.direction == w).then_some(c.g);
     let both = bidirectional(traces);
     let of_both = |f: fn(&[Row]) -> Option<f64>| both.iter().filter_map(|b| f(b)).reduce(f64::max);
     let mean_radius: Vec<f64> = both.iter().filter_map(|b| Some(round_fit(&pairs(b))?[0])).collect();
     let mut warnings = Vec::new();
-    let short =
-        |c: &&Contour| 360.0 - c.turned_deg > MISSING_DEG.max(2.5 * c.turned_deg / c.trace.len() as f64);
+    let short = |c: &&ContourResult| {
+        360.0 - c.turned_deg > MISSING_DEG.max(2.5 * c.turned_deg / c.trace.len() as f64)
+    };
     if let Some(c) = contours.iter().find(short) {
         let turned = c.turned_deg.round();
         let what = "its deviations are those of the arc";
@@ -186,7 +188,7 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<Ballbar> {
         ));
     }
     let diagnosis = diagnosis::diagnose(traces, &mut warnings)?;
-    Ok(Ballbar {
+    Ok(BallbarResult {
         radius_mm: radii.first().copied().filter(|_| !mixed),
         g_ccw: largest(&way("ccw")),
         g_cw: largest(&way("cw")),
@@ -338,7 +340,7 @@ impl Trace {
         self.step_um * self.step_um / 12.0 * self.alike_rows
     }
 
-    fn evaluate(&self) -> Vec<Contour> {
+    fn evaluate(&self) -> Vec<ContourResult> {
         // Path over time without the ends, where the speed changes; a coarse clock then matters only once.
         let speed = |rows: &Range<usize>| {
             let (circle, t) = (self.record.circle()?, self.record.data(&Role::Time)?);
@@ -354,7 +356,7 @@ impl Trace {
             let standard_error_um = round_errors(&points, [radius, a, b])?;
             let centred = |(p, e): &(f64, f64)| e - a * p.cos() - b * p.sin();
             let [f_min, f_max] = span(points.iter().map(centred));
-            Some(Contour {
+            Some(ContourResult {
                 record: self.name.clone(),
                 direction: if *turn > 0.0 { "ccw" } else { "cw" },
                 feed_mm_per_min: speed(rows),
@@ -488,7 +490,7 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
             // Without plane or positions only deviations are known.
             return Ok((record.clone(), "first-second".to_owned()));
         };
-        ([(*a).clone(), (*b).clone()], met(record, pa, pb)?)
+        ([(*a).clone(), (*b).clone()], circle_of_positions(record, pa, pb)?)
     } else {
         let errors = error_axes(record);
         let error_of = |a: &Axis| errors.iter().find(|(e, _)| *e == a).map(|(_, data)| *data);
@@ -498,7 +500,7 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
                 "columns error.r and angle (with radius_mm and plane), or two axes with position and error";
             return Err(lacks(record, "no circular contour", expected));
         };
-        let round = met(record, px, py)?;
+        let round = circle_of_positions(record, px, py)?;
         let angle: Vec<f64> = px.iter().zip(*py).map(|(x, y)| round.angle(*x, *y)).collect();
         let r = angle.iter().zip(ex.iter().zip(*ey)).map(|(a, (x, y))| x * a.cos() + y * a.sin()).collect();
         columns.retain(|c| !c.role.is_response() && c.role != Role::Angle);
@@ -515,7 +517,7 @@ fn as_circle(record: &Record) -> Result<(Record, String)> {
 }
 
 /// The circle that the positions run on.
-fn met(record: &Record, x: &[f64], y: &[f64]) -> Result<FittedCircle> {
+fn circle_of_positions(record: &Record, x: &[f64], y: &[f64]) -> Result<FittedCircle> {
     let error = || lacks(record, "positions that are on no circle", "positions of both axes on one circle");
     FittedCircle::through(x, y).filter(FittedCircle::is_met).ok_or_else(error)
 }

@@ -7,7 +7,7 @@
 //! sum of noise and distortion is used.
 
 use rtec_files::Result;
-use rtec_least_squares::Factor;
+use rtec_least_squares::QrFactor;
 use rtec_model::machine::{Machine, Prediction};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, median};
 use std::ops::Range;
@@ -54,7 +54,7 @@ pub fn derive(record: &mut Record) -> Vec<String> {
             }
         };
         let noise_mm = noise(t, p, &runs).max(record.count_um.unwrap_or(0.0) / 1000.0 / 12f64.sqrt());
-        let motion = Motion { t, p, runs: &runs, noise_mm };
+        let motion = PositionSeries { t, p, runs: &runs, noise_mm };
         let mut columns = Vec::new();
         for (role, order) in wanted {
             let (rows, error) = motion.window(order);
@@ -179,14 +179,14 @@ pub(crate) fn beyond_cubic(t: &[f64], p: &[f64]) -> f64 {
 }
 
 /// One axis' positions over time.
-struct Motion<'a> {
+struct PositionSeries<'a> {
     t: &'a [f64],
     p: &'a [f64],
     runs: &'a [Range<usize>],
     noise_mm: f64,
 }
 
-impl Motion<'_> {
+impl PositionSeries<'_> {
     /// Half width of the window for a derivative, rows, and its standard error.
     /// The error includes noise, distortion and the uncertainty of the distortion.
     fn window(&self, order: usize) -> (usize, f64) {
@@ -254,7 +254,7 @@ impl Motion<'_> {
         let near = |t: f64| (1.0 - ((t - at) / reach).abs().powi(3)).powi(3);
         let roots: Vec<f64> = self.t[from..to].iter().map(|t| near(*t).sqrt()).collect();
         let mut column = roots.clone();
-        let mut cubic = Factor::new(&roots);
+        let mut cubic = QrFactor::new(&roots);
         // Five distinct times: the cubic is determined.
         for _ in 0..4 {
             cubic.push_free(&column);

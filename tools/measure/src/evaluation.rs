@@ -2,11 +2,11 @@
 //! The results are a document for programs and a report for people.
 
 use crate::gauge_resolution;
-use crate::iso230::{self, Conditions, Options, StreamedDrift};
+use crate::iso230::{self, Conditions, Options, StreamedDriftTest};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, ReportedRecord};
-use crate::{Sink, ballbar, plate, record};
+use crate::{Sink, ballbar, drilled_plate, record};
 use rtec_files::text::short;
 use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::record::{Column, Record, Role, RunKind, median, sha256_of};
@@ -121,17 +121,18 @@ pub fn evaluate(records: &[Record], asked: &EvaluationRequest, say: Sink<'_>) ->
     let Some(first) = records.first() else {
         return Err(InputError::whole(Path::new("characterise evaluate"), "no record", "a record"));
     };
-    let doubts = plausible::said(records, say);
+    let doubts = plausible::report_suspicions(records, say);
     reducible(&asked.conditions, &doubts)?;
     let standard = asked.standard.map_or_else(|| Standard::of(first), Ok)?;
     let usable = plausible::in_figures(records, &doubts);
     let left_out = doubts.iter().any(Suspicion::is_of_rows);
     let note = if left_out { "; the rows that look misread are in no figure" } else { "" };
-    let (mut document, mut report) =
-        by(standard, &usable, asked, say).map_err(|e| InputError { expected: e.expected + note, ..e })?;
+    let (mut document, mut report) = evaluate_by(standard, &usable, asked, say)
+        .map_err(|e| InputError { expected: e.expected + note, ..e })?;
     // No standard excludes rows, so the figures with all rows are given too.
     if left_out
-        && let Ok((all, _)) = by(standard, &plausible::every_row(records, &doubts), asked, &mut |_| ())
+        && let Ok((all, _)) =
+            evaluate_by(standard, &plausible::every_row(records, &doubts), asked, &mut |_| ())
     {
         with_every_row(&mut document, &all, &mut report);
     }
@@ -144,7 +145,7 @@ pub fn evaluate(records: &[Record], asked: &EvaluationRequest, say: Sink<'_>) ->
     }
     // Positioning and returns already report the resolution with their figures.
     let responses = !matches!(standard, Standard::Iso230_2 | Standard::Repeatability);
-    for note in usable.iter().flat_map(|record| gauge_resolution::said(record, responses)) {
+    for note in usable.iter().flat_map(|record| gauge_resolution::resolution_notes(record, responses)) {
         report.warn(&note);
     }
     if let Some(unused) = standard.unused(&asked.conditions, records) {
@@ -172,17 +173,17 @@ pub fn evaluate_files(paths: &[PathBuf], asked: &EvaluationRequest, say: Sink<'_
 pub const MOST_ROWS: usize = 1 << 18;
 
 /// The evaluation of a drift test of more rows; `None` for other records.
-fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<StreamedDrift>> {
+fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<StreamedDriftTest>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
         None => record::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == RunKind::Drift),
     };
-    if drift { StreamedDrift::of(path, more_than) } else { Ok(None) }
+    if drift { StreamedDriftTest::of(path, more_than) } else { Ok(None) }
 }
 
 fn in_pieces(
     path: &Path,
-    long: &mut StreamedDrift,
+    long: &mut StreamedDriftTest,
     asked: &EvaluationRequest,
     most_rows: usize,
     say: Sink<'_>,
@@ -192,7 +193,7 @@ fn in_pieces(
     let mut looked_at = plausible::RecordPieceSuspicions::default();
     let rows_at_once = long.rows.div_ceil(pieces);
     let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
-    let doubts = looked_at.said(say);
+    let doubts = looked_at.report_suspicions(say);
     reducible(&asked.conditions, &doubts)?;
     let every = all.clone();
     if doubts.iter().any(|d| d.is_of_rows() || d.is_not_taken()) {
@@ -344,7 +345,7 @@ fn single(records: &[Record]) -> Result<&Record> {
     }
 }
 
-fn by(
+fn evaluate_by(
     standard: Standard,
     records: &[Record],
     asked: &EvaluationRequest,
@@ -408,8 +409,9 @@ fn by(
         }
         Standard::Plate => {
             let record = single(records)?;
-            let norm = if asked.fourth_powers { plate::Norm::Fourth } else { plate::Norm::Squares };
-            let found = plate::evaluate(record, norm)?;
+            let norm =
+                if asked.fourth_powers { drilled_plate::Norm::Fourth } else { drilled_plate::Norm::Squares };
+            let found = drilled_plate::evaluate(record, norm)?;
             let report = drawn(file, report::plate(&found, record, conditions))?;
             (figures(file, "", &[found])?, report)
         }

@@ -22,7 +22,7 @@ pub mod user_format;
 
 use crate::each_once;
 use rtec_files::{InputError, Result, nearest};
-use rtec_model::effect::{Effect, Naming, Quantity, RequiredInput, TemperatureDifference};
+use rtec_model::effect::{AffectedQuantity, Effect, Naming, RequiredInput, TemperatureDifference};
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, LINEAR};
@@ -383,7 +383,8 @@ fn placed(
 fn acts_on(effect: &Effect, axis: &Axis) -> bool {
     let description = effect.description();
     let components = if description.naming == Naming::Pair { 2 } else { 1 };
-    description.quantity == Quantity::Error && effect.axes().iter().take(components).any(|a| a == axis)
+    description.quantity == AffectedQuantity::Error
+        && effect.axes().iter().take(components).any(|a| a == axis)
 }
 
 /// The axes with errors in a model.

@@ -58,15 +58,15 @@ impl ReadingResolution {
 
     /// Standard deviation of the rounding error of a mean of repeats.
     pub fn standard_error(&self) -> f64 {
-        self.step / 12f64.sqrt() * self.left()
+        self.step / 12f64.sqrt() * self.rounding_share_left()
     }
 
     /// Largest rounding error of a mean of repeats.
     pub fn half_width(&self) -> f64 {
-        0.5 * self.step * self.left()
+        0.5 * self.step * self.rounding_share_left()
     }
 
-    fn left(&self) -> f64 {
+    fn rounding_share_left(&self) -> f64 {
         (-2.0 * (std::f64::consts::PI * self.noise / self.step).powi(2)).exp()
     }
 }
@@ -96,7 +96,7 @@ pub(crate) fn shared_time(record: &Record) -> Option<String> {
 
 /// Messages about coarse resolution in a record.
 /// Of its gauges if `responses`, of its sensors, and in motion of positions and clock.
-pub fn said(record: &Record, responses: bool) -> Vec<String> {
+pub fn resolution_notes(record: &Record, responses: bool) -> Vec<String> {
     let moving = matches!(record.kind, RunKind::Ballbar | RunKind::Dynamics | RunKind::FeedSweep);
     let mut said = Vec::new();
     for column in record.responses().filter(|_| responses) {

@@ -159,12 +159,12 @@ pub struct History {
 pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &FigureTolerances) -> History {
     let mut found: BTreeMap<String, FigureHistory> = BTreeMap::new();
     let (mut left_out, mut suspicions, mut changes) = (Vec::new(), Vec::new(), Vec::new());
-    let mut rows = |record: &Record| Rows::of(record, &mut suspicions);
-    let records: Vec<(&String, Result<Rows, &InputError>)> =
+    let mut rows = |record: &Record| GoodAndAllRows::of(record, &mut suspicions);
+    let records: Vec<(&String, Result<GoodAndAllRows, &InputError>)> =
         records.iter().map(|(path, record)| (path, record.as_ref().map(&mut rows))).collect();
     let sensors = sensors(records.iter().filter_map(|r| r.1.as_ref().ok()).map(|rows| &rows.good));
     for (path, rows) in records {
-        let said = rows.map_err(ToString::to_string).and_then(|Rows { good: r, every }| {
+        let said = rows.map_err(ToString::to_string).and_then(|GoodAndAllRows { good: r, every }| {
             let day = r.date.as_deref().and_then(date::parse);
             let day = day.ok_or_else(|| "no date = \"YYYY-MM-DD\" in it".to_owned())?;
             let every = every.and_then(|every| figures(&every, &sensors).ok()).unwrap_or_default();
@@ -200,14 +200,14 @@ pub fn history(machine: &str, records: &[(String, Result<Record>)], limits: &Fig
 type RecordFigure = (String, &'static str, Option<String>, f64);
 
 /// The rows of a record for its figures.
-struct Rows {
+struct GoodAndAllRows {
     /// The rows used in figures.
     good: Record,
     /// Every row, if some are left out of figures.
     every: Option<Record>,
 }
 
-impl Rows {
+impl GoodAndAllRows {
     /// Adds the suspicions of the record to `found`.
     fn of(record: &Record, found: &mut Vec<Suspicion>) -> Self {
         let records = std::slice::from_ref(record);
@@ -259,7 +259,7 @@ fn figures(record: &Record, sensors: &BTreeMap<String, String>) -> Result<Vec<Re
         }
         Ok(Standard::Ballbar) => {
             let planes = ballbar::evaluate(std::slice::from_ref(record))?;
-            let of = |b: &ballbar::Ballbar| {
+            let of = |b: &ballbar::BallbarResult| {
                 let urad = b.diagnosis.squareness_urad?;
                 Some((format!("{}.squareness_urad", b.plane), "urad", None, urad))
             };

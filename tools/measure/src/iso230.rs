@@ -19,7 +19,7 @@ pub use air::{Air, AirState, AirTemperature};
 pub use conditions::{CircleAndDriftUncertainty, Conditions, Contributor, Expansion, PositioningUncertainty};
 pub use diagonals::{Diagonal, Diagonals, diagonals};
 pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
-pub(crate) use drift::{StreamedDrift, state_budget};
+pub(crate) use drift::{StreamedDriftTest, state_budget};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{
     Options, Positioning, Step, Target, Trend, has_positioning, positioning, positioning_with,
@@ -228,15 +228,15 @@ pub struct ReturnRepeatability {
     /// A step that explains the returns better than a straight line.
     /// It must leave no other structure in them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub step: Option<ReturnStep>,
+    pub step: Option<StepInReturns>,
     /// A periodic pattern in the returns, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub turns: Option<PeriodicPattern>,
+    pub turns: Option<PeriodInReturns>,
 }
 
 /// A periodic pattern of returns: two grippers, four sides of a tool.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PeriodicPattern {
+pub struct PeriodInReturns {
     /// Period, in returns.
     pub every: usize,
     /// Highest less lowest mean of the phases, µm.
@@ -250,7 +250,7 @@ pub struct PeriodicPattern {
 /// Fewest returns per phase.
 const ROUNDS: usize = 3;
 
-impl PeriodicPattern {
+impl PeriodInReturns {
     /// The best period of returns without drift, by analysis of variance.
     fn of(left: &[f64], used: usize) -> Option<Self> {
         let n = left.len();
@@ -276,7 +276,7 @@ impl PeriodicPattern {
 
 /// A step in the returns: the returns before and after have different means.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct ReturnStep {
+pub struct StepInReturns {
     /// The first return after it, from 1.
     pub row: usize,
     /// Its size, µm.
@@ -301,7 +301,7 @@ const AT_ONCE: f64 = 0.7;
 /// Normal quantile of 99 %.
 const ONE_IN_A_HUNDRED: f64 = 2.326;
 
-impl ReturnStep {
+impl StepInReturns {
     /// The step that explains the returns best, if better than a straight line.
     /// `about_line` is the line's residual sum of squares, µm².
     fn of(e: &[f64], about_line: f64) -> Option<Self> {
@@ -429,8 +429,8 @@ impl ReturnRepeatability {
             trend_um_per_return: slope,
             trend_standard_error_um: Some(error).filter(|error| error.is_finite()),
             trend_p_value: p,
-            step: ReturnStep::of(e, left),
-            turns: PeriodicPattern::of(&residual, 1),
+            step: StepInReturns::of(e, left),
+            turns: PeriodInReturns::of(&residual, 1),
             s_about_trend_um: s_about,
             s_of_neighbours_um: (n > 2.0).then(|| {
                 let squares: f64 = e.windows(2).map(|w| (w[1] - w[0] - slope).powi(2)).sum();

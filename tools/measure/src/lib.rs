@@ -7,7 +7,7 @@
 //! | [`evaluation`] | evaluates runs by the standard that fits them: document and report
 //! | [`history`] | one machine's figures of merit over time
 //! | [`plan`] | the test sequence to characterise a machine |
-//! | [`iso230`], [`ballbar`], [`plate`] | evaluations as the standards define them |
+//! | [`iso230`], [`ballbar`], [`drilled_plate`] | evaluations as the standards define them |
 //! | [`plausible`] | likely mistakes that records show: units, signs, bad sensors, duplicated rows
 //! | [`plot`] | charts as SVG |
 //! | [`prediction`] | predictions of a model for a record
@@ -21,6 +21,7 @@
 
 pub mod ballbar;
 pub mod derivatives;
+pub mod drilled_plate;
 pub mod evaluation;
 pub mod export;
 pub mod gauge_resolution;
@@ -28,7 +29,6 @@ pub mod history;
 pub mod import;
 pub mod iso230;
 pub mod plan;
-pub mod plate;
 pub mod plausible;
 pub mod plot;
 pub mod prediction;

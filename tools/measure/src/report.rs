@@ -289,7 +289,7 @@ impl Report {
             let instrument = all(&["instrument kind", "instrument name", "instrument serial"]);
             h.push_str(&signed_line(&instrument, &all(&["operator"]), &self.days.join(", ")));
         }
-        let stamp = rtec_files::format_stamp::by();
+        let stamp = rtec_files::format_stamp::writer();
         let _ = writeln!(h, "<p><small>{stamp}, {}</small></p></body></html>", self.by);
         h
     }

@@ -28,7 +28,7 @@ pub enum Branch {
 
 /// One term of a component: coefficient · (p/100 mm)^i · ΔT^j.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Term {
+pub struct PolynomialTerm {
     /// Power of the position in units of 100 mm.
     /// With this unit coefficients keep the component's order of magnitude.
     pub position: u8,
@@ -46,7 +46,7 @@ pub struct ErrorMotion {
     /// The temperature difference of its terms; `None` if no term depends on it.
     pub delta: Option<TemperatureDifference>,
     /// The terms, whose sum is the component.
-    pub terms: Vec<Term>,
+    pub terms: Vec<PolynomialTerm>,
 }
 
 /// A joint: a frame at an offset from the one before.
@@ -324,7 +324,7 @@ impl Chain {
 impl ErrorMotion {
     /// Its value, µm or µrad, at a position (mm) and temperature difference (K).
     pub fn value(&self, p_mm: f64, delta_k: f64) -> f64 {
-        let of = |t: &Term| {
+        let of = |t: &PolynomialTerm| {
             t.coefficient
                 * (p_mm / 100.0).powi(i32::from(t.position))
                 * delta_k.powi(i32::from(t.temperature))
@@ -396,7 +396,7 @@ fn read_joint(t: Table<'_>) -> Result<Joint, InputError> {
             if temperature > 0 && delta.is_none() {
                 return Err(term.error("a power of ΔT without `sensor`", "the sensor of the component"));
             }
-            terms.push(Term {
+            terms.push(PolynomialTerm {
                 position: power("p")?,
                 temperature,
                 // A tenth of a metre, or of a radian, per decimetre or kelvin.

@@ -21,7 +21,7 @@ pub mod ballbar_circle;
 pub mod chain;
 pub mod effect;
 pub use rtec_files::file_kind;
-pub mod disconnected_sensors;
+pub mod disconnected_sensor_codes;
 pub mod live;
 pub mod machine;
 pub mod record;

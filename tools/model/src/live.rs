@@ -13,8 +13,8 @@
 
 use crate::chain::{Chain, JointIndices};
 use crate::effect::{
-    Basis, DifferenceSource, Effect, EffectState, Input, MissingInput, Naming, ProbingDependence, Quantity,
-    RequiredInput, STANDARD_DEGC, sign,
+    AffectedQuantity, Basis, DifferenceSource, Effect, EffectState, Input, MissingInput, Naming,
+    ProbingDependence, RequiredInput, STANDARD_DEGC, sign,
 };
 use crate::machine::Machine;
 use crate::record::Axis;
@@ -252,8 +252,8 @@ impl LiveModel {
             });
             let law = effect.description();
             let to = |component: usize| match (axes[component], law.quantity) {
-                (Some(a), Quantity::Error) => a,
-                (Some(a), Quantity::Force) => count + a,
+                (Some(a), AffectedQuantity::Error) => a,
+                (Some(a), AffectedQuantity::Force) => count + a,
                 (None, _) if law.naming == Naming::Plain => 2 * count,
                 (None, _) => 2 * count + 1,
             };

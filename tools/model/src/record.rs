@@ -66,7 +66,7 @@ const MOVES: f64 = 0.1;
 impl Record {
     /// How far beyond its end targets a positioning run turned, mm.
     /// Zero if it turned at them, or if nothing is stated.
-    pub fn past_mm(&self) -> f64 {
+    pub fn overtravel_mm(&self) -> f64 {
         match self.turns {
             Some(ReversalPoint::Overtravel(Some(over_mm))) => over_mm,
             _ => 0.0,
@@ -110,7 +110,7 @@ impl Record {
             if c.role.is_rotary(&c.unit) {
                 return Err(whole(format!("role `{}` in `{}`, of a rotary axis", c.role, c.unit), LINEAR));
             }
-            if !c.role.takes(&c.unit) {
+            if !c.role.accepts_unit(&c.unit) {
                 let own = c.role.unit().map_or("a unit".to_owned(), |u| format!("`{u}`, the role's unit"));
                 return Err(whole(format!("unit `{}` of role `{}`", c.unit, c.role), &own));
             }
@@ -320,7 +320,7 @@ impl Record {
     }
 
     /// The direction of an axis, else its velocity, whose sign says the same.
-    pub fn way(&self, axis: &Axis) -> Option<&[f64]> {
+    pub fn direction_or_velocity(&self, axis: &Axis) -> Option<&[f64]> {
         self.direction(axis).or_else(|| self.data(&Role::Velocity(axis.clone())))
     }
 

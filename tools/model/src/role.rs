@@ -75,7 +75,7 @@ pub enum Role {
 }
 
 /// All that holds for every column of a role.
-struct Facts {
+struct RoleProperties {
     /// Its name in a sidecar, before the axis.
     name: &'static str,
     unit: Option<&'static str>,
@@ -122,8 +122,8 @@ impl Role {
     }
 
     /// All that holds for every column of this role.
-    fn facts(&self) -> Facts {
-        let facts = |name, unit, most, expected| Facts { name, unit, most, expected };
+    fn facts(&self) -> RoleProperties {
+        let facts = |name, unit, most, expected| RoleProperties { name, unit, most, expected };
         match self {
             // Three hundred thousand years: an epoch in ms passes and is questioned, one in ns does not.
             Self::Time => facts("time", Some("s"), 1e13, "a time within ±1e13 s"),
@@ -161,13 +161,13 @@ impl Role {
     /// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
     /// unlikely values are the concern of `rtec_measure::plausible`.
     pub(crate) fn possible(&self) -> ([f64; 2], &'static str) {
-        let Facts { most, expected, .. } = self.facts();
+        let RoleProperties { most, expected, .. } = self.facts();
         ([-most, most], expected)
     }
 
     /// Whether a column of this role may have this unit.
     /// Tilts are in µrad or arcseconds, all others in their own unit.
-    pub fn takes(&self, unit: &str) -> bool {
+    pub fn accepts_unit(&self, unit: &str) -> bool {
         self.unit().is_none_or(|own| own == unit)
             || (matches!(self, Self::AngleError(..)) && unit == "arcsec")
     }

@@ -6,7 +6,7 @@
 
 use proptest::prelude::*;
 use rtec_model::effect::{
-    Dictionary, DifferenceReference, Effect, EffectState, Input, Naming, ProbingDependence, Quantity,
+    AffectedQuantity, Dictionary, DifferenceReference, Effect, EffectState, Input, Naming, ProbingDependence,
     RequiredInput, STANDARD_DEGC, TemperatureDifference,
 };
 use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
@@ -84,8 +84,8 @@ impl Plain {
                 }
             }
             match (place(component), law.quantity) {
-                (Some(a), Quantity::Error) => sums.0[a] += value,
-                (Some(a), Quantity::Force) => sums.1[a] += value,
+                (Some(a), AffectedQuantity::Error) => sums.0[a] += value,
+                (Some(a), AffectedQuantity::Force) => sums.1[a] += value,
                 (None, _) if law.naming == Naming::Plain => sums.2 += value,
                 (None, _) => {}
             }

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_model::effect::{
-    Dictionary, LawDescription, MechanicalParameter, Naming, Owner, Parameter, ProbingDependence, Quantity,
-    RequiredInput, ThermalDependence,
+    AffectedQuantity, Dictionary, LawDescription, MechanicalParameter, Naming, Owner, Parameter,
+    ProbingDependence, RequiredInput, ThermalDependence,
 };
 use std::fmt::Write as _;
 use std::path::Path;
@@ -57,10 +57,12 @@ fn describe(page: &mut String, law: &LawDescription) {
     row("name", &format!("`{}`", name(law)));
     row("law", &law.law);
     let on = match (law.quantity, law.naming) {
-        (Quantity::Force, _) => "the drive force of A, N",
-        (Quantity::Error, Naming::Plain) => "the radial error (`error.r`), or the record's only error, µm",
-        (Quantity::Error, Naming::Pair) => "the errors of A and of B, µm",
-        (Quantity::Error, _) => "the error of A, µm",
+        (AffectedQuantity::Force, _) => "the drive force of A, N",
+        (AffectedQuantity::Error, Naming::Plain) => {
+            "the radial error (`error.r`), or the record's only error, µm"
+        }
+        (AffectedQuantity::Error, Naming::Pair) => "the errors of A and of B, µm",
+        (AffectedQuantity::Error, _) => "the error of A, µm",
     };
     row("acts on", on);
     row("reads", &law.needs.iter().map(|n| need(*n)).collect::<Vec<_>>().join(", "));

@@ -43,7 +43,7 @@ fn unit_of_header(units: i32) -> Option<Unit> {
 pub struct DxfOptions {
     /// The drawing's unit, where its header does not say
     #[cfg_attr(feature = "clap", arg(long = "units", value_name = "UNITS",
-        value_parser = rtec_files::options::one_of(&Unit::ALL, &[])))]
+        value_parser = rtec_files::cli_options::one_of(&Unit::ALL, &[])))]
     pub unit: Option<Unit>,
     /// Take the contour from this layer only
     #[cfg_attr(feature = "clap", arg(long))]
@@ -120,7 +120,7 @@ pub fn read(file: &Path, options: &DxfOptions) -> Result<(Contour, Unit), InputE
         InputError::whole(file, found, "$INSUNITS of mm, cm, m, inch, …, or the unit named with --units")
     })?;
     let mut reader = Reader { file, unit, options, place: AffineMap::HERE };
-    let (mut pieces, mut cleaned) = (Vec::new(), Cleaned::default());
+    let (mut pieces, mut cleaned) = (Vec::new(), CleaningSummary::default());
     // If a layer is requested, it is read even if it is hidden.
     let is_hidden =
         |layer: &str| options.layer.is_none() && drawing.hidden_layers.contains(&layer.to_lowercase());
@@ -182,7 +182,7 @@ const FLAT: f64 = 0.01;
 
 /// What was left out of a drawing or simplified.
 #[derive(Debug, Clone, Default)]
-struct Cleaned {
+struct CleaningSummary {
     /// Vertices within the tolerance of the previous one.
     vertices: usize,
     /// Pieces no longer than the tolerance, and the first of them.
@@ -205,7 +205,7 @@ struct Cleaned {
 }
 
 /// An ellipse with equal axes as an arc: some programs write circles this way.
-fn rounded(segment: Segment, flat_mm: f64, cleaned: &mut Cleaned) -> Segment {
+fn rounded(segment: Segment, flat_mm: f64, cleaned: &mut CleaningSummary) -> Segment {
     match segment {
         Segment::Ellipse { centre, major, ratio, start_rad, sweep_rad }
             if major.norm() * (1.0 - ratio.abs()).abs() <= flat_mm =>
@@ -228,7 +228,7 @@ fn several(n: usize, one: &str) -> String {
     if n == 1 { format!("1 {one}") } else { format!("{n} {one}s") }
 }
 
-impl Cleaned {
+impl CleaningSummary {
     /// A sentence about hidden entities.
     fn not_shown(&self) -> String {
         let layers: Vec<&str> = self.hidden_on.iter().take(8).map(String::as_str).collect();
@@ -288,12 +288,12 @@ impl Piece {
 }
 
 /// Points in a grid, so that neighbours are found without comparing all.
-struct PointGrid {
+struct NeighbourGrid {
     cell: f64,
     cells: HashMap<[i64; 2], Vec<usize>>,
 }
 
-impl PointGrid {
+impl NeighbourGrid {
     /// The grid of points, by their indices; near means within `tolerance`.
     fn of(points: impl Iterator<Item = Zx>, tolerance: f64) -> Self {
         let mut places = Self { cell: tolerance.max(1e-9), cells: HashMap::new() };
@@ -352,7 +352,12 @@ impl Reader<'_> {
         Zx::new(x, y) * self.unit.0
     }
 
-    fn pieces(&self, entity: &Entity, out: &mut Vec<Piece>, cleaned: &mut Cleaned) -> Result<(), InputError> {
+    fn pieces(
+        &self,
+        entity: &Entity,
+        out: &mut Vec<Piece>,
+        cleaned: &mut CleaningSummary,
+    ) -> Result<(), InputError> {
         let (line, normal) = (entity.line, entity.normal());
         // A drawing need not have handles.
         let own = if entity.handle.is_empty() { format!("(line {line})") } else { entity.handle.clone() };
@@ -494,7 +499,7 @@ impl Reader<'_> {
     }
 
     /// A piece that is straight within the tolerance, as a line.
-    fn straightened(&self, segment: Segment, cleaned: &mut Cleaned) -> Segment {
+    fn straightened(&self, segment: Segment, cleaned: &mut CleaningSummary) -> Segment {
         if !self.is_line(&segment) {
             return segment;
         }
@@ -538,7 +543,7 @@ impl Reader<'_> {
     /// Lines and arcs of a polyline.
     /// A bulge is the tangent of a quarter of its arc's angle. A vertex within the tolerance of the previous
     /// one is the same vertex.
-    fn bulged(&self, corners: &[(Zx, f64)], closed: bool, cleaned: &mut Cleaned) -> Vec<Segment> {
+    fn bulged(&self, corners: &[(Zx, f64)], closed: bool, cleaned: &mut CleaningSummary) -> Vec<Segment> {
         let mut kept: Vec<(Zx, f64)> = Vec::with_capacity(corners.len());
         for &(at, bulge) in corners {
             match kept.last_mut() {
@@ -587,7 +592,7 @@ impl Reader<'_> {
     }
 
     /// The smooth pieces of a spline; one of degree 1 is a polyline.
-    fn smooth(&self, spline: Spline, cleaned: &mut Cleaned) -> Vec<Segment> {
+    fn smooth(&self, spline: Spline, cleaned: &mut CleaningSummary) -> Vec<Segment> {
         if spline.degree == 1 {
             let corners: Vec<_> = spline.points.iter().map(|p| (*p, 0.0)).collect();
             return self.bulged(&corners, false, cleaned);
@@ -620,8 +625,8 @@ impl Reader<'_> {
     fn twice(&self, pieces: &[Piece]) -> Result<(), InputError> {
         let tolerance = self.options.tolerance_mm;
         let lengths: Vec<f64> = pieces.iter().map(|p| p.segment.length_mm()).collect();
-        let starts = PointGrid::of(pieces.iter().flat_map(Piece::ends), tolerance);
-        let middles = PointGrid::of(pieces.iter().map(|p| p.segment.at(0.5)), tolerance);
+        let starts = NeighbourGrid::of(pieces.iter().flat_map(Piece::ends), tolerance);
+        let middles = NeighbourGrid::of(pieces.iter().map(|p| p.segment.at(0.5)), tolerance);
         for (i, a) in pieces.iter().enumerate() {
             let ([a0, a1], middle) = (a.ends(), a.segment.at(0.5));
             let same = |j: &usize| {
@@ -633,7 +638,7 @@ impl Reader<'_> {
             };
             // Searches around the place with the fewest neighbours, because many pieces may meet in one point
             // or cross.
-            let crowd = |grid: &PointGrid, p: Zx| grid.cells_around(p).map(Vec::len).sum::<usize>();
+            let crowd = |grid: &NeighbourGrid, p: Zx| grid.cells_around(p).map(Vec::len).sum::<usize>();
             let [c0, c1, of_middles] = [crowd(&starts, a0), crowd(&starts, a1), crowd(&middles, middle)];
             let first = if of_middles <= c0.min(c1) {
                 middles.around(middle).filter(|j| *j < i).filter(same).min()
@@ -661,7 +666,7 @@ impl Reader<'_> {
         }
         let ends: Vec<(usize, Zx)> =
             rest.iter().enumerate().flat_map(|(i, p)| p.ends().map(|e| (i, e))).collect();
-        let places = PointGrid::of(ends.iter().map(|(_, at)| *at), tol);
+        let places = NeighbourGrid::of(ends.iter().map(|(_, at)| *at), tol);
         // Two are enough to decide.
         let met = |k: usize| {
             let others = places.around(ends[k].1).filter(|j| *j != k);

@@ -6,7 +6,7 @@ use crate::part_errors::{NominalShape, PartErrorReport, ProbedPoints};
 use crate::probe_path::{approaches, read_expected, read_pathfin};
 use crate::unit::Unit;
 #[cfg(feature = "clap")]
-use rtec_files::options::one_of;
+use rtec_files::cli_options::one_of;
 use rtec_files::{InputError, InputNotice};
 use rtec_model::effect::{Effect, RequiredInput};
 use rtec_model::machine::Machine;
@@ -17,7 +17,7 @@ pub type Sink<'s> = &'s mut dyn FnMut(InputNotice);
 
 rtec_files::choice! {
     /// The kind of feature that was probed.
-    pub enum ProbedFeature {
+    pub enum ProbedFeatureKind {
         Circle = "circle", "A sphere or a fillet";
         Line = "line", "A cylinder, a face or a taper";
     }
@@ -41,8 +41,8 @@ pub struct PartErrorRequest {
     #[cfg_attr(feature = "clap", arg(long))]
     pub tip_mm: Option<f64>,
     /// What was probed [default: recognised from the points]
-    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&ProbedFeature::ALL, &[])))]
-    pub feature: Option<ProbedFeature>,
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&ProbedFeatureKind::ALL, &[])))]
+    pub feature: Option<ProbedFeatureKind>,
     /// Nominal inclination of a taper to the part's axis, in degrees: the difference is shown, error.cor does not take it out
     #[cfg_attr(feature = "clap", arg(long))]
     pub taper_deg: Option<f64>,
@@ -89,7 +89,7 @@ fn nominal(
     say: Sink<'_>,
 ) -> Result<NominalShape, InputError> {
     let straight = match args.feature {
-        Some(feature) => feature == ProbedFeature::Line,
+        Some(feature) => feature == ProbedFeatureKind::Line,
         None => probed.is_straight(args.radius_mm.is_some())?,
     };
     match (straight, args.radius_mm) {

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 /// The effect of the corrector's counts on one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AxisCounts {
+pub struct AxisCountConversion {
     /// The length of one count.
     pub count_um: f64,
     /// Counts of one insertion.
@@ -18,7 +18,7 @@ pub struct AxisCounts {
     pub sign: f64,
 }
 
-impl AxisCounts {
+impl AxisCountConversion {
     /// Length of one insertion.
     pub fn increment_um(&self) -> f64 {
         self.count_um * self.increment as f64
@@ -89,7 +89,7 @@ pub struct FinishCorrectionRow {
 impl FinishCorrectionRow {
     /// The row at a place, with the totals of both axes for its error.
     pub(crate) fn new(
-        axes: &[AxisCounts; 2],
+        axes: &[AxisCountConversion; 2],
         angle_rad: f64,
         error_um: f64,
         part_mm: Zx,
@@ -103,7 +103,7 @@ impl FinishCorrectionRow {
     }
 }
 
-fn requested(axes: &[AxisCounts; 2], components_um: Zx) -> [i64; 2] {
+fn requested(axes: &[AxisCountConversion; 2], components_um: Zx) -> [i64; 2] {
     [axes[0].requested(components_um.z), axes[1].requested(components_um.x)]
 }
 
@@ -124,14 +124,14 @@ pub struct ArcFinishTable {
     /// The arc that is cut.
     pub cut: FinishArc,
     /// The counts of Z and of X.
-    pub axes: [AxisCounts; 2],
+    pub axes: [AxisCountConversion; 2],
     errors: Vec<PointError>,
 }
 
 impl ArcFinishTable {
     /// A table from the errors of the semi-finish cut.
     /// Their angles ascend, as [`crate::error_cor_file::read_arc`] reads them.
-    pub fn new(cut: FinishArc, axes: [AxisCounts; 2], mut errors: Vec<PointError>) -> Self {
+    pub fn new(cut: FinishArc, axes: [AxisCountConversion; 2], mut errors: Vec<PointError>) -> Self {
         errors.sort_by(|a, b| a.angle_rad.total_cmp(&b.angle_rad));
         Self { cut, axes, errors }
     }

@@ -355,7 +355,7 @@ pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
 
 /// A fit through all points, and a second one without some of them.
 #[derive(Debug, Clone)]
-pub struct TwoStepFit {
+pub struct OutlierRejectionFit {
     /// Least squares through all points.
     pub plain: FittedShape,
     /// Least squares through the points that were kept.
@@ -370,7 +370,7 @@ pub struct TwoStepFit {
     pub errors_um: Vec<f64>,
 }
 
-impl TwoStepFit {
+impl OutlierRejectionFit {
     /// The second fit leaves out the points of these indices, ascending.
     ///
     /// # Errors
@@ -406,7 +406,7 @@ impl TwoStepFit {
 ///
 /// # Errors
 /// As [`least_squares`].
-pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStepFit, FitError> {
+pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<OutlierRejectionFit, FitError> {
     let needed = shape.parameters() + 1;
     if points.len() < needed {
         return Err(FitError::TooFew { found: points.len(), needed });
@@ -429,7 +429,7 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<TwoStepFit, FitError> 
         rejected.truncate(points.len() - needed);
         rejected.sort_unstable();
     }
-    TwoStepFit::without(shape, points, rejected)
+    OutlierRejectionFit::without(shape, points, rejected)
 }
 
 /// Probability per feature that a good point is left out.
@@ -459,7 +459,7 @@ impl Sums {
     }
 
     /// Residual sum of squares of a constant and both slopes.
-    fn left(&self) -> f64 {
+    fn residual_square_sum(&self) -> f64 {
         let ([a, b], n) = (self.u, self.n);
         let [aa, ab, bb] = [self.uu[0] - a * a / n, self.uu[1] - a * b / n, self.uu[2] - b * b / n];
         let [ar, br] = [self.ur[0] - a * self.r / n, self.ur[1] - b * self.r / n];
@@ -497,8 +497,9 @@ pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<u
     for m in core..n {
         let next = joined(sums, order[m]);
         if let Ok(law) = StudentsT::new(0.0, 1.0, m.saturating_sub(parameters) as f64) {
-            let variance = (sums.left() / (m - parameters) as f64).max(least_um.max(1e-6).powi(2));
-            let off = ((next.left() - sums.left()).max(0.0) / variance).sqrt();
+            let variance =
+                (sums.residual_square_sum() / (m - parameters) as f64).max(least_um.max(1e-6).powi(2));
+            let off = ((next.residual_square_sum() - sums.residual_square_sum()).max(0.0) / variance).sqrt();
             if law.sf(off) < CHANCE / (2.0 * (m + 1) as f64) {
                 let mut out = order.split_off(m);
                 out.sort_unstable();

@@ -3,7 +3,9 @@
 
 use crate::contour::folded_deg;
 use crate::error_cor_file::{PointError, error_cor, turned_near};
-use crate::geometric_fit::{self, FitError, FitShape, FittedShape, RobustFit, TwoStepFit, Zx, sequence};
+use crate::geometric_fit::{
+    self, FitError, FitShape, FittedShape, OutlierRejectionFit, RobustFit, Zx, sequence,
+};
 use crate::probe_path::{PathPoint, touches};
 use crate::repeats::{self, RepeatedTouches};
 use crate::svg::Svg;
@@ -57,7 +59,7 @@ pub enum NominalShape {
 
 /// The robust fit beside the report's own.
 #[derive(Debug, Clone, Serialize)]
-pub struct RobustSummary {
+pub struct RobustFitSummary {
     /// Centre of the circle `[z, x]` or centroid of the line, in mm.
     pub centre_mm: [f64; 2],
     /// Radius of the surface, in mm.
@@ -136,7 +138,7 @@ pub struct PartErrorReport {
     /// Largest minus smallest error, in µm.
     pub form_um: f64,
     /// A robust fit as a check.
-    pub robust: RobustSummary,
+    pub robust: RobustFitSummary,
     /// Errors of all points about the second fit, in the order of the rows.
     pub errors: Vec<PointError>,
     /// Whether it was touched from inside: a fillet or a groove.
@@ -391,7 +393,7 @@ impl ProbedPoints {
                     Err(_) => Vec::new(),
                 },
             };
-            TwoStepFit::without(shape, points, rejected)
+            OutlierRejectionFit::without(shape, points, rejected)
         })
     }
 
@@ -411,7 +413,12 @@ impl ProbedPoints {
         &self,
         nominal: NominalShape,
         tip_mm: f64,
-        second_fit: impl Fn(FitShape, &[Zx], &RobustFit, Option<&RepeatedTouches>) -> Result<TwoStepFit, FitError>,
+        second_fit: impl Fn(
+            FitShape,
+            &[Zx],
+            &RobustFit,
+            Option<&RepeatedTouches>,
+        ) -> Result<OutlierRejectionFit, FitError>,
     ) -> Result<PartErrorReport, InputError> {
         let shape = match nominal {
             NominalShape::Circle { .. } => FitShape::Circle,
@@ -488,7 +495,7 @@ impl ProbedPoints {
             sd_after_um: two.sd_after_um,
             rejected: two.rejected,
             form_um: most_um - least_um,
-            robust: RobustSummary {
+            robust: RobustFitSummary {
                 centre_mm: robust_centre,
                 radius_mm: robust_radius,
                 size_error_um: off_um(robust_radius),
@@ -681,7 +688,7 @@ fn place(fitted: &FittedShape) -> ([f64; 2], Option<f64>) {
 }
 
 /// The error bars, from the nominal outline outward by the magnified error.
-pub(crate) struct Whiskers {
+pub(crate) struct DeviationWhiskers {
     pub outline: Vec<Zx>,
     pub bars: Vec<(Zx, Zx)>,
     rejected: Vec<bool>,
@@ -745,7 +752,7 @@ impl PartErrorReport {
         matches!(both, (Some(off), Some(within)) if off.abs() > within)
     }
 
-    pub(crate) fn whiskers(&self) -> Whiskers {
+    pub(crate) fn whiskers(&self) -> DeviationWhiskers {
         let foot = |e: &PointError| match self.outline {
             FittedShape::Circle { centre, radius_mm } => {
                 let n = Zx::at_angle(e.angle_rad);
@@ -771,7 +778,7 @@ impl PartErrorReport {
         let bars = order.iter().map(|&i| (feet[i].0, head(i))).collect();
         let rejected = order.iter().map(|i| self.rejected.contains(i)).collect();
         let size_mm = (outline[outline.len() - 1] - outline[0]).norm();
-        Whiskers { outline, bars, rejected, size_mm }
+        DeviationWhiskers { outline, bars, rejected, size_mm }
     }
 
     /// The feature with its error bars, magnified as in figures 5 and 6 of NISTIR 4854.

@@ -1,7 +1,7 @@
 //! The finish cut of a straight feature: errors by place become requested counts.
 
 use crate::error_cor_file::StraightPointError;
-use crate::finish_table::{AxisCounts, FinishCorrectionRow, csv_of, interpolated};
+use crate::finish_table::{AxisCountConversion, FinishCorrectionRow, csv_of, interpolated};
 use crate::geometric_fit::Zx;
 
 /// A straight feature's errors, ready for its finish cut.
@@ -10,7 +10,7 @@ pub struct StraightFinishTable {
     /// Errors by place, places ascending.
     pub errors: Vec<StraightPointError>,
     /// The counts of Z and of X.
-    pub axes: [AxisCounts; 2],
+    pub axes: [AxisCountConversion; 2],
     /// Radius of the tool's nose, mm: the distance of its centre from the surface.
     pub nose_mm: f64,
     /// Machine position at which the nose's centre is at the part's origin.

@@ -4,8 +4,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::CsvTable;
 use rtec_part::geometric_fit::{
-    FitError, FitShape, FittedShape, TwoStepFit, Zx, beyond_noise, deviations_um, least_squares, robust, sd,
-    standard_errors, two_step,
+    FitError, FitShape, FittedShape, OutlierRejectionFit, Zx, beyond_noise, deviations_um, least_squares,
+    robust, sd, standard_errors, two_step,
 };
 use rtec_part::part_errors::{NominalShape, ProbedPoints};
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -136,7 +136,8 @@ fn two_steps_come_closer_to_the_truth_than_one_over_a_thousand_random_bumps() {
         two_um += off(&two.fitted) / 1000.0;
         robust_um += off(&free.fitted) / 1000.0;
         let screened =
-            TwoStepFit::without(FitShape::Circle, &points, beyond_noise(&free.fitted, &points, 0.0)).unwrap();
+            OutlierRejectionFit::without(FitShape::Circle, &points, beyond_noise(&free.fitted, &points, 0.0))
+                .unwrap();
         screened_um += off(&screened.fitted) / 1000.0;
         let left = (0..points.len()).filter(|k| !screened.rejected.contains(k)).map(|k| points[k]);
         let scatter_um = screened.sd_before_um * (19.0_f64 / 17.0).sqrt();

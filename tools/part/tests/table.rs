@@ -4,22 +4,22 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_part::error_cor_file::PointError;
-use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc, csv};
+use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc, csv};
 use rtec_part::geometric_fit::Zx;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 const CUT: FinishArc =
     FinishArc { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
 /// The Original RTEC on 1 µm counts: 4 µm per correction.
-const ORIGINAL: AxisCounts = AxisCounts { count_um: 1.0, increment: 4, sign: 1.0 };
-const DESIGN_C: AxisCounts = AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 };
+const ORIGINAL: AxisCountConversion = AxisCountConversion { count_um: 1.0, increment: 4, sign: 1.0 };
+const DESIGN_C: AxisCountConversion = AxisCountConversion { count_um: 1.0, increment: 2, sign: 1.0 };
 
 fn bump(angle: f64) -> f64 {
     let off = (angle - 0.3).abs() / 0.5;
     if off < 0.5 { 21.4 * (1.0 + (TAU * off).cos()) / 2.0 } else { 0.0 }
 }
 
-fn table(axis: AxisCounts) -> ArcFinishTable {
+fn table(axis: AxisCountConversion) -> ArcFinishTable {
     let errors = (0..20)
         .map(|k| {
             let angle_rad = FRAC_PI_2 * f64::from(k) / 19.0;
@@ -34,7 +34,7 @@ fn the_largest_error_of_the_report_takes_five_corrections() {
     // NISTIR 4854: 21.4 µm at 4 µm per correction.
     assert_eq!(ORIGINAL.requested(21.4), 20);
     assert_eq!(ORIGINAL.requested(-21.4), -20);
-    assert_eq!(AxisCounts { sign: -1.0, ..ORIGINAL }.requested(21.4), -20);
+    assert_eq!(AxisCountConversion { sign: -1.0, ..ORIGINAL }.requested(21.4), -20);
     // Additional counts at the MTC make the axis stop short by as much, so the material is removed.
     assert!((ORIGINAL.taken_um(20) - 20.0).abs() < 1e-12);
     let z = table(ORIGINAL).rows(9).iter().map(|r| r.requested[0]).max().unwrap();

@@ -76,7 +76,7 @@ impl FarSideWires for Registers {
 }
 
 /// The control side: it always requests a correction, and homes after a fault.
-pub(crate) struct Control<'a> {
+pub(crate) struct ControlSide<'a> {
     link: &'a mut ControlEnd,
     /// Requests are sent as fast as the link takes them.
     streaming: bool,
@@ -105,7 +105,7 @@ enum HomingState {
     Done,
 }
 
-impl<'a> Control<'a> {
+impl<'a> ControlSide<'a> {
     pub(crate) fn new(
         link: &'a mut ControlEnd,
         streaming: bool,
@@ -149,19 +149,19 @@ impl<'a> Control<'a> {
         let status = self.link.status();
         self.looked_ns = status.t_ns;
         match self.homed {
-            HomingState::Never => self.ask(),
+            HomingState::Never => self.home_and_enable(),
             HomingState::Asked { .. } if status.mode == Mode::Run => self.homed = HomingState::Done,
             // The request was refused, because an insertion was under way.
-            HomingState::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.ask(),
+            HomingState::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.home_and_enable(),
             HomingState::Done if status.mode == Mode::Fault => {
                 self.faults += 1;
-                self.ask();
+                self.home_and_enable();
             }
             _ => {}
         }
     }
 
-    fn ask(&mut self) {
+    fn home_and_enable(&mut self) {
         for request in [
             Request::Clear,
             Request::Home { axis: 0, position_counts: 0, controller_homed: true },
@@ -186,7 +186,7 @@ impl<'a> Control<'a> {
 /// The scale and the MTC of a self-test.
 struct ScaleAndMtc<'a, 'c, F> {
     far: &'a mut F,
-    control: &'a mut Control<'c>,
+    control: &'a mut ControlSide<'c>,
     done: &'a mut Recorder,
     clock: Monotonic,
     scale: Decoder,
@@ -201,7 +201,7 @@ struct ScaleAndMtc<'a, 'c, F> {
 /// The times from edge to second inversion go to `done`. Returns the counts, and the last of those times, ns.
 pub(crate) fn play(
     far: &mut impl FarSideWires,
-    control: &mut Control,
+    control: &mut ControlSide,
     done: &mut Recorder,
     random: &mut impl RngCore,
 ) -> (SelftestCounts, u64) {

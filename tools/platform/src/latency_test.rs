@@ -17,7 +17,7 @@
 
 use crate::card_polling;
 pub use crate::far_side::SelftestCounts;
-use crate::far_side::{Control, FarSideWires, play};
+use crate::far_side::{ControlSide, FarSideWires, play};
 use crate::selftest_results::tid;
 pub use crate::selftest_results::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults};
 use rand_xoshiro::SplitMix64;
@@ -227,7 +227,7 @@ pub fn run_on_card<C: Card + Send + 'static>(
     drive: bool,
     mut progress: impl FnMut(&str, u64),
 ) -> Result<LatencyTestResult, SelftestError> {
-    let left = setup::leave(options.cpu);
+    let left = setup::move_off_cpu(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     let axis = axes.iter().max_by_key(|a| a.min_separation_ns).copied().unwrap_or_default();
     let (quiet, with_requests) = (PollingResults::default(), PollingResults::default());
@@ -257,7 +257,7 @@ fn measure<C: Card + Send + 'static, F: FarSideWires>(
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
 ) -> Result<LatencyTestResult, SelftestError> {
     // All threads but the real-time one leave its CPU. Threads started from here inherit that.
-    let left = setup::leave(options.cpu);
+    let left = setup::move_off_cpu(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     // The far side waits for each insertion and keeps its dwell time. So the gate uses the last period alone.
     let axis =
@@ -293,7 +293,7 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
     let what =
         if requests { "poll gap and edge to done, with requests" } else { "poll gap and edge to done" };
     let mut show = |left_s| progress(what, left_s);
-    let mut control = Control::new(&mut running.control, requests, options.run / 3, &mut show);
+    let mut control = ControlSide::new(&mut running.control, requests, options.run / 3, &mut show);
     let (far, last_done_ns) =
         play(&mut far, &mut control, &mut done, &mut SplitMix64::seed_from_u64(options.seed));
     let (faults, requests) = (control.faults, control.requests);

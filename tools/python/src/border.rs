@@ -64,7 +64,7 @@ pub(crate) fn work<T: Send + 'static>(
     let watched = Arc::clone(&watch);
     let working = move || {
         let mut said = Vec::new();
-        let of = || watched.over(|| of(&mut |s: InputNotice| said.push(s.to_string())));
+        let of = || watched.run_cancellable(|| of(&mut |s: InputNotice| said.push(s.to_string())));
         // After a panic all that the work used is dropped, so nothing reads it again.
         let done = catch_unwind(AssertUnwindSafe(of));
         // After Ctrl-C nobody waits for the answer.

@@ -9,7 +9,7 @@ use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_files::date;
 use rtec_files::format_stamp::signed;
-use rtec_files::trace::{TotalRequestReader, TraceReader, request_columns, trace_columns};
+use rtec_files::quadrature_trace::{RequestedTotalReader, TraceReader, request_columns, trace_columns};
 use rtec_files::{InputError, InputNotice};
 use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, FittedChainTerm};
 use rtec_fit::thermal::{self, prediction_chart};
@@ -31,7 +31,7 @@ use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::compensation_experiments::{EXPERIMENTS, ExperimentInputs};
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::example::EXAMPLES;
+use rtec_sim::example_machines::EXAMPLES;
 use rtec_sim::insertion_designs::{TestMotion, compare};
 use rtec_sim::replay::ReplayError;
 use rtec_sim::sim::MachineSpec;
@@ -393,7 +393,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportOptions) -> Answered<Re
         if let Some(note) = &inner.note {
             say(InputNotice::Note(note.clone()));
         }
-        plausible::said(std::slice::from_ref(&inner), say);
+        plausible::report_suspicions(std::slice::from_ref(&inner), say);
         Ok(Record { inner })
     })
 }
@@ -564,7 +564,7 @@ pub(crate) fn replay(
         };
         let design = one_of("design", &design, &InsertionDesign::ALL.map(|d| (d.name(), d)))?;
         let trace = TraceReader::open_columns(&trace, &trace_columns(&columns.0)?)?;
-        let requests = TotalRequestReader::open_beside(&requests, &request_columns(&columns.1)?, &trace)?;
+        let requests = RequestedTotalReader::open_beside(&requests, &request_columns(&columns.1)?, &trace)?;
         let trace = trace.playable();
         let played = replay_any(design, engine, trace, requests, large, |_, _: State| {});
         let (outcome, _) = played.map_err(|error| match error {
@@ -598,7 +598,7 @@ pub(crate) struct PartErrorOptions {
 #[pyfunction]
 pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(String, String, String)> {
     work(py, move |say| {
-        let features = named(error_determination::ProbedFeature::ALL);
+        let features = named(error_determination::ProbedFeatureKind::ALL);
         let report = error_determination::determine(
             &error_determination::PartErrorRequest {
                 points: asked.points,

@@ -123,7 +123,7 @@ impl Machine {
     /// The record with the model's prediction subtracted.
     fn beyond(&self, py: Python<'_>, record: &Record) -> PyResult<Record> {
         let (machine, record) = (self.inner.clone(), record.inner.clone());
-        quietly(py, move || Ok(Record { inner: machine.beyond(&record)? }))
+        quietly(py, move || Ok(Record { inner: machine.without_prediction(&record)? }))
     }
 
     fn doubts(&self, py: Python<'_>, today: Option<String>) -> PyResult<Vec<String>> {

@@ -37,7 +37,7 @@ pub(crate) struct Analysis {
 
 /// Half widths of the model's intervals, effect by effect and value by value.
 pub(crate) fn stated(machine: &Machine) -> Vec<Vec<Option<f64>>> {
-    let of = |l: &rtec_model::machine::ListedEffect| {
+    let of = |l: &rtec_model::machine::EffectWithProvenance| {
         let width = l.effect.width();
         let names = l.effect.description().parameters.iter();
         names

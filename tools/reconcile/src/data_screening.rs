@@ -7,7 +7,7 @@ use crate::analysis::stated;
 use crate::gap::{self, Gap};
 use crate::suspicion_scope::{about, is_of_clock, is_one_of_several, is_sensor, whole};
 use crate::verdict::SkippedRecord;
-use rtec_estimate::alone;
+use rtec_estimate::evidence_without_hypotheses;
 use rtec_estimate::problem::UnitAssumption;
 use rtec_measure::plausible::{self, MistakeKind, Suspicion};
 use rtec_model::effect::{Effect, ThermalDependence};
@@ -24,7 +24,7 @@ const OTHER: f64 = 4.0;
 
 /// The suspicions, and the records to analyse.
 pub(crate) struct ScreenedRecords {
-    pub(crate) said: Vec<Suspicion>,
+    pub(crate) suspicions: Vec<Suspicion>,
     /// The training records without doubted data; empty if all is doubted.
     pub(crate) train: Vec<Record>,
 
@@ -65,7 +65,7 @@ pub(crate) fn doubts(train: &[Record], holdout: &[Record], machine: &Machine) ->
     said.extend(of_train.iter().chain(&beside).chain(&of_holdout).cloned());
     let left: Vec<Record> = train.iter().filter_map(|r| without(r, &of_train, machine)).collect();
     left_out.extend(lines(&train, &left, &of_train));
-    ScreenedRecords { said, train: left, left_out, holdout, of_holdout }
+    ScreenedRecords { suspicions: said, train: left, left_out, holdout, of_holdout }
 }
 
 /// The mistakes that records show by themselves.
@@ -106,10 +106,10 @@ impl ScreenedRecords {
     /// Such records cannot show a lag.
     pub(crate) fn without_clocks(&mut self) -> bool {
         let before = self.train.len();
-        let said = std::mem::take(&mut self.said);
+        let said = std::mem::take(&mut self.suspicions);
         let of_clock = |r: &Record| said.iter().any(|s| about(s, r) && is_of_clock(s, r));
         self.drop_where(|r| of_clock(r).then_some(MistakeKind::Unit));
-        self.said = said;
+        self.suspicions = said;
         self.train.len() < before
     }
 
@@ -124,12 +124,18 @@ impl ScreenedRecords {
     }
 
     /// The given records that are used neither for learning nor for judging, and why.
-    pub(crate) fn unsaid(&self, train: &[Record], holdout: &[Record], model: &Machine) -> Vec<SkippedRecord> {
+    pub(crate) fn skipped_records(
+        &self,
+        train: &[Record],
+        holdout: &[Record],
+        model: &Machine,
+    ) -> Vec<SkippedRecord> {
         let held = self.holdouts(model).0;
         let of = |all: &[Record], left: &[Record]| -> Vec<SkippedRecord> {
             let gone = all.iter().filter(|r| left.iter().all(|l| l.path != r.path));
             // A record that is given twice is reported once.
-            let own = |r: &&Record| self.said.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
+            let own =
+                |r: &&Record| self.suspicions.iter().filter(|s| about(s, r)).collect::<Vec<&Suspicion>>();
             let again = |r: &&Record| own(r).iter().any(|s| s.what == MistakeKind::Doubled && whole(s, r));
             let unsaid = |r: &Record| {
                 let mut why: Vec<&str> = own(&r).iter().map(|s| s.what.name()).collect();
@@ -143,7 +149,7 @@ impl ScreenedRecords {
 
     /// Adds suspicions of hold-outs, which are then left out.
     pub(crate) fn also_held(&mut self, more: Vec<Suspicion>) {
-        self.said.extend(more.iter().cloned());
+        self.suspicions.extend(more.iter().cloned());
         self.of_holdout.extend(more);
     }
 
@@ -155,7 +161,7 @@ impl ScreenedRecords {
     /// Adds suspicions of whole training records, which are then left out.
     pub(crate) fn also(&mut self, more: Vec<Suspicion>) {
         self.drop_where(|r| more.iter().find(|s| about(s, r)).map(|s| s.what));
-        self.said.extend(more);
+        self.suspicions.extend(more);
     }
 }
 
@@ -251,7 +257,7 @@ pub(crate) fn other_machines(
     for (k, record) in holdout.iter().enumerate() {
         let [old, new] = [before, after].map(|m| {
             let effects: Vec<Effect> = m.effects().cloned().collect();
-            alone(record, &effects, &stated(m), UnitAssumption::AsWritten).1
+            evidence_without_hypotheses(record, &effects, &stated(m), UnitAssumption::AsWritten).1
         });
         for g in gap {
             let size = |left: &[(Role, f64)]| {

@@ -136,7 +136,7 @@ impl Reconciliation {
             "set_up": set_up(&self.set_up),
             "suspicions": self.suspicions,
             "left_out": self.left_out,
-            "nothing_said_of": self.unsaid.iter().map(|u| &u.record).collect::<Vec<_>>(),
+            "nothing_said_of": self.skipped_records.iter().map(|u| &u.record).collect::<Vec<_>>(),
             "derived": self.derived,
             "advice": self.advice,
             "tried": self.ranking.iter().map(|t| json!({

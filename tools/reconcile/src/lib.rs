@@ -13,13 +13,13 @@
 //! | `subsample` | a subsample of very many rows |
 //! | `analysis` | the estimate as findings |
 //! | `localisation` | where measured and simulated disagree |
-//! | `sensor_choice` | the sensors that a fit of growth chooses on the same drift |
-//! | `unexplained` | a curve in place of what no effect explains |
+//! | `sensor_choice_check` | the sensors that a fit of growth chooses on the same drift |
+//! | `unexplained_curve` | a curve in place of what no effect explains |
 //! | `grid_aliases` | aliases on a grid of places, for the advice |
-//! | `interval` | the prediction interval of the better model |
+//! | `prediction_interval` | the prediction interval of the better model |
 //! | `next_run` | the run that would separate an effect from its rivals, planned before it is made |
 //! | `regression` | the regression behind a fit or a verdict, as arrays |
-//! | `verdict`, `gap`, `advice`, `document`, `report` | the answer, its figures, what to do next, as JSON and as a page |
+//! | `verdict`, `gap`, `advice`, `document`, `html_report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
 //! Laws must not be here. A law's description in `rtec-model` says how it is searched and what may replace
 //! it; no module matches a law by its name. Nothing here depends on a machine, a simulator or time.
@@ -33,18 +33,18 @@ mod document;
 mod evidence_table;
 mod gap;
 mod grid_aliases;
-mod interval;
+mod html_report;
 mod localisation;
 mod mistakes;
 mod next_run;
+mod prediction_interval;
 mod regression;
-mod report;
-mod sensor_choice;
+mod sensor_choice_check;
 mod subsample;
 mod suspicion_scope;
 #[cfg(test)]
 mod test_records;
-mod unexplained;
+mod unexplained_curve;
 mod verdict;
 mod workflow;
 
@@ -54,12 +54,12 @@ pub const SEED: u64 = 4832;
 pub use analysis::Finding;
 pub use evidence_table::why;
 pub use gap::{Abscissa, Gap, ResidualTrace};
+pub use html_report::{html, pictures};
 pub use localisation::ResidualStructure;
 pub use next_run::{ExpectedEvidence, NextRuns, UnresolvedEffect, next_runs};
 pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
-pub use report::{html, pictures};
 pub use rtec_estimate::{Rival, TriedExplanation, UnnamedShape};
-pub use unexplained::LAWS_FILE;
+pub use unexplained_curve::LAWS_FILE;
 pub use verdict::{Reconciliation, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
 pub use workflow::{find, reconcile};
 

@@ -5,7 +5,7 @@
 use crate::analysis::{Analysis, Finding, analyse, score, stated};
 use rtec_estimate::priors::TRAVEL_MM;
 use rtec_estimate::problem::UnitAssumption;
-use rtec_estimate::{alone, of_other_machine, unexplained};
+use rtec_estimate::{evidence_without_hypotheses, of_other_machine, unexplained};
 use rtec_files::text::short;
 use rtec_measure::plausible::{MistakeKind, Suspicion};
 use rtec_model::ballbar_circle::Circle;
@@ -16,8 +16,8 @@ use std::f64::consts::PI;
 
 /// A mistake that a record may carry.
 #[derive(Clone)]
-pub(crate) struct Mistake {
-    said: Suspicion,
+pub(crate) struct MistakeHypothesis {
+    suspicion: Suspicion,
     /// The record with the mistake corrected; `None` if it is of another machine.
     corrected: Option<Record>,
     /// Log Jacobian of undoing the mistake, plus the evidence from directions.
@@ -26,15 +26,15 @@ pub(crate) struct Mistake {
     jacobian: f64,
 }
 
-impl Mistake {
+impl MistakeHypothesis {
     /// Which units are possible while it is tested.
     /// Set-up terms have those of the responses and of time.
     fn units(&self) -> UnitAssumption {
         let set_up = |c: &Column| c.role == Role::Time || c.role.is_response();
         let columns = self.corrected.iter().flat_map(|r| &r.columns);
-        let all = self.said.column.is_empty();
-        let asked = columns.into_iter().any(|c| (all || c.name == self.said.column) && set_up(c));
-        if self.said.what == MistakeKind::Unit && asked {
+        let all = self.suspicion.column.is_empty();
+        let asked = columns.into_iter().any(|c| (all || c.name == self.suspicion.column) && set_up(c));
+        if self.suspicion.what == MistakeKind::Unit && asked {
             UnitAssumption::Any
         } else {
             UnitAssumption::AsWritten
@@ -43,11 +43,11 @@ impl Mistake {
 }
 
 /// Mistakes that were made together, each with its record's index.
-type JointMistakes = Vec<(usize, Mistake)>;
+type JointMistakes = Vec<(usize, MistakeHypothesis)>;
 
 /// A mistake that is suspected of a record.
 pub(crate) struct SuspectedMistake {
-    pub(crate) said: Suspicion,
+    pub(crate) suspicion: Suspicion,
     /// Log odds of the mistake.
     odds: f64,
     /// Names of the effects that are found with the mistake corrected.
@@ -114,10 +114,10 @@ pub(crate) fn of_training(
         let mut models = vec![model.clone()];
         models.extend(with_findings(&model, answer));
         let intervals = stated(machine);
-        let mut tried: Vec<(f64, usize, Mistake)> = Vec::new();
+        let mut tried: Vec<(f64, usize, MistakeHypothesis)> = Vec::new();
         for (k, record) in now.iter().enumerate() {
             let stands = |units| -> Vec<f64> {
-                models.iter().map(|m| alone(record, m, &intervals, units).0).collect()
+                models.iter().map(|m| evidence_without_hypotheses(record, m, &intervals, units).0).collect()
             };
             let [written, any] = [UnitAssumption::AsWritten, UnitAssumption::Any].map(stands);
             let left: Vec<_> = models.iter().map(|m| unexplained(record, m)).collect();
@@ -131,7 +131,8 @@ pub(crate) fn of_training(
                     if same {
                         0.0
                     } else {
-                        alone(corrected, model, &intervals, m.units()).0 + m.jacobian - stands
+                        evidence_without_hypotheses(corrected, model, &intervals, m.units()).0 + m.jacobian
+                            - stands
                     }
                 };
                 let stands = if m.units() == UnitAssumption::Any { &any } else { &written };
@@ -145,7 +146,7 @@ pub(crate) fn of_training(
         // Keeps the likeliest mistake of each kind in each column.
         let mut kinds: Vec<(usize, MistakeKind, String)> = Vec::new();
         tried.retain(|(_, k, m)| {
-            let kind = (*k, m.said.what, m.said.column.clone());
+            let kind = (*k, m.suspicion.what, m.suspicion.column.clone());
             let new = !kinds.contains(&kind);
             kinds.push(kind);
             new
@@ -177,7 +178,7 @@ pub(crate) fn of_training(
         let then = analyse(&now, machine, level);
         let without: Vec<String> = then.findings.iter().map(|(f, _)| f.effect.name()).collect();
         out.extend(set.into_iter().map(|(_, m)| SuspectedMistake {
-            said: m.said,
+            suspicion: m.suspicion,
             odds: gain,
             without: without.clone(),
             replaced: replaced(&then),
@@ -189,11 +190,12 @@ pub(crate) fn of_training(
 
 /// A mistake that every record shows, at the price of a single one.
 /// Its author always makes it in the same way.
-fn habit(tried: &[(f64, usize, Mistake)], records: usize) -> Option<JointMistakes> {
-    let same = |a: &Mistake, b: &Mistake| {
-        (a.said.what, &a.said.column, &a.said.text) == (b.said.what, &b.said.column, &b.said.text)
+fn habit(tried: &[(f64, usize, MistakeHypothesis)], records: usize) -> Option<JointMistakes> {
+    let same = |a: &MistakeHypothesis, b: &MistakeHypothesis| {
+        (a.suspicion.what, &a.suspicion.column, &a.suspicion.text)
+            == (b.suspicion.what, &b.suspicion.column, &b.suspicion.text)
     };
-    let everywhere = |(_, _, m): &&(f64, usize, Mistake)| {
+    let everywhere = |(_, _, m): &&(f64, usize, MistakeHypothesis)| {
         let own: Vec<f64> = tried.iter().filter(|t| same(&t.2, m)).map(|t| t.0).collect();
         records > 1 && m.corrected.is_some() && own.len() == records && own.iter().sum::<f64>() > ONE_IN.ln()
     };
@@ -211,10 +213,10 @@ fn with_corrected(records: &[Record], mistakes: &JointMistakes) -> Vec<Record> {
 }
 
 /// A record of another machine, which has the model's effects in other sizes.
-fn other_machine(record: &Record, model: &[Effect]) -> Mistake {
+fn other_machine(record: &Record, model: &[Effect]) -> MistakeHypothesis {
     let text = "the run agrees with the model only with other sizes of its effects: of another machine, or another state of it?";
-    Mistake {
-        said: Suspicion::new(record, "", MistakeKind::OtherMachine, &[], text.to_owned()),
+    MistakeHypothesis {
+        suspicion: Suspicion::new(record, "", MistakeKind::OtherMachine, &[], text.to_owned()),
         corrected: None,
         jacobian: of_other_machine(record, model),
     }
@@ -232,7 +234,7 @@ pub(crate) fn of_hold_out(
     if effects.is_empty() {
         return None;
     }
-    let stands = |units| alone(record, &effects, &intervals, units);
+    let stands = |units| evidence_without_hypotheses(record, &effects, &intervals, units);
     let (as_it_stands, noise) = stands(UnitAssumption::AsWritten);
     let of_any_unit = stands(UnitAssumption::Any).0;
     let explained = |noise: &[(Role, f64)]| noise.iter().all(|(r, s)| *s <= EXPLAINED * floor_um(r));
@@ -241,11 +243,12 @@ pub(crate) fn of_hold_out(
     }
     let mut all = train.to_vec();
     all.push(record.clone());
-    let weigh = |m: Mistake| {
-        let (then, noise) = alone(m.corrected.as_ref()?, &effects, &intervals, m.units());
+    let weigh = |m: MistakeHypothesis| {
+        let (then, noise) =
+            evidence_without_hypotheses(m.corrected.as_ref()?, &effects, &intervals, m.units());
         let stands = if m.units() == UnitAssumption::Any { of_any_unit } else { as_it_stands };
         let gain = then + m.jacobian - stands - ONE_IN.ln() - CERTAIN.ln();
-        (gain > 0.0 && explained(&noise)).then_some((gain, m.said))
+        (gain > 0.0 && explained(&noise)).then_some((gain, m.suspicion))
     };
     let found = candidates(record, &all, &effects).into_iter().filter_map(weigh);
     found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|b| b.1)
@@ -411,7 +414,7 @@ const PARTS: [(&str, Which); 4] = [
 
 /// All mistakes that a record may carry.
 #[expect(clippy::too_many_lines, reason = "one list, in the order of the words page")]
-fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake> {
+fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<MistakeHypothesis> {
     use MistakeKind::{Direction, Sign, Swapped, Unit};
     let mut out = Vec::new();
     let rows = record.rows() as f64;
@@ -421,7 +424,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
             if let Some(corrected) = corrected {
                 let jacobian = jacobian + agreement(&corrected) - as_logged;
                 let said = Suspicion::new(record, column, what, &[], text);
-                out.push(Mistake { said, corrected: Some(corrected), jacobian });
+                out.push(MistakeHypothesis { suspicion: said, corrected: Some(corrected), jacobian });
             }
         };
     let only = |text: &str| format!("the run agrees with the model only {text}");
@@ -561,8 +564,10 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
                 };
                 // A renamed part must leave the model as many effects to apply, and directions beside their
                 // positions.
-                let sound =
-                    |u: &Record| said_of(u, model) >= said_of(record, model) && paired(u) >= paired(record);
+                let sound = |u: &Record| {
+                    applicable_effects(u, model) >= applicable_effects(record, model)
+                        && paired(u) >= paired(record)
+                };
                 let corrected = renamed(record, &swap).filter(|u| part == "run" || sound(u));
                 add(Swapped, column, only(&text), corrected, 0.0);
             }
@@ -587,7 +592,7 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<Mistake>
 }
 
 /// Number of a model's effects that apply to a record.
-fn said_of(record: &Record, model: &[Effect]) -> usize {
+fn applicable_effects(record: &Record, model: &[Effect]) -> usize {
     model.iter().filter(|e| !e.acts_on(record).is_empty() && e.bind(record).is_ok()).count()
 }
 

@@ -11,9 +11,9 @@ use rtec_estimate::priors::HELD;
 use rtec_estimate::problem::EstimationProblem;
 use rtec_estimate::rows::{Noise, Rows};
 use rtec_files::InputError;
-use rtec_least_squares::Factor;
+use rtec_least_squares::QrFactor;
 use rtec_measure::plan::{PlanAxis, PlannedRun, TargetRun, target_run};
-use rtec_model::effect::{Dictionary, DifferenceReference, Effect, Quantity, TemperatureDifference};
+use rtec_model::effect::{AffectedQuantity, Dictionary, DifferenceReference, Effect, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
 use serde::Serialize;
@@ -96,7 +96,7 @@ fn name_of(map: &Map<String, Value>) -> Result<&str, String> {
 }
 
 fn is_force(effect: &Effect) -> bool {
-    effect.description().quantity == Quantity::Force
+    effect.description().quantity == AffectedQuantity::Force
 }
 
 /// The temperature difference of an entry, if it has one.
@@ -298,7 +298,7 @@ impl Simulated {
         let problem = EstimationProblem::unrounded(&rows, &self.model, &[]);
         let base = problem.base(Noise::white(&rows, self.noise.max(1e-6)));
         let left = |effect: &Effect| {
-            let mut factor: Factor = base.factor.clone();
+            let mut factor: QrFactor = base.factor.clone();
             for mut column in rows.basis(effect) {
                 let rms = (column.iter().map(|v| v * v).sum::<f64>() / column.len().max(1) as f64).sqrt();
                 if rms > 0.0 {

@@ -125,7 +125,7 @@ pub struct Reconciliation {
     /// What was left out, one line each: records, rows, sensors.
     pub left_out: Vec<String>,
     /// Records that were left out whole, which the verdict does not cover.
-    pub unsaid: Vec<SkippedRecord>,
+    pub skipped_records: Vec<SkippedRecord>,
     /// Velocities and accelerations that were derived from positions, one line each.
     pub derived: Vec<String>,
     /// Added effects, strongest first, with half widths of their intervals.
@@ -202,7 +202,7 @@ impl Reconciliation {
     /// Hold-outs that got worse, and records that it does not cover.
     #[must_use]
     pub fn reservation(&self) -> Option<String> {
-        let records: Vec<String> = self.unsaid.iter().map(ToString::to_string).collect();
+        let records: Vec<String> = self.skipped_records.iter().map(ToString::to_string).collect();
         let unsaid = format!("nothing is said of {}: left out", records.join(", "));
         let worse = (self.confirmed == Some(false)).then(|| "not confirmed by the hold-out".to_owned());
         let parts: Vec<String> = worse.into_iter().chain((!records.is_empty()).then_some(unsaid)).collect();

@@ -5,12 +5,12 @@ use crate::advice::advice;
 use crate::analysis::{Analysis, Finding, analyse, stated};
 use crate::data_screening::{self, ScreenedRecords, doubts};
 use crate::gap::{self, Gap, ResidualTrace, gaps, traces};
-use crate::interval;
 use crate::localisation::{self, ResidualStructure};
 use crate::mistakes;
-use crate::sensor_choice;
+use crate::prediction_interval;
+use crate::sensor_choice_check;
 use crate::subsample::{MOST_ROWS, at_least_every, bounded};
-use crate::unexplained::stand_in;
+use crate::unexplained_curve::stand_in;
 use crate::verdict::{Reconciliation, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
 use rtec_estimate::Rival;
 use rtec_estimate::UnnamedShape;
@@ -123,17 +123,17 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
     let strangers =
         data_screening::other_machines(better.comparable(&answer, &held), machine, &better.model, &gap);
-    let unsaid = doubts.unsaid(given.0, given.1, &better.model);
+    let unsaid = doubts.skipped_records(given.0, given.1, &better.model);
     let mut left_out = [doubts.left_out, held_out].concat();
     let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);
     if at_least_every(&train) > 1 {
         left_out.push(format!("{MOST_ROWS} rows at most are used: one of each {every} of {rows}"));
     }
-    let mut said = doubts.said;
+    let mut said = doubts.suspicions;
     said.extend(strangers.into_iter().map(|(_, s)| s));
     let ImprovedModel { mut model, refined, effects, curve } = better;
     if let (Some(left), Some(date)) = (&blocked, &options.date) {
-        interval::state(&mut model, &used, left, date);
+        prediction_interval::add_prediction_intervals(&mut model, &used, left, date);
     }
     let mut places = localisation::places(&used, machine);
     if why_nothing.is_none() {
@@ -165,7 +165,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         set_up: RecordSetUp::of(&used, &estimate.set_up),
         suspicions: said,
         left_out,
-        unsaid,
+        skipped_records: unsaid,
         derived: Vec::new(),
         ranking: estimate.tried.clone(),
         phi: estimate.noise.phi.iter().copied().fold(0.0, f64::max),
@@ -357,8 +357,10 @@ impl Work<'_> {
             );
         }
         let next = advice(verdict, effects, shapes, self.train, self.machine.dictionary());
-        let other =
-            self.options.figures.then(|| sensor_choice::other_sensors(effects, self.train, self.machine));
+        let other = self
+            .options
+            .figures
+            .then(|| sensor_choice_check::other_sensors(effects, self.train, self.machine));
         let said = [Some(next).filter(|n| !n.is_empty()), other.flatten()];
         said.into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
@@ -446,16 +448,17 @@ impl Analysed {
         findings.retain(|(f, _)| !open.iter().any(|s| s.explains(f)));
         for (mut s, names) in open.into_iter().zip(names) {
             if !names.is_empty() {
-                s.said.text = format!("{} Less likely: the machine has {}", s.said.text, names.join(", "));
-                doubts.said.push(s.said);
+                s.suspicion.text =
+                    format!("{} Less likely: the machine has {}", s.suspicion.text, names.join(", "));
+                doubts.suspicions.push(s.suspicion);
             } else if s.spares(&first.answer) {
-                doubts.said.push(s.said);
+                doubts.suspicions.push(s.suspicion);
             }
         }
         if certain.is_empty() {
             return first;
         }
-        doubts.also(certain.into_iter().map(|s| s.said).collect());
+        doubts.also(certain.into_iter().map(|s| s.suspicion).collect());
         if doubts.train.is_empty() {
             return Self::of(train, machine, level);
         }
@@ -608,7 +611,7 @@ mod tests {
         let later = of(2);
         let role = later.columns[2].role.clone();
         let half = r.model.half_widths_um(&later, &role).unwrap();
-        let left = r.model.beyond(&later).unwrap();
+        let left = r.model.without_prediction(&later).unwrap();
         let inside = left.columns[2].data.iter().zip(&half).filter(|(e, h)| e.abs() <= **h).count();
         assert!((360..=396).contains(&inside), "{inside} of 400 within ±{}", half[0]);
         // The written model is read back.

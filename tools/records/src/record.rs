@@ -7,7 +7,7 @@ use rtec_files::date;
 use rtec_files::format_stamp;
 use rtec_files::text::{LONGEST, open_regular};
 use rtec_files::toml::{Document, Table};
-use rtec_files::{DecimalMarks, InputError, TableMarks, units};
+use rtec_files::{DecimalMarks, InputError, TableNumberFormat, units};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::file_kind::FileKind;
 use rtec_model::record::{
@@ -151,7 +151,7 @@ impl RecordPieceReader {
 
     /// Style of further cells beside the CSV's own.
     pub fn style(&self) -> CsvStyle {
-        self.rows.marks.as_ref().map_or_else(CsvStyle::default, TableMarks::style)
+        self.rows.marks.as_ref().map_or_else(CsvStyle::default, TableNumberFormat::style)
     }
 
     /// The next rows, at most `rows`; `None` at the end.
@@ -234,8 +234,8 @@ pub fn csv_with(record: &Record, extra: &[(String, Vec<f64>)]) -> Result<String,
     let path = record.path.parent().unwrap_or(Path::new("")).join(&record.file);
     let mut file = open_regular(&path)?;
     let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
-    let marks = TableMarks::find(&path, &mut file, &names)?;
-    let style = marks.as_ref().map_or_else(CsvStyle::default, TableMarks::style);
+    let marks = TableNumberFormat::find(&path, &mut file, &names)?;
+    let style = marks.as_ref().map_or_else(CsvStyle::default, TableNumberFormat::style);
     let mut reader = Reader::new(&path, file)?;
     let mut out = String::with_capacity(24 * (record.columns.len() + extra.len()) * record.rows());
     let header = reader.header_with("a header line", &names)?;
@@ -287,7 +287,7 @@ pub fn to_sidecar(record: &Record) -> String {
     let text = |of: &Option<String>| of.as_ref().map(Into::into);
     let circle = record.circle();
     put("format", Some(i64::from(format_stamp::FORMAT).into()));
-    put("by", Some(format_stamp::by().into()));
+    put("by", Some(format_stamp::writer().into()));
     put("file", Some((&record.file).into()));
     put("kind", Some(record.kind.name().into()));
     put("count_um", record.count_um.map(Into::into));
@@ -356,16 +356,16 @@ pub fn can_be_written(record: &Record) -> Result<(), InputError> {
 pub fn write(record: &mut Record) -> std::io::Result<()> {
     let csv = to_csv(record);
     let dir = record.path.parent().unwrap_or(Path::new(""));
-    rtec_files::write::whole(&dir.join(&record.file), csv.as_bytes())?;
+    rtec_files::write::write_atomically(&dir.join(&record.file), csv.as_bytes())?;
     record.sha256 = hex(&Sha256::digest(csv.as_bytes()));
-    rtec_files::write::whole(&record.path, to_sidecar(record).as_bytes())
+    rtec_files::write::write_atomically(&record.path, to_sidecar(record).as_bytes())
 }
 
 /// Reads and checks the rows of a record's CSV one by one.
 struct RowReader<R> {
     reader: Reader<R>,
     /// Format of the numbers; `None` for decimal points and commas between cells.
-    marks: Option<TableMarks>,
+    marks: Option<TableNumberFormat>,
     header: csv::Header,
     /// The listed columns in the CSV's order, with the values read so far.
     columns: Vec<Column>,
@@ -386,7 +386,12 @@ struct RowReader<R> {
 }
 
 impl<R: Read> RowReader<R> {
-    fn new(path: &Path, csv: R, sidecar: &Sidecar, marks: Option<TableMarks>) -> Result<Self, InputError> {
+    fn new(
+        path: &Path,
+        csv: R,
+        sidecar: &Sidecar,
+        marks: Option<TableNumberFormat>,
+    ) -> Result<Self, InputError> {
         let mut reader = Reader::new(path, csv)?;
         let header = reader.header_with("a header line", &sidecar.names())?;
         if sidecar.columns.iter().any(|l| header.find(&l.name).is_none())
@@ -442,7 +447,7 @@ impl<R: Read> RowReader<R> {
         let file = self.header.file();
         self.marks
             .as_ref()
-            .map_or_else(|| TableMarks::new(&self.reader).written(file), |marks| marks.written(file))
+            .map_or_else(|| TableNumberFormat::new(&self.reader).written(file), |marks| marks.written(file))
     }
 
     /// Number of rows in the columns.
@@ -528,7 +533,9 @@ impl<R: Read> RowReader<R> {
                     header.named(place, e)
                 })?;
                 let checked = check(&column.role, v, column.data.last().copied().or(before[slot]));
-                checked.map_err(|(found, expected)| header.named(place, cell.said(found, expected)))?;
+                checked.map_err(|(found, expected)| {
+                    header.named(place, cell.finding_with_text(found, expected))
+                })?;
                 column.data.push(v);
                 Ok(())
             })
@@ -558,9 +565,9 @@ const KEYS: [&str; 14] = [
 
 /// Positions in the sidecar, for findings that show only in the CSV.
 #[derive(Debug, Clone)]
-struct SidecarLocation(InputError);
+struct PositionInSidecar(InputError);
 
-impl SidecarLocation {
+impl PositionInSidecar {
     fn with(self, found: String, expected: &str) -> InputError {
         InputError { found, expected: expected.to_owned(), ..self.0 }
     }
@@ -571,17 +578,17 @@ struct DeclaredColumn {
     name: String,
     role: Role,
     unit: String,
-    place: SidecarLocation,
+    place: PositionInSidecar,
 }
 
 #[derive(Debug)]
 struct Sidecar {
     file: String,
-    file_error: SidecarLocation,
+    file_error: PositionInSidecar,
     kind: RunKind,
     count_um: Option<f64>,
     /// The circle of a ballbar run, and its place in the sidecar.
-    circle: Option<(Circle, SidecarLocation)>,
+    circle: Option<(Circle, PositionInSidecar)>,
     turns: Option<ReversalPoint>,
     date: Option<String>,
     note: Option<String>,
@@ -606,8 +613,12 @@ impl Sidecar {
         self.columns.iter().map(|c| c.name.as_str()).collect()
     }
 
-    fn marks(&self, csv_path: &Path, csv: &mut (impl Read + Seek)) -> Result<Option<TableMarks>, InputError> {
-        TableMarks::find(csv_path, csv, &self.names())
+    fn marks(
+        &self,
+        csv_path: &Path,
+        csv: &mut (impl Read + Seek),
+    ) -> Result<Option<TableNumberFormat>, InputError> {
+        TableNumberFormat::find(csv_path, csv, &self.names())
     }
 
     /// Opens the CSV of the sidecar at `path`.
@@ -658,8 +669,8 @@ impl Sidecar {
                 let found = format!("role `{role}` in `{unit}`, of a rotary axis");
                 return Err(role_value.error(found, LINEAR));
             }
-            if let Some(expected) = role.unit().filter(|_| !role.takes(unit)) {
-                let or = if role.takes("arcsec") { " or \"arcsec\"" } else { "" };
+            if let Some(expected) = role.unit().filter(|_| !role.accepts_unit(unit)) {
+                let or = if role.accepts_unit("arcsec") { " or \"arcsec\"" } else { "" };
                 let expected = format!("\"{expected}\"{or}, the unit of role `{role}`");
                 return Err(unit_value.error(format!("unit `{unit}`"), expected));
             }
@@ -674,17 +685,17 @@ impl Sidecar {
             if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
                 return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));
             }
-            let place = SidecarLocation(entry.key_error("", ""));
+            let place = PositionInSidecar(entry.key_error("", ""));
             columns.push(DeclaredColumn { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
         }
-        let file_error = SidecarLocation(file.error("", ""));
+        let file_error = PositionInSidecar(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
         Ok(Self { file, file_error, kind: parsed_kind, count_um, circle, turns, date, note, zero, columns })
     }
 }
 
 /// The bar's length and the plane of a ballbar run: both or neither.
-fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, SidecarLocation)>, InputError> {
+fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, PositionInSidecar)>, InputError> {
     const LENGTH: &str = "the bar's nominal length beside `plane`, as radius_mm = 150.0";
     const PLANE: &str =
         "two axes, the angle running from the first towards the second, as plane = [\"x\", \"y\"]";
@@ -712,7 +723,7 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, SidecarLocation)>, In
         <[f64; 2]>::try_from(numbers).map_err(|_| v.mismatch(centre))
     };
     let centre_mm = root.get("centre_mm").map(two).transpose()?;
-    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, SidecarLocation(plane.error("", "")))))
+    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, PositionInSidecar(plane.error("", "")))))
 }
 
 /// Reads where a positioning run turned back: at the end targets or beyond.
@@ -837,7 +848,7 @@ mod tests {
                         .parse(cell.text())
                         .ok_or_else(|| header.named(n, cell.finding("a finite number")))?;
                     let checked = check(&Role::parse(roles[n]).unwrap(), v, columns[n].last().copied());
-                    checked.map_err(|(f, e)| header.named(n, cell.said(f, e)))?;
+                    checked.map_err(|(f, e)| header.named(n, cell.finding_with_text(f, e)))?;
                     columns[n].push(v);
                     Ok(())
                 })?;

@@ -140,7 +140,7 @@ impl SpoolLimits {
     pub const ANY: Self = Self { most_bytes: u64::MAX, free_percent: 0 };
 
     /// Checks that there is room for `bytes` more bytes.
-    fn takes(self, folder: &UntrustedFolder, bytes: u64) -> io::Result<()> {
+    fn check_room(self, folder: &UntrustedFolder, bytes: u64) -> io::Result<()> {
         let full = |text: String| Err(io::Error::new(io::ErrorKind::StorageFull, text));
         let disk = nix::sys::statvfs::fstatvfs(folder)?;
         let (free, all) =
@@ -203,7 +203,7 @@ pub fn put(
     }
     let folder = UntrustedFolder::open(spool)?;
     finish_begun(&folder)?;
-    limits.takes(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
+    limits.check_room(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
     // A user who may read the folder may read the records, whatever the process's umask.
     let mode = folder.mode()?;
     let mut numbers = 1..;
@@ -282,7 +282,7 @@ fn finish_begun(folder: &UntrustedFolder) -> io::Result<()> {
         // A locked folder is in use. Where locks are impossible, it may be in use.
         let Ok(Some(_held)) = begun.lock() else { continue };
         if let Some(digits) = name.strip_prefix(SENDING) {
-            aside(folder, &begun, digits)?;
+            move_to_sent(folder, &begun, digits)?;
             continue;
         }
         let files = begun.names()?;
@@ -373,7 +373,7 @@ pub fn ship(spool: &Path, store: &dyn RecordStore, machine: &str) -> Result<Ship
                     done => done?,
                 }
             }
-            aside(&folder, &sending, digits)
+            move_to_sent(&folder, &sending, digits)
         };
         match put_aside() {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(trouble(&sidecar, e)),
@@ -409,7 +409,7 @@ fn read_waiting(folder: &UntrustedFolder, sidecar: &Path, name: &str) -> Result<
 
 /// Moves a sent record to the sent ones.
 /// Its sidecar is in the folder `sending` already.
-fn aside(folder: &UntrustedFolder, sending: &UntrustedFolder, digits: &str) -> io::Result<()> {
+fn move_to_sent(folder: &UntrustedFolder, sending: &UntrustedFolder, digits: &str) -> io::Result<()> {
     let names = sending.names()?;
     // A kill between the two moves leaves the CSV in the spool. The sidecar names it, and no other record
     // does.

@@ -9,13 +9,13 @@ use tempfile::TempPath;
 
 /// An archive that is being written.
 /// Without [`Archive::finish`] it is removed.
-pub(crate) struct Archive {
+pub(crate) struct ArchiveWriter {
     tar: tar::Builder<File>,
     path: TempPath,
     now_s: u64,
 }
 
-impl Archive {
+impl ArchiveWriter {
     /// Creates it. It never overwrites a file and never follows a symbolic link.
     pub(crate) fn create(path: &Path) -> anyhow::Result<Self> {
         let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);

@@ -1,12 +1,14 @@
 //! Connection of verbs to the daemon, and its answers as exit codes.
 
 use crate::CommandFailure;
-use crate::document::line;
+use crate::json_output::line;
 use crate::say;
 use nix::sys::signal::{SigSet, Signal};
 use rtec_control::client::{Client, ClientError};
 use rtec_control::config::{Config, ControlConfig, INSTALLED};
-use rtec_control::protocol::{AxisExplanation, ClientRequest, DaemonSnapshot, DaemonStatus, Jump, Response};
+use rtec_control::protocol::{
+    AxisExplanation, ClientRequest, DaemonSnapshot, DaemonStatus, EnableJump, Response,
+};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -170,8 +172,8 @@ pub(crate) fn check(response: Response) -> anyhow::Result<Response> {
     Err(outcome.into())
 }
 
-pub(crate) fn describe(jump: &Jump) -> String {
-    let Jump { axis, counts, um, window_counts } = jump;
+pub(crate) fn describe(jump: &EnableJump) -> String {
+    let EnableJump { axis, counts, um, window_counts } = jump;
     format!("axis {axis}: {counts:+} counts ({um:+.3} µm), belief window {window_counts} counts")
 }
 

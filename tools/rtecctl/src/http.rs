@@ -87,7 +87,7 @@ pub(crate) trait Handler: Send + Sync {
     ///
     /// # Errors
     /// The answer that is sent instead.
-    fn may(&self, head: &Request) -> Result<(), Answer>;
+    fn check_head(&self, head: &Request) -> Result<(), Answer>;
 
     fn answer(&self, request: &Request) -> Answer;
 }
@@ -229,7 +229,7 @@ fn converse(mut stream: UnixStream, handler: &dyn Handler, seat: &ConnectionSlot
             };
             *request = head;
             bytes.drain(..end);
-            if let Err(refusal) = handler.may(request) {
+            if let Err(refusal) = handler.check_head(request) {
                 return Ok(refusal);
             }
             let Some(length) = request.length().filter(|length| *length <= LONGEST_BODY) else {

@@ -40,10 +40,10 @@ macro_rules! ensure {
 
 mod archive;
 mod daemon;
-mod document;
 mod full_screen;
 mod help;
 mod http;
+mod json_output;
 mod prelude;
 mod progress;
 mod rounding;
@@ -177,7 +177,7 @@ pub(crate) fn with_negative_values(command: clap::Command) -> clap::Command {
 ///
 /// Describing every verb takes longer than most verbs run. So only the named verb is described first. If it does not
 /// accept the words, all verbs are described, and help and errors are those of the whole command line.
-fn asked(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
+fn parse_command_line(words: &[OsString]) -> Result<clap::ArgMatches, clap::Error> {
     let named = words.get(1).and_then(|w| help::command_of(w.to_str()?));
     match named.map(|command| command.try_get_matches_from(words)) {
         Some(Ok(matches)) => Ok(matches),
@@ -194,7 +194,7 @@ fn main() -> ExitCode {
         println!("rtecctl {}", rtec_files::format_stamp::VERSION);
         return ExitCode::SUCCESS;
     }
-    let cli = match asked(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
+    let cli = match parse_command_line(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
             let error = help::with_meant(error, &words);
@@ -220,7 +220,7 @@ fn main() -> ExitCode {
     let done = if computes(&name) { progress::shown(&name, || verb.run()) } else { verb.run() };
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
-    let text = rtec_files::message_text::whole(error.as_ref());
+    let text = rtec_files::message_text::error_with_causes(error.as_ref());
     eprintln!("{} {text}", terminal::toned("rtecctl:", terminal::Tone::Wrong, colour));
     ExitCode::from(exit_code(&error))
 }
@@ -343,7 +343,7 @@ mod tests {
             "rtecctl correct x",
         ] {
             let words: Vec<OsString> = line.split(' ').map(OsString::from).collect();
-            let said = crate::asked(&words).unwrap_err().render().to_string();
+            let said = crate::parse_command_line(&words).unwrap_err().render().to_string();
             assert_eq!(said, command().try_get_matches_from(&words).unwrap_err().render().to_string());
         }
         let version =

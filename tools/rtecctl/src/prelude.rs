@@ -2,7 +2,7 @@
 
 pub(crate) use crate::CommandFailure;
 pub(crate) use crate::daemon::DaemonArgs;
-pub(crate) use crate::document::{answer, list, pretty, say_line, say_pretty};
+pub(crate) use crate::json_output::{answer, list, pretty, say_line, say_pretty};
 pub(crate) use crate::say;
 pub(crate) use anyhow::Context as _;
 pub(crate) use rtec_files::InputError;

@@ -57,7 +57,7 @@ pub(crate) fn shown<T>(what: &str, work: impl FnOnce() -> T) -> T {
                 (*shown, pause) = (true, RENEWED);
             }
         });
-        let answer = watch.over(work);
+        let answer = watch.run_cancellable(work);
         drop(done);
         drop(cleared());
         // Nothing cancels it: Ctrl-C ends the program.

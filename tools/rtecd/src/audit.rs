@@ -162,7 +162,7 @@ impl Audit {
         if asked_for_later.contains(&kind.as_str()) {
             let entry = Entry { axis: axis.clone(), text: text.clone(), after, ..Entry::now(kind) };
             if kind == "mode" && !self.may(u32::MAX, Kind::Mode) {
-                return self.together((u32::MAX, "mode".to_owned()), entry, COUNTED, false);
+                return self.send_or_count_repeat((u32::MAX, "mode".to_owned()), entry, COUNTED, false);
             }
             self.send(entry);
         }
@@ -211,13 +211,13 @@ impl Audit {
         let (by, request, result) = (Some(by), Some(request), result.to_owned());
         let entry = Entry { by, request, result, text, before, after, model, ..Entry::now("command") };
         match key {
-            Some(key) => self.together(key, entry.bounded(), after_at_least, looks),
+            Some(key) => self.send_or_count_repeat(key, entry.bounded(), after_at_least, looks),
             None => self.send(entry.bounded()),
         }
     }
 
     /// Writes a line, and counts the lines that follow under the same key.
-    fn together(&mut self, key: (u32, String), entry: Entry, after: Duration, looks: bool) {
+    fn send_or_count_repeat(&mut self, key: (u32, String), entry: Entry, after: Duration, looks: bool) {
         if let Some(known) = self.repeated.get_mut(&key) {
             (known.times, known.last) = (known.times + 1, Instant::now());
             // The first of these lines has the totals before.
@@ -311,12 +311,12 @@ fn lock(shared: &Mutex<Shared>) -> std::sync::MutexGuard<'_, Shared> {
 }
 
 /// The chains of the record and of the refusals.
-struct Writers {
+struct CommandAndRefusalLogs {
     record: Writer,
     refused: Writer,
 }
 
-impl Writers {
+impl CommandAndRefusalLogs {
     fn of(&mut self, entry: &Entry) -> &mut Writer {
         if entry.is_refusal() { &mut self.refused } else { &mut self.record }
     }
@@ -324,7 +324,7 @@ impl Writers {
 
 fn write(path: &Path, group: Option<Gid>, waiting: &Receiver<Entry>, shared: &Mutex<Shared>) {
     let group = group.map(Gid::as_raw);
-    let mut writers = Writers {
+    let mut writers = CommandAndRefusalLogs {
         record: Writer::new(path).readable_by(group),
         refused: Writer::new(&refused_path(path)).readable_by(group).keeping(FILES_REFUSED),
     };
@@ -369,7 +369,11 @@ struct Lost {
 
 /// Writes lines, after one that reports the lines lost before.
 /// It counts the lines that could not be written.
-fn write_batch(writers: &mut Writers, batch: Vec<Entry>, so_far: &mut Lost) -> std::io::Result<()> {
+fn write_batch(
+    writers: &mut CommandAndRefusalLogs,
+    batch: Vec<Entry>,
+    so_far: &mut Lost,
+) -> std::io::Result<()> {
     let mut left = batch.len() as u64;
     let before = so_far.lines;
     let all = || {

@@ -26,7 +26,7 @@ const MAX_FILES: usize = 8;
 
 /// Urgency of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Urgency {
+pub(crate) enum RequestPriority {
     /// Takes corrections out of force or stops the machine; it comes first.
     First,
     /// Reads only, and takes little time.
@@ -36,19 +36,19 @@ pub(crate) enum Urgency {
 }
 
 /// A request that is not answered yet.
-pub(crate) struct Pending {
+pub(crate) struct PendingRequest {
     pub request: Result<ClientRequest, String>,
     pub since: Instant,
 }
 
-impl Pending {
-    pub(crate) fn urgency(&self) -> Urgency {
+impl PendingRequest {
+    pub(crate) fn urgency(&self) -> RequestPriority {
         match self.request {
             Ok(ClientRequest::Disable {} | ClientRequest::Park {} | ClientRequest::Hold { .. }) => {
-                Urgency::First
+                RequestPriority::First
             }
-            Ok(ClientRequest::Status {} | ClientRequest::Whoami {}) | Err(_) => Urgency::Look,
-            Ok(_) => Urgency::Turn,
+            Ok(ClientRequest::Status {} | ClientRequest::Whoami {}) | Err(_) => RequestPriority::Look,
+            Ok(_) => RequestPriority::Turn,
         }
     }
 }
@@ -70,7 +70,7 @@ pub(crate) struct Client {
     /// It has a place that is reserved for urgent requests.
     pub reserved: bool,
     pub watching: bool,
-    pub pending: Option<Pending>,
+    pub pending: Option<PendingRequest>,
     /// The answer to its request comes later.
     /// No further request is taken up until then.
     pub waits: bool,
@@ -205,7 +205,7 @@ impl Client {
             Ok(line) => ClientRequest::parse(line.trim()),
             Err(_) => Err("found bytes that are no UTF-8; expected one JSON object a line".to_owned()),
         };
-        self.pending = Some(Pending { request, since: self.last_line });
+        self.pending = Some(PendingRequest { request, since: self.last_line });
     }
 
     /// Whether a line can be taken up.
@@ -237,7 +237,7 @@ impl Client {
     }
 
     /// Whether the connection has ended, or must be ended.
-    pub(crate) fn over(&self) -> bool {
+    pub(crate) fn must_close(&self) -> bool {
         let patience = if self.reserved { IDLE_RESERVED } else { IDLE };
         let idle =
             !self.watching && !self.waits && self.pending.is_none() && self.last_line.elapsed() > patience;
@@ -287,14 +287,14 @@ mod tests {
         client.last_line = Instant::now().checked_sub(2 * IDLE).unwrap();
         // A watcher without anything to read may be silent.
         client.write();
-        assert!(!client.over());
+        assert!(!client.must_close());
         while !client.unsent() {
             client.put(&Response::Bad { text: "x".repeat(4096) });
             client.write();
         }
-        assert!(!client.over());
+        assert!(!client.must_close());
         client.last_taken = Instant::now().checked_sub(2 * IDLE).unwrap();
         client.write();
-        assert!(client.over());
+        assert!(client.must_close());
     }
 }

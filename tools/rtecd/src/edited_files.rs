@@ -11,14 +11,14 @@ const EVERY: Duration = Duration::from_secs(1);
 
 /// Content of a file when it was read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum ReadContent {
+enum ContentWhenRead {
     /// A configuration, byte by byte.
     Configuration(Vec<u8>),
     /// A model, by its SHA-256.
     Model(String),
 }
 
-impl ReadContent {
+impl ContentWhenRead {
     /// A message with a remedy, if the file's content has changed.
     fn differs(&self, file: &Path) -> Option<String> {
         let shown = file.display();
@@ -45,14 +45,14 @@ impl ReadContent {
 
 #[derive(Debug, Default)]
 struct Shared {
-    files: Vec<(PathBuf, ReadContent)>,
+    files: Vec<(PathBuf, ContentWhenRead)>,
     edited: Vec<String>,
 }
 
 /// Checks the files from its own thread, so that a hanging disk blocks nobody.
 #[derive(Debug)]
 pub(crate) struct EditedFiles {
-    configuration: Option<(PathBuf, ReadContent)>,
+    configuration: Option<(PathBuf, ContentWhenRead)>,
     shared: Arc<Mutex<Shared>>,
 }
 
@@ -64,7 +64,7 @@ impl EditedFiles {
     /// Watches the configuration's file, if any, from its present content on.
     pub(crate) fn watch(configuration: Option<&Path>) -> Self {
         let read =
-            |file: &Path| Some((file.to_owned(), ReadContent::Configuration(std::fs::read(file).ok()?)));
+            |file: &Path| Some((file.to_owned(), ContentWhenRead::Configuration(std::fs::read(file).ok()?)));
         let shared = Arc::new(Mutex::new(Shared::default()));
         let seen = Arc::downgrade(&shared);
         // Without the thread no edit is noticed, which is no reason not to start.
@@ -85,7 +85,7 @@ impl EditedFiles {
     /// Messages on files that differ from what runs, as last checked.
     /// `model` is the file and SHA-256 of the running model.
     pub(crate) fn edited(&self, model: Option<(PathBuf, String)>) -> Vec<String> {
-        let model = model.map(|(file, sha256)| (file, ReadContent::Model(sha256)));
+        let model = model.map(|(file, sha256)| (file, ContentWhenRead::Model(sha256)));
         let files: Vec<_> = self.configuration.iter().cloned().chain(model).collect();
         let mut shared = lock(&self.shared);
         if shared.files != files {
@@ -98,14 +98,14 @@ impl EditedFiles {
 /// The files at the last check.
 #[derive(Debug, Default)]
 struct Last {
-    files: Vec<(PathBuf, ReadContent)>,
+    files: Vec<(PathBuf, ContentWhenRead)>,
     stamps: Vec<Option<(SystemTime, u64)>>,
 }
 
 impl Last {
     /// The messages, if anything has changed since the last check.
     /// Most checks read no file.
-    fn look(&mut self, files: &[(PathBuf, ReadContent)]) -> Option<Vec<String>> {
+    fn look(&mut self, files: &[(PathBuf, ContentWhenRead)]) -> Option<Vec<String>> {
         let stamp = |file: &Path| {
             let now = std::fs::metadata(file).ok()?;
             Some((now.modified().ok()?, now.len()))
@@ -132,8 +132,8 @@ mod tests {
         put(&model, "name = \"m\"\n");
         let sha256 = Machine::read(&model).unwrap().sha256().to_owned();
         let files = [
-            (config.clone(), ReadContent::Configuration(b"# one\n".to_vec())),
-            (model.clone(), ReadContent::Model(sha256)),
+            (config.clone(), ContentWhenRead::Configuration(b"# one\n".to_vec())),
+            (model.clone(), ContentWhenRead::Model(sha256)),
         ];
         let mut last = Last::default();
         assert_eq!(last.look(&files), Some(vec![]));

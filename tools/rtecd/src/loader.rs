@@ -1,7 +1,7 @@
 //! A thread that reads and prepares the files of a request.
 //! It reads one at a time, regular files only, within limits of size and time. The control side continues meanwhile.
 
-use crate::record_spool::{Spool, SpoolResult, take_over};
+use crate::record_spool::{SpoolFolder, SpoolResult, take_over};
 use rtec_control::protocol::PartTable;
 use rtec_correct::corrector::{PreparedModel, Preparer};
 use rtec_files::{InputError, text};
@@ -67,7 +67,7 @@ pub(crate) enum LoadRequest {
     /// A part's errors.
     Table { table: PartTable, source: FileSource },
     /// A finished record with sidecar and CSV, for the spool folder.
-    Keep { files: [PathBuf; 2], source: FileSource, spool: Spool },
+    Keep { files: [PathBuf; 2], source: FileSource, spool: SpoolFolder },
 }
 
 /// The loaded files.
@@ -103,7 +103,7 @@ impl LoadFlags {
 struct Running {
     ticket: Ticket,
     since: Instant,
-    told: Arc<LoadFlags>,
+    flags: Arc<LoadFlags>,
 }
 
 /// The loader, with at most one load under way.
@@ -144,7 +144,7 @@ impl Loader {
             let _ = done.send((ticket, work(job, &own)));
         })?;
         self.next += 1;
-        self.running = Some(Running { ticket, since: Instant::now(), told });
+        self.running = Some(Running { ticket, since: Instant::now(), flags: told });
         Ok(ticket)
     }
 
@@ -162,7 +162,7 @@ impl Loader {
 
     /// Gives up the load if it takes too long; its caller must then get an answer.
     pub(crate) fn give_up(&mut self) -> Option<Ticket> {
-        let Running { ticket, told, .. } = self.running.take_if(|r| r.since.elapsed() > PATIENCE)?;
+        let Running { ticket, flags: told, .. } = self.running.take_if(|r| r.since.elapsed() > PATIENCE)?;
         told.given_up.store(true, Ordering::Relaxed);
         self.hanging.push((ticket, told));
         Some(ticket)
@@ -215,13 +215,13 @@ struct Reader<'s> {
     longest: u64,
     /// Number of bytes that may still be read.
     left: Cell<u64>,
-    told: &'s LoadFlags,
+    flags: &'s LoadFlags,
     taken: RefCell<BTreeMap<PathBuf, String>>,
 }
 
 impl<'s> Reader<'s> {
     fn new(source: &'s FileSource, longest: u64, told: &'s LoadFlags) -> Self {
-        Self { source, longest, left: Cell::new(longest), told, taken: RefCell::default() }
+        Self { source, longest, left: Cell::new(longest), flags: told, taken: RefCell::default() }
     }
 
     fn read(&self, path: &Path) -> Result<String, InputError> {
@@ -234,9 +234,9 @@ impl<'s> Reader<'s> {
     }
 
     fn bytes(&self, path: &Path) -> Result<Vec<u8>, InputError> {
-        self.told.reads.store(true, Ordering::Relaxed);
+        self.flags.reads.store(true, Ordering::Relaxed);
         let bytes = self.bytes_of(path);
-        self.told.reads.store(false, Ordering::Relaxed);
+        self.flags.reads.store(false, Ordering::Relaxed);
         bytes
     }
 
@@ -265,7 +265,7 @@ impl<'s> Reader<'s> {
         }
         let (mut content, mut buffer) = (Vec::with_capacity(found.len() as usize), vec![0; 64 << 10]);
         loop {
-            if !self.told.go_on() {
+            if !self.flags.go_on() {
                 let found = "a file that takes too long to read";
                 return Err(InputError::whole(path, found, "a disk that answers"));
             }
@@ -358,8 +358,10 @@ mod tests {
     fn each_kind_of_file_has_its_own_bound() {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
-        let spool =
-            Spool { folder: directory.path().to_owned(), limits: rtec_records::spool::SpoolLimits::ANY };
+        let spool = SpoolFolder {
+            folder: directory.path().to_owned(),
+            limits: rtec_records::spool::SpoolLimits::ANY,
+        };
         for (sidecar, csv, bound) in
             [(LONGEST_SIDECAR + 1, 1, LONGEST_SIDECAR), (1, LONGEST_CSV + 1, LONGEST_CSV)]
         {

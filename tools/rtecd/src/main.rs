@@ -7,7 +7,7 @@
 //! | `record_spool` | writes finished records into the spool folder |
 //! | `start` | the engine in the state that the last process left |
 //! | `edited_files` | finds files that were edited since they were read |
-//! | `session` | carries out requests of the protocol on the link |
+//! | `control_side` | carries out requests of the protocol on the link |
 //! | `sockets` | the listening sockets, one per role |
 //! | `client` | one connection |
 //! | `server` | the order in which requests are served |
@@ -20,6 +20,7 @@
 
 mod audit;
 mod client;
+mod control_side;
 mod edited_files;
 mod history;
 mod loader;
@@ -28,13 +29,13 @@ mod mock_cards;
 mod record_spool;
 mod server;
 mod service_manager;
-mod session;
 mod sockets;
 mod start;
 
 use anyhow::Context;
 use audit::Audit;
 use clap::Parser;
+use control_side::ControlSide;
 use edited_files::EditedFiles;
 use log::Level;
 use nix::sys::signal::{SigSet, Signal};
@@ -52,7 +53,6 @@ use rtec_rt::thread::{ThreadOptions, spawn};
 use rtec_sensors::buses::{Clock, SensorThreads};
 use server::ServingEnd;
 use service_manager::ServiceManager;
-use session::Session;
 use sockets::ListeningSockets;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -126,7 +126,7 @@ fn main() -> ExitCode {
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            for line in rtec_files::message_text::whole(error.as_ref()).lines() {
+            for line in rtec_files::message_text::error_with_causes(error.as_ref()).lines() {
                 log::say(Level::Error, line);
             }
             ExitCode::from(exit_code(&error))
@@ -179,7 +179,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     let patience =
-        Patience { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
+        CardOpenRetry { until: Instant::now() + Duration::from_secs(args.wait_for_card), signals: &signals };
     let outside = Outside { sockets: &sockets, signals: &signals, manager: &mut manager, edited_files };
     match config.card.clone() {
         CardConfig::Mock if args.lathe.is_some() => {
@@ -216,18 +216,20 @@ fn run(args: &Args) -> anyhow::Result<()> {
         CardConfig::Registers { place, profile } => {
             // Found again at each try: meanwhile another driver may have taken the card, or it was reset.
             let open = || match card::find(&place, &profile, CardAccess::Drive)? {
-                LocatedRegisters::Parport(file) => card::parport(&file, &profile).map(Opened::Parport),
-                LocatedRegisters::Ports(base) => card::ports(base, &profile).map(Opened::Ports),
+                LocatedRegisters::Parport(file) => {
+                    card::parport(&file, &profile).map(OpenedRegisters::Parport)
+                }
+                LocatedRegisters::Ports(base) => card::ports(base, &profile).map(OpenedRegisters::Ports),
                 // Opened once before it is locked, because a missing file is waited for.
                 LocatedRegisters::Map(file, map) => {
-                    card::mapped(&file, map, &profile).map(|_| Opened::Map(file, map))
+                    card::mapped(&file, map, &profile).map(|_| OpenedRegisters::Map(file, map))
                 }
             };
             let Some(opened) = patience.open(open)? else { return Ok(()) };
             match opened {
-                Opened::Parport(card) => work(card, config, MachineKind::Real, outside),
-                Opened::Ports(card) => work(card, config, MachineKind::Real, outside),
-                Opened::Map(file, map) => {
+                OpenedRegisters::Parport(card) => work(card, config, MachineKind::Real, outside),
+                OpenedRegisters::Ports(card) => work(card, config, MachineKind::Real, outside),
+                OpenedRegisters::Map(file, map) => {
                     let _card_lock = lock::card(&file).map_err(Failure::from)?;
                     let card = card::mapped(&file, map, &profile)?;
                     let real = mock_cards::drives_a_machine(&file)?;
@@ -239,19 +241,19 @@ fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Registers that were opened; a map is opened again under its lock.
-enum Opened<Parport, Ports> {
+enum OpenedRegisters<Parport, Ports> {
     Parport(Parport),
     Ports(Ports),
     Map(PathBuf, u8),
 }
 
 /// Longest wait for a card that comes up late.
-struct Patience<'a> {
+struct CardOpenRetry<'a> {
     until: Instant,
     signals: &'a SignalFd,
 }
 
-impl Patience<'_> {
+impl CardOpenRetry<'_> {
     /// Opens a card, and tries again until it is there.
     /// Returns `None` when a signal ends the waiting.
     fn open<T>(&self, mut open: impl FnMut() -> Result<T, OpenError>) -> anyhow::Result<Option<T>> {
@@ -325,7 +327,7 @@ fn work<C: Card + Send + 'static>(
     {
         log::say(Level::Warning, &format!("{name}: wanted {wanted}, found {got}: {remedy}"));
     }
-    let set_up = session::RtStartupReport {
+    let set_up = control_side::RtStartupReport {
         real,
         wanted: options.wanted,
         missing: running.report.take(),
@@ -335,7 +337,7 @@ fn work<C: Card + Send + 'static>(
     let log_file = config.control.log_path();
     let mut audit =
         Audit::start(&log_file, outside.sockets.viewers).context("starting the record of commands")?;
-    let mut session = Session::new(config, set_up, (sensors, clock), outside.edited_files.take());
+    let mut session = ControlSide::new(config, set_up, (sensors, clock), outside.edited_files.take());
     session.watch_over(state_file);
     session.take_up_model();
     if let Some(trouble) = session.spool_trouble() {

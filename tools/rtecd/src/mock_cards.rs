@@ -8,7 +8,7 @@ use rtec_driver::clock::Monotonic;
 use rtec_driver::mock::{MockCard, Wires};
 use rtec_driver::replay::TracePoint;
 use rtec_files::InputError;
-use rtec_files::trace::TraceReader;
+use rtec_files::quadrature_trace::TraceReader;
 use rtec_part::geometric_fit::Zx;
 use rtec_sim::lathe::Lathe;
 use rtec_sim::machining_task::{CutRecorder, MachiningTask};
@@ -94,7 +94,7 @@ pub(crate) fn lathe(
 }
 
 /// The recording of one axis's scale.
-struct Recorded {
+struct RecordedAxis {
     lines: AxisLines,
     points: Vec<TracePoint>,
     /// Index of the present point.
@@ -104,7 +104,7 @@ struct Recorded {
 /// Recorded axes, played in real time from the first look on.
 /// After the last edge they stand still.
 pub(crate) struct Recordings {
-    axes: Vec<Recorded>,
+    axes: Vec<RecordedAxis>,
     start_ns: Option<u64>,
     now_ns: u64,
 }
@@ -153,7 +153,7 @@ pub(crate) fn replay(
             let expected = "shorter recordings; `rtecctl replay` takes them of any length";
             return Err(InputError::whole(file, found, expected));
         }
-        axes.push(Recorded { lines: axis.engine.lines, points, at: 0 });
+        axes.push(RecordedAxis { lines: axis.engine.lines, points, at: 0 });
     }
     Ok(MockCard::new(Recordings { axes, start_ns: None, now_ns: 0 }, Monotonic))
 }
@@ -178,7 +178,7 @@ mod tests {
         let points = vec![point(1000, 0), point(1100, 1), point(1150, 3), point(2000, 2)];
         let lines = AxisLines::standard(0, false);
         let mut wires =
-            Recordings { axes: vec![Recorded { lines, points, at: 0 }], start_ns: None, now_ns: 0 };
+            Recordings { axes: vec![RecordedAxis { lines, points, at: 0 }], start_ns: None, now_ns: 0 };
         assert_eq!(wires.levels(50_000, 0), 0);
         assert_eq!(wires.step_limit_ns(), 100);
         assert_eq!(wires.levels(50_100, 0), 1);

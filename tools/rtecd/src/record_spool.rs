@@ -50,12 +50,12 @@ pub(crate) type SpoolResult = Result<PathBuf, String>;
 
 /// A spool folder with its limits.
 #[derive(Debug, Clone)]
-pub(crate) struct Spool {
+pub(crate) struct SpoolFolder {
     pub folder: PathBuf,
     pub limits: SpoolLimits,
 }
 
-impl Spool {
+impl SpoolFolder {
     /// The spool that the configuration names.
     pub(crate) fn of(control: &ControlConfig) -> Option<Self> {
         let limits = SpoolLimits { most_bytes: control.spool_mb << 20, free_percent: FREE_PERCENT };
@@ -72,7 +72,7 @@ impl Spool {
 
 /// Writes records into the spool folder, with the probing run under way.
 pub(crate) struct RecordSpool {
-    spool: Option<Spool>,
+    spool: Option<SpoolFolder>,
     /// Names of the temperature sensors, with their indices among all sensors.
     sensors: Vec<(usize, String)>,
     run: Option<ProbingRun>,
@@ -81,8 +81,8 @@ pub(crate) struct RecordSpool {
 }
 
 impl RecordSpool {
-    pub(crate) fn new(spool: Option<Spool>, sensors: Vec<(usize, String)>) -> Self {
-        if let Some(Spool { folder, .. }) = spool.clone() {
+    pub(crate) fn new(spool: Option<SpoolFolder>, sensors: Vec<(usize, String)>) -> Self {
+        if let Some(SpoolFolder { folder, .. }) = spool.clone() {
             // Finishes the work of a killed daemon. Nobody waits for the disk; without a thread the next record does
             // it.
             let _ = std::thread::Builder::new().name("spool".into()).spawn(move || spool::finish(&folder));
@@ -90,7 +90,7 @@ impl RecordSpool {
         Self { spool, sensors, run: None, results: channel(), writing: 0 }
     }
 
-    pub(crate) fn spool(&self) -> Option<&Spool> {
+    pub(crate) fn spool(&self) -> Option<&SpoolFolder> {
         self.spool.as_ref()
     }
 
@@ -185,12 +185,13 @@ pub(crate) fn take_over(
     name: &Path,
     sidecar: &str,
     csv: &[u8],
-    spool: &Spool,
+    spool: &SpoolFolder,
     go_on: &dyn Fn() -> bool,
 ) -> Result<SpoolResult, InputError> {
     // The record must be valid in its new place too. Only one of the two is in memory at a time.
-    let words = to_sidecar(&parse_log(name, sidecar, Until { bytes: io::Cursor::new(csv), go_on })?);
-    let record = parse_log(name, &words, Until { bytes: io::Cursor::new(csv), go_on })?;
+    let words =
+        to_sidecar(&parse_log(name, sidecar, InterruptibleReader { bytes: io::Cursor::new(csv), go_on })?);
+    let record = parse_log(name, &words, InterruptibleReader { bytes: io::Cursor::new(csv), go_on })?;
     let texts = record.columns.iter().map(|c| &c.name).chain(&record.note).chain(&record.zero);
     let file = record.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     if let Some((text, c)) = texts.chain([&file]).find_map(|text| Some((text, unseen(text)?))) {
@@ -202,18 +203,18 @@ pub(crate) fn take_over(
 }
 
 /// Bytes that end when reading takes too long.
-struct Until<'a> {
+struct InterruptibleReader<'a> {
     bytes: io::Cursor<&'a [u8]>,
     go_on: &'a dyn Fn() -> bool,
 }
 
-impl io::Read for Until<'_> {
+impl io::Read for InterruptibleReader<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if (self.go_on)() { self.bytes.read(buffer) } else { Err(io::Error::other("it took too long")) }
     }
 }
 
-impl io::Seek for Until<'_> {
+impl io::Seek for InterruptibleReader<'_> {
     fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
         self.bytes.seek(to)
     }
@@ -306,8 +307,8 @@ mod tests {
         record_spool.end(&axes);
     }
 
-    fn spool(folder: &Path) -> Spool {
-        Spool { folder: folder.to_owned(), limits: SpoolLimits::ANY }
+    fn spool(folder: &Path) -> SpoolFolder {
+        SpoolFolder { folder: folder.to_owned(), limits: SpoolLimits::ANY }
     }
 
     fn sensors() -> Vec<(usize, String)> {

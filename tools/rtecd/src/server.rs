@@ -11,11 +11,11 @@
 
 use crate::Outside;
 use crate::audit::{Audit, Command, Totals};
-use crate::client::{Client, Stage, Urgency};
+use crate::client::{Client, RequestPriority, Stage};
+use crate::control_side::{ControlSide, RequestAnswer, RequestContext};
 use crate::loader::Ticket;
 use crate::log::{self, Level};
 use crate::service_manager::ServiceManager;
-use crate::session::{RequestAnswer, RequestContext, Session};
 use crate::sockets::{ListeningSocket, ListeningSockets};
 use anyhow::Context;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -60,7 +60,7 @@ const ONE_GAP: Duration = Duration::from_millis(25);
 const BUSY_AGAIN: u8 = 2;
 
 /// A load whose caller waits for the answer.
-struct Waiting {
+struct WaitingCaller {
     client: u64,
     caller: ClientProcess,
     request: Value,
@@ -69,10 +69,10 @@ struct Waiting {
 
 /// References that serving needs.
 struct ServingContext<'a> {
-    session: &'a mut Session,
+    session: &'a mut ControlSide,
     control: &'a mut ControlEnd,
     audit: &'a mut Audit,
-    waiting: BTreeMap<Ticket, Waiting>,
+    waiting: BTreeMap<Ticket, WaitingCaller>,
     own_uid: u32,
     /// Group of the socket of each role.
     groups: BTreeMap<Role, String>,
@@ -96,7 +96,7 @@ pub(crate) enum ServingEnd {
 /// Serves until a signal comes, or the real-time thread is lost.
 pub(crate) fn serve(
     outside: Outside<'_>,
-    session: &mut Session,
+    session: &mut ControlSide,
     control: &mut ControlEnd,
     audit: &mut Audit,
 ) -> anyhow::Result<ServingEnd> {
@@ -168,7 +168,7 @@ pub(crate) fn serve(
             }
         }
         clients.iter_mut().for_each(Client::write);
-        clients.retain(|c| !c.over());
+        clients.retain(|c| !c.must_close());
         if ended && desk.control.status().faults.has(Fault::ThreadLost) {
             return Ok(ServingEnd::Panicked);
         }
@@ -249,15 +249,15 @@ impl ServingContext<'_> {
         order.sort_by_key(|(urgency, rank, _)| (*urgency, *rank));
         let begun = Instant::now();
         for (urgency, _, n) in order {
-            if urgency == Urgency::Turn && begun.elapsed() > TURN {
+            if urgency == RequestPriority::Turn && begun.elapsed() > TURN {
                 return true;
             }
-            self.obey(clients, n);
+            self.answer_pending(clients, n);
         }
         false
     }
 
-    fn obey(&mut self, clients: &mut [Client], n: usize) {
+    fn answer_pending(&mut self, clients: &mut [Client], n: usize) {
         let Some(pending) = clients[n].pending.take() else { return };
         let (since, urgency) = (pending.since, pending.urgency());
         let request = match pending.request {
@@ -294,14 +294,15 @@ impl ServingContext<'_> {
             }
             request => match self.session.answer(request, beside, self.control) {
                 RequestAnswer::Again(_) if since.elapsed() < BUSY => {
-                    client.pending = Some(crate::client::Pending { request: Ok(request.clone()), since });
+                    client.pending =
+                        Some(crate::client::PendingRequest { request: Ok(request.clone()), since });
                     return;
                 }
                 RequestAnswer::Now(response) | RequestAnswer::Again(response) => response,
                 RequestAnswer::Later(ticket) => {
                     client.waits = true;
                     let (caller, request) = (client.caller.clone(), json(request));
-                    let waiting = Waiting { client: client.id, caller, request, before };
+                    let waiting = WaitingCaller { client: client.id, caller, request, before };
                     self.waiting.insert(ticket, waiting);
                     return;
                 }
@@ -358,7 +359,9 @@ impl ServingContext<'_> {
             }
             return;
         };
-        let Some(Waiting { client, caller, request, before }) = self.waiting.remove(&ticket) else { return };
+        let Some(WaitingCaller { client, caller, request, before }) = self.waiting.remove(&ticket) else {
+            return;
+        };
         let after = self.session.totals(self.control);
         self.record(&caller, request, &response, words.as_deref(), before, after);
         if let Some(client) = clients.iter_mut().find(|c| c.id == client) {
@@ -419,7 +422,7 @@ fn connected(clients: &[Client]) -> Vec<ConnectedClients> {
 fn not_here(
     client: &Client,
     request: &ClientRequest,
-    urgency: Urgency,
+    urgency: RequestPriority,
     groups: &BTreeMap<Role, String>,
 ) -> Option<Response> {
     let needed = request.needs();
@@ -433,7 +436,7 @@ fn not_here(
             format!("this connection may \"{is}\", and this takes \"{needed}\": {who} (`rtecctl whoami`)");
         return Some(Response::refused("role", text));
     }
-    if client.reserved && urgency == Urgency::Turn {
+    if client.reserved && urgency == RequestPriority::Turn {
         let text = format!(
             "{PER_USER} clients of one user, or {} in all, may \"{}\" at a time and are connected already: disable, hold, \
              status and whoami are served, everything else when one of them has gone",
@@ -462,7 +465,7 @@ fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64
         match set.and_then(|()| Ok(Client::new(*next_id, stream, socket.role, &socket.path)?)) {
             Ok(client) => {
                 *next_id += 1;
-                seat(client, clients);
+                admit_client(client, clients);
             }
             Err(error) => log::event(Level::Warning, "accept", &format!("a client was not served: {error}")),
         }
@@ -470,7 +473,7 @@ fn accept(socket: &ListeningSocket, clients: &mut Vec<Client>, next_id: &mut u64
 }
 
 /// Gives a new client a place, or a reserved one where no other is free.
-fn seat(mut client: Client, clients: &mut Vec<Client>) {
+fn admit_client(mut client: Client, clients: &mut Vec<Client>) {
     let (uid, role) = (client.caller.uid, client.role);
     let ordinary = |c: &Client| !c.reserved && c.role == role;
     let count =
@@ -513,12 +516,12 @@ mod tests {
     fn a_thread_that_stands_still_is_found_and_a_stopped_process_is_not() {
         let begun = Instant::now();
         let at = |ms: u64| begun + Duration::from_millis(ms);
-        let mut watch = PollWatchdog::new(crate::session::STANDS_STILL, begun);
+        let mut watch = PollWatchdog::new(crate::control_side::STANDS_STILL, begun);
         assert!((1..50).all(|n| !watch.stands_still(n, at(n * 10))));
         let found = (1..100).find(|n| watch.stands_still(49, at(490 + n * 10)));
         assert!(found.is_some_and(|n| n * 10 <= 200), "{found:?}");
         // Stopped once for a minute. The thread may have been stopped too.
-        let mut watch = PollWatchdog::new(crate::session::STANDS_STILL, begun);
+        let mut watch = PollWatchdog::new(crate::control_side::STANDS_STILL, begun);
         assert!(!watch.stands_still(7, at(10)));
         assert!(!watch.stands_still(7, at(60_000)));
         assert!(!watch.stands_still(8, at(60_010)));
@@ -541,7 +544,7 @@ mod tests {
         let mut come = |clients: &mut Vec<Client>, uid, role, n| {
             for _ in 0..n {
                 id += 1;
-                seat(client(id, uid, role), clients);
+                admit_client(client(id, uid, role), clients);
             }
         };
         // Two viewers with all their places. Operators and users who set up still have theirs.
@@ -569,9 +572,9 @@ mod tests {
     fn the_client_that_is_silent_longest_gives_way() {
         let mut clients: Vec<Client> = Vec::new();
         for id in 0..u64::try_from(places(Role::View)).unwrap() {
-            seat(client(id, u32::try_from(id % 2).unwrap(), Role::View), &mut clients);
+            admit_client(client(id, u32::try_from(id % 2).unwrap(), Role::View), &mut clients);
         }
-        seat(client(1000, 9, Role::View), &mut clients);
+        admit_client(client(1000, 9, Role::View), &mut clients);
         let ids: Vec<u64> = clients.iter().map(|c| c.id).collect();
         assert_eq!((ids.len(), ids.contains(&1000)), (places(Role::View), true));
         assert!(!ids.contains(&0) || !ids.contains(&1), "{ids:?}");

@@ -8,7 +8,7 @@ use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::journal::{Journal, JournalError, StateAtOpen, resume};
-use rtec_rt::link_messages::{Fault, HeldBy};
+use rtec_rt::link_messages::{Fault, FeedHoldSource};
 use rtec_rt::state_file_watch::StateFileWatch;
 
 /// The engine on `card`, the content of its state file, and the file's watch.
@@ -73,7 +73,7 @@ pub(crate) fn engine<C: Card>(
         engine.take_over_hold(machine.held);
     }
     if unknown_hold && engine.status().held.is_none() {
-        engine.take_over_hold(Some(HeldBy::FoundOn));
+        engine.take_over_hold(Some(FeedHoldSource::FoundOn));
     }
     say_found(&engine, config, &before);
     let kept = journal.map(|(journal, _)| engine.keep_journal(journal)).transpose();
@@ -99,11 +99,11 @@ fn say_found(engine: &Engine, config: &Config, before: &StateAtOpen) {
     }
     let status = engine.status();
     match status.held {
-        Some(HeldBy::FoundOn) => {
+        Some(FeedHoldSource::FoundOn) => {
             log::say(Level::Warning, "feed hold was found on; nobody knows who asked for it");
         }
-        Some(HeldBy::Controller) => log::say(Level::Warning, "feed hold: the controller was off"),
-        Some(HeldBy::User(uid)) => {
+        Some(FeedHoldSource::Controller) => log::say(Level::Warning, "feed hold: the controller was off"),
+        Some(FeedHoldSource::User(uid)) => {
             log::say(Level::Warning, &format!("feed hold: user {uid} asked for it before the restart"));
         }
         None => {}

@@ -194,7 +194,7 @@ fn replay(record: &Record, column: &str, t_s: f64) -> Result<f64, String> {
 mod tests {
     use super::*;
     use crate::SensorFault;
-    use crate::SensorUse;
+    use crate::SensorUsability;
     use crate::config::for_test as config;
     use std::io::Write;
     use std::net::{TcpListener, TcpStream};
@@ -243,8 +243,8 @@ mod tests {
         .unwrap();
         bank.poll(0.0);
         bank.poll(5.0);
-        let states: Vec<SensorUse> = bank.sensors().iter().map(|w| w.usable(5.0)).collect();
-        assert_eq!(states, [SensorUse::Good, SensorUse::Hold]);
+        let states: Vec<SensorUsability> = bank.sensors().iter().map(|w| w.usable(5.0)).collect();
+        assert_eq!(states, [SensorUsability::Good, SensorUsability::Hold]);
     }
 
     #[test]
@@ -279,7 +279,7 @@ mod tests {
             "{:?}",
             bank.sensors()[0].fault()
         );
-        assert_eq!(bank.sensors()[0].usable(20.0), SensorUse::Hold);
+        assert_eq!(bank.sensors()[0].usable(20.0), SensorUsability::Hold);
     }
 
     /// A gateway that loses power leaves its connection open and sends no more lines.

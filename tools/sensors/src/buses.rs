@@ -2,7 +2,7 @@
 //! A slow sensor thus delays only those of its own bus.
 
 use crate::bank::SensorBank;
-use crate::{SensorConfig, SensorMonitor, SensorSource, SensorUse, temperature_log};
+use crate::{SensorConfig, SensorMonitor, SensorSource, SensorUsability, temperature_log};
 use rtec_files::InputError;
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -87,11 +87,14 @@ impl SensorThreads {
             let (latest, directory) = (latest.clone(), directory.to_owned());
             std::thread::spawn(move || keep_log(&latest, &names, &directory, clock, log_s));
         }
-        Ok(Self { latest, ..Self::of(configs.iter().cloned().map(SensorMonitor::new).collect()) })
+        Ok(Self {
+            latest,
+            ..Self::without_threads(configs.iter().cloned().map(SensorMonitor::new).collect())
+        })
     }
 
     /// Sensors without threads: the caller offers their readings.
-    pub fn of(watches: Vec<SensorMonitor>) -> Self {
+    pub fn without_threads(watches: Vec<SensorMonitor>) -> Self {
         Self { latest: Latest::default(), watches }
     }
 
@@ -128,7 +131,7 @@ fn keep_log(latest: &Latest, names: &[String], directory: &Path, clock: Clock, e
         let now_s = clock.now_s();
         let good = |(bus, place): &(usize, usize)| {
             let watch = &lock(&latest.buses[*bus])[*place];
-            watch.value_degc().filter(|_| watch.usable(now_s) == SensorUse::Good)
+            watch.value_degc().filter(|_| watch.usable(now_s) == SensorUsability::Good)
         };
         let values: Vec<Option<f64>> = latest.places.iter().map(good).collect();
         if let Err(error) = temperature_log::append(directory, names, now_s, &values)

@@ -10,4 +10,4 @@ pub mod sensor_monitor; // whether a reading is believed: good, replaced by the 
 pub mod temperature_log; // the temperatures' log, which a restart reads back
 
 pub use config::{KEYS, SensorConfig, SensorSource, read_tables};
-pub use sensor_monitor::{SensorFault, SensorMonitor, SensorUse};
+pub use sensor_monitor::{SensorFault, SensorMonitor, SensorUsability};

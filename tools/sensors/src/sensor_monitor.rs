@@ -4,7 +4,7 @@
 //! here.
 
 use crate::SensorConfig;
-use rtec_model::disconnected_sensors::disconnected;
+use rtec_model::disconnected_sensor_codes::disconnected;
 use rtec_model::record::Role;
 use std::sync::Arc;
 
@@ -37,7 +37,7 @@ impl std::fmt::Display for SensorFault {
 
 /// How a model may use a sensor now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum SensorUse {
+pub enum SensorUsability {
     /// Its value is good.
     Good,
     /// Its last good value is used instead.
@@ -183,14 +183,14 @@ impl SensorMonitor {
     }
 
     /// How a model may use it now.
-    pub fn usable(&self, now_s: f64) -> SensorUse {
+    pub fn usable(&self, now_s: f64) -> SensorUsability {
         let old = self.age_s(now_s).unwrap_or(f64::INFINITY);
         if old > self.config.freeze_s.max(self.config.timeout_s) {
-            SensorUse::Hold
+            SensorUsability::Hold
         } else if self.fault.is_some() || old > self.config.timeout_s {
-            SensorUse::Frozen
+            SensorUsability::Frozen
         } else {
-            SensorUse::Good
+            SensorUsability::Good
         }
     }
 }
@@ -208,10 +208,10 @@ mod tests {
     #[test]
     fn a_good_sensor_is_good_and_ages() {
         let mut w = watch();
-        assert_eq!(w.usable(0.0), SensorUse::Hold);
+        assert_eq!(w.usable(0.0), SensorUsability::Hold);
         w.offer(0.0, Ok(20.0));
-        assert_eq!((w.value_degc(), w.usable(2.0)), (Some(20.0), SensorUse::Good));
-        assert_eq!((w.usable(5.0), w.usable(11.0)), (SensorUse::Frozen, SensorUse::Hold));
+        assert_eq!((w.value_degc(), w.usable(2.0)), (Some(20.0), SensorUsability::Good));
+        assert_eq!((w.usable(5.0), w.usable(11.0)), (SensorUsability::Frozen, SensorUsability::Hold));
         assert_eq!(w.age_s(2.0), Some(2.0));
     }
 
@@ -226,8 +226,8 @@ mod tests {
             let now = readings.last().unwrap().0;
             assert!(w.fault().is_some_and(|f| f.to_string().contains(fault)), "{fault}: {:?}", w.fault());
             assert_eq!(w.value_degc(), Some(still), "{fault}");
-            assert_eq!(w.usable(now), SensorUse::Frozen, "{fault}");
-            assert_eq!(w.usable(now + 30.0), SensorUse::Hold, "{fault}");
+            assert_eq!(w.usable(now), SensorUsability::Frozen, "{fault}");
+            assert_eq!(w.usable(now + 30.0), SensorUsability::Hold, "{fault}");
         };
         says(&[(1.0, Ok(20.05)), (2.0, Ok(25.0))], "jump from 20.05 to 25.00", 20.05);
         says(&[(1.0, Ok(99.0))], "implausible: 99", 20.0);
@@ -268,7 +268,7 @@ mod tests {
         let mut w = watch();
         w.offer(0.0, Ok(20.0));
         w.offer(1.0, Err("busy".into()));
-        assert_eq!((w.fault(), w.usable(1.0)), (None, SensorUse::Good));
+        assert_eq!((w.fault(), w.usable(1.0)), (None, SensorUsability::Good));
         w.offer(2.0, Ok(27.0));
         w.offer(3.0, Ok(20.2));
         assert_eq!((w.fault(), w.value_degc()), (None, Some(20.2)));
@@ -301,10 +301,10 @@ mod tests {
             w.offer(100.0 + s, Err("gone".into()));
             (w.fault().is_some(), w.usable(100.0 + s))
         };
-        assert_eq!([2.0, 3.0].map(silent), [(false, SensorUse::Good); 2]);
+        assert_eq!([2.0, 3.0].map(silent), [(false, SensorUsability::Good); 2]);
         assert_eq!(
             [3.1, 10.0, 10.1].map(silent),
-            [(true, SensorUse::Frozen), (true, SensorUse::Frozen), (true, SensorUse::Hold)]
+            [(true, SensorUsability::Frozen), (true, SensorUsability::Frozen), (true, SensorUsability::Hold)]
         );
         // The same value for more than 20 s is stuck; a changing value is not, for any time.
         let stuck = |until: i32, step: f64| {

@@ -6,7 +6,7 @@
 
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::RequestedTotal;
-use rtec_files::trace::TraceReader;
+use rtec_files::quadrature_trace::TraceReader;
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::replay::replay;
 use std::io::{BufWriter, Write};

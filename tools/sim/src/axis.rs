@@ -96,7 +96,7 @@ pub(crate) struct AxisSim {
     pub force_n: f64,
     pub accel_mm_s2: f64,
     /// Commanded speed, counts/s, and feed-forward acceleration, counts/s².
-    wanted: (f64, f64),
+    commanded: (f64, f64),
     /// Friction in addition to the spec's, N, at −v and at +v.
     /// Viscous friction that differs by direction, N·s/m, and a constant force, N.
     pub asymmetric_n_s_per_m: f64,
@@ -159,7 +159,7 @@ impl AxisSim {
             integral: 0.0,
             force_n: 0.0,
             accel_mm_s2: 0.0,
-            wanted: (0.0, 0.0),
+            commanded: (0.0, 0.0),
             asymmetric_n_s_per_m: 0.0,
             offset_n: 0.0,
             scale: Decoder::new(state),
@@ -216,7 +216,7 @@ impl AxisSim {
         }
         // Within its resolution the axis is in position: a good servo does not dither.
         let error = if rests && error.abs() <= 0.6 { 0.0 } else { error };
-        self.wanted = (
+        self.commanded = (
             self.spec.position_gain_per_s * error + self.spec.feed_forward * v_mm_s / count,
             self.spec.feed_forward * a_mm_s2 / count,
         );
@@ -224,7 +224,7 @@ impl AxisSim {
 
     /// Switches the drive off (servo fault): the axis coasts against friction.
     pub(crate) fn switch_off(&mut self) {
-        self.wanted = (0.0, 0.0);
+        self.commanded = (0.0, 0.0);
     }
 
     /// Advances the axis by one step and finds the scale's edges in it.
@@ -233,19 +233,19 @@ impl AxisSim {
         let mass = self.spec.mass_kg;
         let m_per_count = self.spec.count_um * 1e-6;
         // Speed loop of the drive: PI with the commanded acceleration fed forward.
-        let error = self.wanted.0 - self.speed;
+        let error = self.commanded.0 - self.speed;
         let k = self.spec.speed_gain_per_s;
         let limit = self.spec.max_force_n / mass / m_per_count;
         // The integral compensates friction and is at most as large.
         self.integral = (self.integral + 0.2 * k * k * error * dt).clamp(-limit, limit);
-        let drive = (self.wanted.1 + k * error + self.integral).clamp(-limit, limit);
+        let drive = (self.commanded.1 + k * error + self.integral).clamp(-limit, limit);
         let v_m = self.speed * m_per_count;
         let viscous = self.spec.viscous_n_s_per_m * v_m + self.asymmetric_n_s_per_m * v_m.abs();
         let linear = viscous + self.offset_n;
         let free = self.speed + (drive - linear / mass / m_per_count) * dt;
         let brake = self.spec.coulomb_n / mass / m_per_count * dt;
         let speed = if free.abs() <= brake { 0.0 } else { free - brake.copysign(free) };
-        if speed == 0.0 && self.wanted == (0.0, 0.0) {
+        if speed == 0.0 && self.commanded == (0.0, 0.0) {
             self.integral = 0.0;
         }
         self.accel_mm_s2 = (speed - self.speed) / dt * self.count_mm();
@@ -270,11 +270,11 @@ impl AxisSim {
 
     /// Whether the axis is at rest and not commanded to move.
     pub(crate) fn rests(&self) -> bool {
-        self.speed == 0.0 && self.wanted == (0.0, 0.0)
+        self.speed == 0.0 && self.commanded == (0.0, 0.0)
     }
 
     /// Keeps the axis at rest from `from_ns` on.
-    pub(crate) fn stand(&mut self, from_ns: u64) {
+    pub(crate) fn hold_at_rest(&mut self, from_ns: u64) {
         self.integral = 0.0;
         self.accel_mm_s2 = 0.0;
         self.step = (from_ns, self.table, 0.0);

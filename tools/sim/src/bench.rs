@@ -1,7 +1,7 @@
 //! One axis in motion with any design on any computer, and the count at the MTC.
 
 use crate::computer_timing::ComputerTiming;
-use crate::corrected_axis::{CorrectedAxis, GateDesign, MtcDecoder, homed_engine};
+use crate::corrected_axis::{CorrectedAxis, GateInsertionDesign, MtcDecoder, homed_engine};
 use crate::design_b::DesignB;
 use crate::ecc::{Ecc, PllLimits};
 use crate::full_cycle::FullCycleCorrector;
@@ -87,12 +87,22 @@ where
     let config = AxisConfig { lines: AxisLines::standard(0, false), ..config };
     match design {
         InsertionDesign::C => replay(config, trace, totals, large, to),
-        InsertionDesign::Original => {
-            replay_with(Xor, |card| full_cycle(GateDesign::Original, config, card), trace, totals, large, to)
-        }
-        InsertionDesign::A => {
-            replay_with(Xor, |card| full_cycle(GateDesign::A, config, card), trace, totals, large, to)
-        }
+        InsertionDesign::Original => replay_with(
+            Xor,
+            |card| full_cycle(GateInsertionDesign::Original, config, card),
+            trace,
+            totals,
+            large,
+            to,
+        ),
+        InsertionDesign::A => replay_with(
+            Xor,
+            |card| full_cycle(GateInsertionDesign::A, config, card),
+            trace,
+            totals,
+            large,
+            to,
+        ),
         InsertionDesign::B => replay_with(
             DirectOutputs,
             |card| DesignB::new(config, card)?.ok_or(StartError::NoGate(0)),
@@ -111,7 +121,7 @@ where
 
 /// One axis with two pairs of inversions per insertion, homed at its position.
 fn full_cycle<C: Card>(
-    design: GateDesign,
+    design: GateInsertionDesign,
     config: AxisConfig,
     card: &mut C,
 ) -> Result<FullCycleCorrector, StartError> {
@@ -403,17 +413,24 @@ impl BenchRun<'_> {
     pub fn run(&self) -> Option<BenchResult> {
         let config = AxisConfig { lines: AxisLines::standard(0, false), ..self.config() };
         match self.design {
-            InsertionDesign::Original => {
-                self.go(OrGates, |card| full_cycle(GateDesign::Original, config, card).ok())
+            InsertionDesign::Original => self
+                .run_with_gates(OrGates, |card| full_cycle(GateInsertionDesign::Original, config, card).ok()),
+            InsertionDesign::A => {
+                self.run_with_gates(Xor, |card| full_cycle(GateInsertionDesign::A, config, card).ok())
             }
-            InsertionDesign::A => self.go(Xor, |card| full_cycle(GateDesign::A, config, card).ok()),
-            InsertionDesign::B => self.go(DirectOutputs, |card| DesignB::new(config, card).ok().flatten()),
-            InsertionDesign::C => self.go(Xor, |card| homed_engine(config, card, &mut |_| true).ok()),
-            InsertionDesign::Ecc => self.go(DirectOutputs, |card| Ecc::new(self.pll, self.seed, card).ok()),
+            InsertionDesign::B => {
+                self.run_with_gates(DirectOutputs, |card| DesignB::new(config, card).ok().flatten())
+            }
+            InsertionDesign::C => {
+                self.run_with_gates(Xor, |card| homed_engine(config, card, &mut |_| true).ok())
+            }
+            InsertionDesign::Ecc => {
+                self.run_with_gates(DirectOutputs, |card| Ecc::new(self.pll, self.seed, card).ok())
+            }
         }
     }
 
-    fn go<'s, G: Gates, M: CorrectedAxis>(
+    fn run_with_gates<'s, G: Gates, M: CorrectedAxis>(
         &'s self,
         gates: G,
         start: impl FnOnce(&mut CorrectingComputer<'s, G>) -> Option<M>,

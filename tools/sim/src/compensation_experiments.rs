@@ -6,14 +6,14 @@
 //! | `runs` | both runs of an experiment, their rows, records and plots |
 //! | `motion` | displacement, circles, plate, feeds, drive forces |
 //! | `heat` | spindle cycles, tool changes, drilling |
-//! | `nose` | the turned and probed hemisphere |
+//! | `turned_hemisphere` | the turned and probed hemisphere |
 //! | `insertion` | number and positions of insertions |
 
 mod heat;
 mod insertion;
 mod motion;
-mod nose;
 mod runs;
+mod turned_hemisphere;
 
 pub use insertion::{one_metre, over_a_part};
 
@@ -23,13 +23,13 @@ use crate::turning::TurningError;
 use heat::{StartConditions, drift, drilling, production, tool_change, wet_runs};
 use insertion::{linear_error, rapid_catch_up};
 use motion::{ballbar, dynamics, feed_sweep, linear_displacement, plate};
-use nose::hemisphere;
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
 use runs::{Done, ExperimentRun};
 use serde_json::{Map, Value};
 use std::path::Path;
+use turned_hemisphere::hemisphere;
 
 /// Inputs of an experiment.
 #[derive(Debug, Clone, Copy)]
@@ -49,7 +49,7 @@ pub struct ExperimentInputs<'a> {
 
 /// Results of an experiment.
 #[derive(Debug, Default)]
-pub struct ExperimentResults {
+pub struct ExperimentResult {
     /// Run records, not yet written, without and with compensation (`…-compensated`).
     pub records: Vec<Record>,
     /// Plots and tables of the records: file name and text.
@@ -99,7 +99,7 @@ pub enum ExperimentError {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Run {
+enum ExperimentProcedure {
     Own(fn(&mut ExperimentRun<'_>) -> Done),
     /// The drilling test of WO 97/43703 from this thermal state.
     Drilling(StartConditions),
@@ -113,31 +113,33 @@ pub struct Experiment {
     /// Its description in one line.
     pub what: &'static str,
     /// Its own machine, if a source describes one.
-    pub own: Option<OwnMachine>,
-    run: Run,
+    pub own: Option<ExperimentMachine>,
+    run: ExperimentProcedure,
 }
 
 /// An experiment's own machine.
 #[derive(Debug, Clone, Copy)]
-pub struct OwnMachine {
+pub struct ExperimentMachine {
     file: &'static str,
     /// Whether another machine would make it another experiment.
     pub fixed: bool,
 }
 
 /// The turning centre of NISTIR 4832; the results depend on its one error.
-const NIST_4832: Option<OwnMachine> = Some(OwnMachine { file: "4832-machine.toml", fixed: true });
+const NIST_4832: Option<ExperimentMachine> =
+    Some(ExperimentMachine { file: "4832-machine.toml", fixed: true });
 /// The turning centre of NISTIR 4854.
-const NIST_4854: Option<OwnMachine> = Some(OwnMachine { file: "4854-machine.toml", fixed: false });
+const NIST_4854: Option<ExperimentMachine> =
+    Some(ExperimentMachine { file: "4854-machine.toml", fixed: false });
 /// The machining centre of WO 97/43703.
-const WO_97: Option<OwnMachine> = Some(OwnMachine { file: "wo97-machine.toml", fixed: false });
+const WO_97: Option<ExperimentMachine> = Some(ExperimentMachine { file: "wo97-machine.toml", fixed: false });
 
 impl Experiment {
     /// Runs it.
     ///
     /// # Errors
     /// The machine's effects read what the simulation does not have, or the controller gave up.
-    pub fn run(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResults, ExperimentError> {
+    pub fn run(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResult, ExperimentError> {
         match self.own {
             Some(own) if own.fixed => {
                 let machine = MachineDescriptions::default().machine(own.file)?;
@@ -147,18 +149,23 @@ impl Experiment {
         }
     }
 
-    fn run_as_set(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResults, ExperimentError> {
+    fn run_as_set(&self, setting: &ExperimentInputs<'_>) -> Result<ExperimentResult, ExperimentError> {
         let mut experiment = ExperimentRun::new(setting);
         match &self.run {
-            Run::Own(run) => run(&mut experiment)?,
-            Run::Drilling(start) => drilling(&mut experiment, self.name, start)?,
+            ExperimentProcedure::Own(run) => run(&mut experiment)?,
+            ExperimentProcedure::Drilling(start) => drilling(&mut experiment, self.name, start)?,
         }
         Ok(experiment.findings)
     }
 
     /// A drilling test after a spindle cycle (rpm and minutes), wet.
     const fn drilling(name: &'static str, what: &'static str, before: &'static [(f64, f64)]) -> Self {
-        Self { name, what, own: WO_97, run: Run::Drilling(StartConditions { before, stood_degc: None }) }
+        Self {
+            name,
+            what,
+            own: WO_97,
+            run: ExperimentProcedure::Drilling(StartConditions { before, stood_degc: None }),
+        }
     }
 
     /// Its own machine; none if the user's is to be used.
@@ -181,37 +188,37 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         name: "linear-displacement",
         what: "ISO 230-2: 5 cycles over 13 targets, both directions, each axis against a laser",
         own: WO_97,
-        run: Run::Own(linear_displacement),
+        run: ExperimentProcedure::Own(linear_displacement),
     },
     Experiment {
         name: "ballbar",
         what: "circles of 150 mm in three planes, both ways, at 10, 50 and 100 in/min (WO 97/43703, table 1)",
         own: WO_97,
-        run: Run::Own(ballbar),
+        run: ExperimentProcedure::Own(ballbar),
     },
     Experiment {
         name: "drift",
         what: "the spindle cycle of WO 97/43703, figure 9, dry and wet: spindle growth and 20 temperatures",
         own: WO_97,
-        run: Run::Own(drift),
+        run: ExperimentProcedure::Own(drift),
     },
     Experiment {
         name: "production-cycle",
         what: "a wet spindle cycle that no characterisation runs: four hours of changing speeds and rests",
         own: WO_97,
-        run: Run::Own(production),
+        run: ExperimentProcedure::Own(production),
     },
     Experiment {
         name: "tool-change-repeatability",
         what: "ten tool changes with arbitrary moves in between, back to a reference (WO 97/43703, table 3)",
         own: WO_97,
-        run: Run::Own(tool_change),
+        run: ExperimentProcedure::Own(tool_change),
     },
     Experiment {
         name: "wet-runs",
         what: "wet, from cold: warm-up, speeds on the warm machine, cool-down; a shift of speeds and rests (WO 97/43703)",
         own: WO_97,
-        run: Run::Own(wet_runs),
+        run: ExperimentProcedure::Own(wet_runs),
     },
     Experiment::drilling(
         "drilling",
@@ -238,37 +245,42 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         name: "drilling-weekend",
         what: "the same after a weekend: all at 16 °C, the hall heated to 20 °C for an hour",
         own: WO_97,
-        run: Run::Drilling(StartConditions { before: &[], stood_degc: Some(16.0) }),
+        run: ExperimentProcedure::Drilling(StartConditions { before: &[], stood_degc: Some(16.0) }),
     },
     Experiment {
         name: "hemisphere",
         what: "a 38.1 mm nose turned with a worn tool (25 µm flat) and probed at 2.5 m/min (NISTIR 4854)",
         own: NIST_4854,
-        run: Run::Own(hemisphere),
+        run: ExperimentProcedure::Own(hemisphere),
     },
-    Experiment { name: "plate", what: "a grid of holes over the XY plane", own: None, run: Run::Own(plate) },
+    Experiment {
+        name: "plate",
+        what: "a grid of holes over the XY plane",
+        own: None,
+        run: ExperimentProcedure::Own(plate),
+    },
     Experiment {
         name: "feed-sweep",
         what: "the same stretch at feeds from 0.1 to 10 m/min, both directions",
         own: None,
-        run: Run::Own(feed_sweep),
+        run: ExperimentProcedure::Own(feed_sweep),
     },
     Experiment {
         name: "dynamics",
         what: "drive force over moves of rising speed and acceleration, 1 kHz",
         own: None,
-        run: Run::Own(dynamics),
+        run: ExperimentProcedure::Own(dynamics),
     },
     Experiment {
         name: "linear-error-240um",
         what: "240 µm per metre over a quarter of a metre: 15 corrections of 4 µm (NISTIR 4832, The \"Original RTEC\")",
         own: NIST_4832,
-        run: Run::Own(linear_error),
+        run: ExperimentProcedure::Own(linear_error),
     },
     Experiment {
         name: "rapid-catch-up",
         what: "a rapid too fast for insertions: corrections catch up before the tool enters the part (NISTIR 4832)",
         own: NIST_4832,
-        run: Run::Own(rapid_catch_up),
+        run: ExperimentProcedure::Own(rapid_catch_up),
     },
 ];

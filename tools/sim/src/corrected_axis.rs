@@ -135,7 +135,7 @@ pub fn homed_engine<C: Card>(
 /// The designs that invert A and B by gates.
 /// They can correct several axes of a simulated machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum GateDesign {
+pub enum GateInsertionDesign {
     /// ±4 counts by two pairs of inversions, begun at A = B = low only.
     /// (NISTIR 4832, the "Original RTEC")
     Original,
@@ -147,7 +147,7 @@ pub enum GateDesign {
     C,
 }
 
-impl GateDesign {
+impl GateInsertionDesign {
     /// Counts of one insertion.
     pub const fn increment_counts(self) -> i64 {
         match self {

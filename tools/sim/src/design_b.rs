@@ -9,7 +9,7 @@ use crate::corrected_axis::{CardResult, CorrectedAxis, EventSink};
 use rtec_driver::card::{Card, CardError};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy};
-use rtec_rt::gate::{GateInput, SpeedGate};
+use rtec_rt::gate::{SpeedGate, SpeedGateConfig};
 use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Fault, InsertionStatus, Refusal};
 
 /// One axis whose signals pass through the computer, homed to zero at its position.
@@ -63,7 +63,7 @@ impl DesignB {
     /// The speed gate: time for edge, separation, step and its separation.
     pub fn gate(config: &AxisConfig) -> Option<SpeedGate> {
         let step_ns = config.write_ns + config.min_separation_ns;
-        SpeedGate::new(GateInput {
+        SpeedGate::new(SpeedGateConfig {
             max_accel_counts_s2: config.max_accel_counts_s2,
             hysteresis_counts: config.hysteresis_counts,
             need_ns: (config.detect_ns + 2 * step_ns + config.guard_ns).max(1),
@@ -87,13 +87,13 @@ impl DesignB {
     }
 
     /// The count that the MTC should have: scale count plus total.
-    fn due(&self) -> i64 {
+    fn expected_mtc_count(&self) -> i64 {
         self.scale.count() + self.status.completed
     }
 
     /// Latest time at which a step may begin after an edge.
     /// The step must be done before the next edge can come.
-    fn open(&mut self, edge_ns: u64) -> Option<u64> {
+    fn latest_step_start_ns(&mut self, edge_ns: u64) -> Option<u64> {
         let quiet_ns = self.gate.quiet_ns(self.period_ns);
         if self.period_ns >= self.gate.min_period_ns() && quiet_ns >= self.gate.need_ns() {
             return Some(edge_ns + quiet_ns - self.config.write_ns - self.config.min_separation_ns);
@@ -115,13 +115,17 @@ impl DesignB {
         };
         let open =
             self.look_ns >= self.next_allowed_ns && self.open_until_ns.is_some_and(|t| self.look_ns <= t);
-        self.pending() && self.out.count() == self.due() && self.look_ns >= self.free_ns && (open || rests)
+        self.pending()
+            && self.out.count() == self.expected_mtc_count()
+            && self.look_ns >= self.free_ns
+            && (open || rests)
     }
 }
 
 impl CorrectedAxis for DesignB {
     fn poll<C: Card>(&mut self, card: &mut C, by_ns: u64, report: &mut impl EventSink) -> CardResult {
-        let waits = self.out.count() == self.due() && !(self.pending() && self.open_until_ns.is_some());
+        let waits = self.out.count() == self.expected_mtc_count()
+            && !(self.pending() && self.open_until_ns.is_some());
         let mut wake_ns = if waits { u64::MAX } else { self.free_ns };
         if let RestPolicy::Insert { after_ns } = self.config.rest
             && self.pending()
@@ -138,7 +142,7 @@ impl CorrectedAxis for DesignB {
             if self.scale.update(state).is_none() {
                 self.fault(Fault::IllegalTransition, report);
             }
-            self.open_until_ns = self.open(edge_ns);
+            self.open_until_ns = self.latest_step_start_ns(edge_ns);
         }
         self.open_until_ns = self.open_until_ns.filter(|&t| self.look_ns <= t);
         if self.due_now() {
@@ -148,8 +152,8 @@ impl CorrectedAxis for DesignB {
             self.next_allowed_ns = self.look_ns + (1e9 / self.config.max_rate_counts_s) as u64;
         }
         // One count at a time, never two signals at once.
-        if self.out.count() != self.due() && self.look_ns >= self.free_ns {
-            let next = self.out.state().next(self.due() > self.out.count());
+        if self.out.count() != self.expected_mtc_count() && self.look_ns >= self.free_ns {
+            let next = self.out.state().next(self.expected_mtc_count() > self.out.count());
             self.drive(next, card)?;
         }
         Ok(())

@@ -134,7 +134,7 @@ pub struct Ecc {
     /// Whether the tick between the last scale edge and the next has been sent.
     half_sent: bool,
     /// Ticks that the VCO still has to send, while it is slower than its input.
-    behind: u64,
+    ticks_pending: u64,
     last_tick_ns: u64,
     noise: NoiseGenerator,
     worst_phase_deg: f64,
@@ -176,7 +176,7 @@ impl Ecc {
             input_hz: 0.0,
             tick_ns: None,
             half_sent: false,
-            behind: 0,
+            ticks_pending: 0,
             last_tick_ns: 0,
             noise: NoiseGenerator::new(seed, 0xECC),
             worst_phase_deg: 0.0,
@@ -210,14 +210,14 @@ impl Ecc {
             return Err(BeyondFourBits(value));
         }
         self.by_hand = true;
-        self.put(self.look_ns, ControlLines { s1, s0, value, ..self.control });
+        self.set_control_lines(self.look_ns, ControlLines { s1, s0, value, ..self.control });
         Ok(())
     }
 
     /// Sets X/Z: whether the controller addresses this axis.
     /// Compensations begin only on a selected axis.
     pub fn select(&mut self, selected: bool) {
-        self.put(self.look_ns, ControlLines { selected, ..self.control });
+        self.set_control_lines(self.look_ns, ControlLines { selected, ..self.control });
     }
 
     /// Every change of the controller's lines and of the acknowledgement.
@@ -226,7 +226,7 @@ impl Ecc {
         &self.lines_log
     }
 
-    fn put(&mut self, t_ns: u64, to: ControlLines) {
+    fn set_control_lines(&mut self, t_ns: u64, to: ControlLines) {
         if to != self.control {
             self.control = to;
             self.lines_log.push((t_ns, to));
@@ -270,10 +270,10 @@ impl Ecc {
     /// Sends one of the ticks due, never two at the same instant.
     /// The others follow as fast as the VCO can.
     fn catch_up<C: Card>(&mut self, edge_ns: u64, card: &mut C) -> CardResult {
-        self.behind -= 1;
+        self.ticks_pending -= 1;
         self.tick(card)?;
         if matches!(self.passing, Passing::Split { .. }) {
-            if self.behind > 0 {
+            if self.ticks_pending > 0 {
                 (self.tick_ns, self.half_sent) = (Some(self.look_ns + self.fastest_ns()), false);
             } else {
                 self.schedule_half(edge_ns);
@@ -286,16 +286,16 @@ impl Ecc {
     /// The controller books its request as completed in any case.
     fn acknowledge<C: Card>(&mut self, card: &mut C) -> CardResult {
         self.passing = Passing::Encoder;
-        (self.tick_ns, self.behind) = (None, 0);
+        (self.tick_ns, self.ticks_pending) = (None, 0);
         self.status.completed += 4 * self.asked;
         let took = (self.look_ns - self.begun_ns) / self.asked.unsigned_abs().max(1);
         self.pulse_ns = Some(self.pulse_ns.map_or((took, took), |(lo, hi)| (lo.min(took), hi.max(took))));
         self.asked = 0;
         self.status.insertions += 1;
         // The controller clears S1 when it sees the pulse.
-        self.put(self.look_ns, ControlLines { ack: true, ..self.control });
+        self.set_control_lines(self.look_ns, ControlLines { ack: true, ..self.control });
         let off = ControlLines { s1: false, s0: false, value: 0, ack: false, ..self.control };
-        self.put(self.look_ns + ACK_NS, off);
+        self.set_control_lines(self.look_ns + ACK_NS, off);
         if self.out.state() != self.scale.state() {
             let state = self.scale.state();
             self.send(state, card)?;
@@ -354,7 +354,7 @@ impl Ecc {
             }
             Passing::Split { .. } if locked => {
                 // Phase lock gives two ticks per count: this one, and the one before if it is still due.
-                self.behind += 1 + u64::from(!self.half_sent);
+                self.ticks_pending += 1 + u64::from(!self.half_sent);
                 let soonest_ns = self.last_tick_ns + self.fastest_ns();
                 if edge_ns < soonest_ns {
                     (self.tick_ns, self.half_sent) = (Some(soonest_ns), false);
@@ -416,7 +416,7 @@ impl Ecc {
         self.asked = pulses;
         self.begun_ns = edge_ns;
         let value = pulses.unsigned_abs() as u8;
-        self.put(edge_ns, ControlLines { s1: true, s0: adds, value, ..self.control });
+        self.set_control_lines(edge_ns, ControlLines { s1: true, s0: adds, value, ..self.control });
         if adds {
             self.passing = Passing::Split { left: 8 * pulses.abs() };
             self.schedule_half(edge_ns);
@@ -440,7 +440,7 @@ impl CorrectedAxis for Ecc {
             return self.edge(state, sample.edge_ns.unwrap_or(sample.t_ns), card);
         }
         if splitting && self.look_ns >= wake_ns {
-            if self.behind > 0 {
+            if self.ticks_pending > 0 {
                 return self.catch_up(self.last_edge_ns.unwrap_or(self.look_ns), card);
             }
             self.tick(card)?;

@@ -6,22 +6,22 @@
 //! twice as many inversions. The simulated cards show every edge and confirm every write at once, so no code
 //! here guards against missed counts.
 
-use crate::corrected_axis::{CardResult, CorrectedAxis, EventSink, GateDesign};
+use crate::corrected_axis::{CardResult, CorrectedAxis, EventSink, GateInsertionDesign};
 use rtec_driver::card::{Card, MachineLines};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 use rtec_rt::axis::{AxisConfig, RestPolicy, TotalRequestResult};
 use rtec_rt::engine::StartError;
-use rtec_rt::gate::{GateInput, SpeedGate};
+use rtec_rt::gate::{SpeedGate, SpeedGateConfig};
 use rtec_rt::link_messages::{
     AxisStatus, Event, EventKind, Fault, InsertionStatus, MAX_AXES, Mode, Refusal, Status,
 };
 
 /// Inversions of one insertion, which are also its counts.
-const INCREMENT_COUNTS: i64 = GateDesign::A.increment_counts();
+const INCREMENT_COUNTS: i64 = GateInsertionDesign::A.increment_counts();
 /// The speed gate for four inversions.
 /// `None` if no speed leaves time for an insertion.
 pub fn gate(config: &AxisConfig) -> Option<SpeedGate> {
-    SpeedGate::new(GateInput {
+    SpeedGate::new(SpeedGateConfig {
         max_accel_counts_s2: config.max_accel_counts_s2,
         hysteresis_counts: config.hysteresis_counts,
         need_ns: (config.detect_ns + config.min_separation_ns + busy_ns(config)).max(1),
@@ -122,7 +122,7 @@ impl FullCycleCorrector {
     /// # Errors
     /// When the card cannot be read or written, or an axis has no speed that leaves time for an insertion.
     pub fn new<C: Card>(
-        design: GateDesign,
+        design: GateInsertionDesign,
         card: &mut C,
         configs: &[AxisConfig],
         lines: MachineLines,
@@ -134,7 +134,7 @@ impl FullCycleCorrector {
             Some(FullCycleAxis {
                 config: *config,
                 gate: gate(config)?,
-                only_at_low: design == GateDesign::Original,
+                only_at_low: design == GateInsertionDesign::Original,
                 scale: Decoder::new(state),
                 home_counts: origin_counts(n),
                 inverters: 0,

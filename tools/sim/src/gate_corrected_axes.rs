@@ -1,6 +1,6 @@
 //! The corrected axes of a simulated machine, by engine or full-cycle design.
 
-use crate::corrected_axis::{CardResult, CorrectedAxis as _, EventSink, GateDesign};
+use crate::corrected_axis::{CardResult, CorrectedAxis as _, EventSink, GateInsertionDesign};
 use crate::full_cycle::FullCycleCorrector;
 use rtec_driver::card::{Card, MachineLines};
 use rtec_rt::axis::AxisConfig;
@@ -18,14 +18,14 @@ impl GateCorrectedAxes {
     /// Takes over the card in its present state.
     /// It homes axis `n` at `origins[n]` and enables corrections.
     pub(crate) fn new<C: Card>(
-        design: GateDesign,
+        design: GateInsertionDesign,
         card: &mut C,
         configs: &[AxisConfig],
         lines: MachineLines,
         origins: &[i64],
         report: &mut impl EventSink,
     ) -> Result<Self, StartError> {
-        if design != GateDesign::C {
+        if design != GateInsertionDesign::C {
             return FullCycleCorrector::new(design, card, configs, lines, |n| origins[n])
                 .map(Self::FullCycle);
         }

@@ -135,7 +135,7 @@ impl ThermalNetworkSpec {
 
 /// The thermal network of the machine and the sensors in it.
 #[derive(Debug, Clone)]
-pub struct Heat {
+pub struct ThermalNetwork {
     network: ThermalNetworkSpec,
     /// °C, in the order of [`ThermalNode`].
     temperature: [f64; NODES],
@@ -152,7 +152,7 @@ pub struct Heat {
 /// Time step, s; short compared with the fastest mass (a bearing, a minute).
 const STEP_S: f64 = 1.0;
 
-impl Heat {
+impl ThermalNetwork {
     /// A machine that has stood overnight in a hall of this temperature.
     /// Its sensors have noise of `noise_k`, K.
     pub fn cold(ambient_degc: f64, noise_k: f64, seed: u64) -> Self {
@@ -172,7 +172,7 @@ impl Heat {
 
     /// The same with other thermal properties.
     #[must_use]
-    pub fn of(self, network: ThermalNetworkSpec) -> Self {
+    pub fn with_network(self, network: ThermalNetworkSpec) -> Self {
         Self { network, ..self }
     }
 
@@ -252,8 +252,8 @@ pub const FIGURE_9: Cycle = &[
 mod tests {
     use super::*;
 
-    fn after(hours: f64, rpm: f64, coolant: bool) -> Heat {
-        let mut heat = Heat::cold(20.0, 0.0, 1);
+    fn after(hours: f64, rpm: f64, coolant: bool) -> ThermalNetwork {
+        let mut heat = ThermalNetwork::cold(20.0, 0.0, 1);
         heat.advance(hours * 3600.0, rpm, coolant);
         heat
     }
@@ -298,8 +298,8 @@ mod tests {
         let mut noise = NoiseGenerator::new(1, 1);
         let mut rises: Vec<f64> = (0..20)
             .map(|_| {
-                let mut heat = Heat::cold(20.0, 0.0, 1)
-                    .of(ThermalNetworkSpec::drawn(&mut || (0.3 * noise.normal()).exp()));
+                let mut heat = ThermalNetwork::cold(20.0, 0.0, 1)
+                    .with_network(ThermalNetworkSpec::drawn(&mut || (0.3 * noise.normal()).exp()));
                 heat.advance(3.0 * 3600.0, 5500.0, true);
                 heat.degc(ThermalNode::FrontBearing) - 20.0
             })

@@ -4,7 +4,7 @@ use crate::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant, inser
 use crate::computer_timing::ComputerTiming;
 use rtec_driver::quadrature::State;
 #[cfg(feature = "clap")]
-use rtec_files::options::number;
+use rtec_files::cli_options::number;
 use rtec_rt::axis::AxisConfig;
 use serde::Serialize;
 use std::fmt::Write as _;

@@ -4,9 +4,9 @@
 
 use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
-use crate::corrected_axis::GateDesign;
-use crate::heat::{Heat, SENSORS};
-use crate::machine::{ControllerSpec, SERVO_NS, SimMachine};
+use crate::corrected_axis::GateInsertionDesign;
+use crate::heat::{SENSORS, ThermalNetwork};
+use crate::machine::{ControllerLimits, SERVO_NS, SimMachine};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
 use crate::trajectory::AXES;
@@ -16,7 +16,7 @@ use rtec_model::effect::MissingInput;
 use rtec_model::live::LiveModel;
 use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
-use rtec_part::finish_table::AxisCounts;
+use rtec_part::finish_table::AxisCountConversion;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::probe_path::{PathPoint, PathRole};
 use serde::Deserialize;
@@ -140,7 +140,7 @@ const JERK_MM_S3: f64 = 100_000.0;
 
 /// A machine with its errors, some time after it was switched on.
 #[derive(Debug, Clone, Copy)]
-pub struct LatheConditions<'a> {
+pub struct LatheSetup<'a> {
     /// Machine, tool and probe.
     pub bench: &'a LatheSpec,
     /// The machine's errors.
@@ -149,7 +149,7 @@ pub struct LatheConditions<'a> {
     /// Time for which the spindle has run when the program starts, s.
     pub begin_s: f64,
     /// Insertion design of the corrector.
-    pub design: GateDesign,
+    pub design: GateInsertionDesign,
     /// Highest count rate of the controller's decoder, Hz.
     pub decoder_hz: f64,
     /// Seed of all noise.
@@ -276,7 +276,7 @@ impl Lathe {
     /// A machine at rest at `start` (machine mm), after the stand's warm-up time.
     /// Its program is for a probe with `tip_mm`, or for the tool.
     pub(crate) fn new(
-        stand: &LatheConditions,
+        stand: &LatheSetup,
         start: Zx,
         origin: Zx,
         moves: &[Move],
@@ -284,7 +284,7 @@ impl Lathe {
         part: &Workpiece,
     ) -> Result<Self, MissingInput> {
         let bench = stand.bench;
-        let controller = ControllerSpec { decoder_hz: stand.decoder_hz, ..ControllerSpec::default() };
+        let controller = ControllerLimits { decoder_hz: stand.decoder_hz, ..ControllerLimits::default() };
         let mut machine = SimMachine::new(&[bench.axis("z"), bench.axis("x")], controller, xyz(start));
         set_friction(&mut machine, &stand.machine.effects().collect::<Vec<_>>());
         if tip_mm.is_some() {
@@ -296,7 +296,8 @@ impl Lathe {
         let rpm = if tip_mm.is_some() { 0.0 } else { bench.rpm };
         let (blocks, cutting) = program(bench, moves, origin, rpm);
         let truth = LiveModel::of(stand.machine, layout(Vec::new()))?;
-        let errors = TrueErrors::new(truth, Heat::cold(bench.ambient_degc, 0.0, stand.seed), stand.seed);
+        let errors =
+            TrueErrors::new(truth, ThermalNetwork::cold(bench.ambient_degc, 0.0, stand.seed), stand.seed);
         let mut lathe = Self {
             machine,
             errors,
@@ -411,16 +412,16 @@ pub(crate) fn cut_away(part: &mut Workpiece, bench: &LatheSpec, cuts: &[Cut], se
 }
 
 /// The design of this name, if it can correct the lathe: `original`, `a` or `c`.
-pub fn design(name: &str) -> Option<GateDesign> {
+pub fn design(name: &str) -> Option<GateInsertionDesign> {
     match name {
-        "original" => Some(GateDesign::Original),
-        "a" => Some(GateDesign::A),
-        "c" => Some(GateDesign::C),
+        "original" => Some(GateInsertionDesign::Original),
+        "a" => Some(GateInsertionDesign::A),
+        "c" => Some(GateInsertionDesign::C),
         _ => None,
     }
 }
 
 /// Counts of Z and of X on this bench, for a design's increment.
-pub fn axes(bench: &LatheSpec, design: GateDesign) -> [AxisCounts; 2] {
-    [AxisCounts { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]
+pub fn axes(bench: &LatheSpec, design: GateInsertionDesign) -> [AxisCountConversion; 2] {
+    [AxisCountConversion { count_um: bench.count_um, increment: design.increment_counts(), sign: 1.0 }; 2]
 }

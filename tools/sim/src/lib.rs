@@ -20,12 +20,12 @@
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports the tool's position |
 //! | [`attended_machine`], `polled` | events at the machine in every period; the card that polls it |
 //! | [`wired_machines`], [`strokes`], [`machining_task`] | machines at a mock card's wires in real time: strokes, the lathe's task |
-//! | [`workpiece`], [`lathe`], [`lathe_program`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
+//! | [`workpiece`], [`lathe`], [`lathe_run`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
-//! | [`example`] | example machines: models, runs, hold-outs, configuration, drawings |
+//! | [`example_machines`] | example machines: models, runs, hold-outs, configuration, drawings |
 //! | [`compensation_experiments`] | the experiments that characterise a machine, without and with compensation |
 //! | [`noise`] | seeded noise |
-//! | `correction_control`, `true_errors` | the control side above the engine; the true machine's errors and friction |
+//! | `corrector_with_sensors`, `true_errors` | the control side above the engine; the true machine's errors and friction |
 //!
 //! A part's shape belongs to `rtec-part`, a machine's errors to `rtec-model`, another control law to
 //! `rtec-correct`; the daemon is not here either.
@@ -39,18 +39,18 @@ pub mod bench;
 pub mod compensation_experiments;
 pub mod computer_timing;
 pub mod corrected_axis;
-mod correction_control;
+mod corrector_with_sensors;
 pub mod described_machines;
 pub mod design_b;
 pub mod ecc;
 #[cfg(feature = "experiments")]
-pub mod example;
+pub mod example_machines;
 pub mod full_cycle;
 mod gate_corrected_axes;
 pub mod heat;
 pub mod insertion_designs;
 pub mod lathe;
-pub mod lathe_program;
+pub mod lathe_run;
 pub mod machine;
 pub mod machining_task;
 pub mod nc_block;

@@ -40,7 +40,7 @@ pub enum ServoFault {
 
 /// Limits of the controller (MTC).
 #[derive(Debug, Clone, PartialEq)]
-pub struct ControllerSpec {
+pub struct ControllerLimits {
     /// Highest count rate of its decoder, Hz.
     /// Edges closer than the inverse are a servo fault.
     pub decoder_hz: f64,
@@ -48,7 +48,7 @@ pub struct ControllerSpec {
     pub max_following_mm: f64,
 }
 
-impl Default for ControllerSpec {
+impl Default for ControllerLimits {
     /// A decoder for square waves of 500 kHz.
     fn default() -> Self {
         Self { decoder_hz: 2e6, max_following_mm: 2.0 }
@@ -83,7 +83,7 @@ const PROBE: usize = 0;
 /// An event's time (ns) and source in one word, so that the earlier is the smaller.
 /// An event that does not happen has a time later than any step.
 #[inline]
-const fn due(t_ns: u64, source: usize) -> u64 {
+const fn event_key(t_ns: u64, source: usize) -> u64 {
     t_ns << SOURCE_BITS | source as u64
 }
 
@@ -94,14 +94,14 @@ pub struct SimMachine {
     /// The controller's axis (0 X, 1 Y, 2 Z) of each axis of the machine.
     pub(crate) place: Vec<usize>,
     lines: Vec<AxisLines>,
-    controller: ControllerSpec,
+    controller: ControllerLimits,
     min_separation_ns: u64,
     program: std::collections::VecDeque<Block>,
     job: ActiveMove,
     pub(crate) command: Setpoint,
     /// Share of the programmed speed at which the path is run.
     /// Feed hold reduces it to zero and back.
-    pace: f64,
+    feed_override: f64,
     pub(crate) hold: bool,
     /// The operator's jog; it runs instead of the program once the path is at rest.
     jog: Option<Block>,
@@ -116,8 +116,8 @@ pub struct SimMachine {
     inputs: u64,
     /// The next event of every axis within the step, and the first of all.
     /// The first may be the probe's. Both are in the form of [`due`].
-    due: [u64; MAX_AXES],
-    next: u64,
+    axis_events: [u64; MAX_AXES],
+    next_event: u64,
     surface: Option<Surface>,
     /// Tool minus scale, mm: the true machine's errors.
     pub(crate) tool_offset_mm: [f64; AXES],
@@ -145,7 +145,7 @@ impl std::fmt::Debug for SimMachine {
 impl SimMachine {
     /// A machine at rest at `at_mm` (X, Y, Z).
     /// Its axes are `x`, `y` or `z`, in any order.
-    pub fn new(axes: &[AxisSpec], controller: ControllerSpec, at_mm: [f64; AXES]) -> Self {
+    pub fn new(axes: &[AxisSpec], controller: ControllerLimits, at_mm: [f64; AXES]) -> Self {
         let place: Vec<usize> =
             axes.iter().map(|a| ["x", "y", "z"].iter().position(|n| *n == a.name).unwrap_or(0)).collect();
         let each = axes.iter().zip(&place).enumerate();
@@ -160,9 +160,9 @@ impl SimMachine {
             min_separation_ns,
             program: std::collections::VecDeque::with_capacity(8),
             command: Setpoint { p_mm: at_mm, ..Setpoint::default() },
-            pace: 1.0,
-            due: [u64::MAX; MAX_AXES],
-            next: u64::MAX,
+            feed_override: 1.0,
+            axis_events: [u64::MAX; MAX_AXES],
+            next_event: u64::MAX,
             trip_ns: u64::MAX,
             trips: (0, at_mm),
             ..Self::default()
@@ -283,16 +283,16 @@ impl SimMachine {
         // Feed hold: the path slows down within a tenth of a second, and resumes in the same way.
         let rests = self.hold || self.fault.is_some() || self.jog.is_some();
         let target = if rests { 0.0 } else { 1.0 };
-        self.pace += (target - self.pace).clamp(-dt / 0.1, dt / 0.1);
-        if (self.pace == 0.0 || self.job == ActiveMove::Idle)
+        self.feed_override += (target - self.feed_override).clamp(-dt / 0.1, dt / 0.1);
+        if (self.feed_override == 0.0 || self.job == ActiveMove::Idle)
             && let Some(block) = self.jog.take()
         {
             self.program.clear();
             self.program.push_back(block);
             self.job = ActiveMove::Idle;
         }
-        let mut left = dt * self.pace;
-        let at_full_pace = self.pace;
+        let mut left = dt * self.feed_override;
+        let at_full_pace = self.feed_override;
         while left > 0.0 || self.job == ActiveMove::Idle {
             match &mut self.job {
                 ActiveMove::Idle => {
@@ -411,7 +411,7 @@ impl SimMachine {
             if rests && periods > 0 && wake_ns < u64::MAX {
                 self.step_end_ns = from_ns + periods * SERVO_NS;
                 for axis in &mut self.axes {
-                    axis.stand(from_ns);
+                    axis.hold_at_rest(from_ns);
                 }
                 self.find_next();
                 return;
@@ -446,20 +446,21 @@ impl SimMachine {
 
     /// Finds the next events of axes and probe after a step.
     fn find_next(&mut self) {
-        for (n, (due_then, axis)) in self.due.iter_mut().zip(&self.axes).enumerate() {
-            *due_then = due(axis.next_ns, n + 1);
+        for (n, (due_then, axis)) in self.axis_events.iter_mut().zip(&self.axes).enumerate() {
+            *due_then = event_key(axis.next_ns, n + 1);
         }
         self.find_soonest();
     }
 
     #[inline]
     fn find_soonest(&mut self) {
-        self.next = self.due.iter().fold(due(self.trip_ns, PROBE), |soonest, d| soonest.min(*d));
+        self.next_event =
+            self.axis_events.iter().fold(event_key(self.trip_ns, PROBE), |soonest, d| soonest.min(*d));
     }
 
     #[inline]
     const fn next_ns(&self) -> u64 {
-        self.next >> SOURCE_BITS
+        self.next_event >> SOURCE_BITS
     }
 
     #[cold]
@@ -477,13 +478,13 @@ impl SimMachine {
     #[allow(clippy::inline_always)] // As `sample`.
     #[inline(always)]
     fn happen(&mut self) {
-        let (next_ns, source) = (self.next_ns(), (self.next & SOURCE) as usize);
+        let (next_ns, source) = (self.next_ns(), (self.next_event & SOURCE) as usize);
         self.t_ns = self.t_ns.max(next_ns);
         // The probe's source number is below those of the axes.
         let which = source.wrapping_sub(1);
-        if let (Some(axis), Some(due_then)) = (self.axes.get_mut(which), self.due.get_mut(which)) {
+        if let (Some(axis), Some(due_then)) = (self.axes.get_mut(which), self.axis_events.get_mut(which)) {
             self.inputs ^= axis.edge(STEP_NS);
-            *due_then = due(axis.next_ns, source);
+            *due_then = event_key(axis.next_ns, source);
             self.edges += 1;
             let since_ns = next_ns - std::mem::replace(&mut axis.last_out_ns, next_ns);
             // Not less than any separation before, all of which have been checked.

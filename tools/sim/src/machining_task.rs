@@ -2,10 +2,8 @@
 //! Its controller runs one program once, from the axes' home positions, and obeys feed hold. Releasing feed
 //! hold starts the cycle.
 
-use crate::corrected_axis::GateDesign;
-use crate::lathe::{
-    Cut, Lathe, LatheConditions, LatheSpec, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves,
-};
+use crate::corrected_axis::GateInsertionDesign;
+use crate::lathe::{Cut, Lathe, LatheSetup, LatheSpec, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
 use crate::wired_machines::WiredMachines;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
@@ -70,7 +68,7 @@ impl CutRecorder {
             return Ok(());
         }
         cut_away(&mut self.part, &self.bench, &places, self.seed);
-        rtec_files::write::whole(&self.file, self.part.to_csv().as_bytes())
+        rtec_files::write::write_atomically(&self.file, self.part.to_csv().as_bytes())
     }
 }
 
@@ -150,11 +148,11 @@ impl MachiningTask {
             .collect();
         moves.extend(program);
         let machine = Machine::read_or_ideal(self.machine.as_deref(), "ideal lathe")?;
-        let stand = LatheConditions {
+        let stand = LatheSetup {
             bench: &self.bench,
             machine: &machine,
             begin_s: self.begin_s,
-            design: GateDesign::C,
+            design: GateInsertionDesign::C,
             // A mock card's time stops between a poll and the write after it, so a decoder could check
             // nothing.
             decoder_hz: f64::INFINITY,

@@ -87,13 +87,13 @@ pub enum ReplayError<E> {
 
 /// The MTC's side: decodes A' and B', and passes them on.
 #[derive(Debug)]
-pub struct Mtc<L> {
+pub struct MtcListener<L> {
     /// The MTC's decoder, from the first state on.
     seen: Option<MtcDecoder>,
     to: L,
 }
 
-impl<L: Listener> Listener for Mtc<L> {
+impl<L: Listener> Listener for MtcListener<L> {
     #[inline]
     fn changed(&mut self, t_ns: u64, state: State) {
         match &mut self.seen {
@@ -122,7 +122,7 @@ where
     R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
-    let start = |card: &mut ReplayCard<T, Mtc<L>, E>| homed_engine(config, card, &mut |_| true);
+    let start = |card: &mut ReplayCard<T, MtcListener<L>, E>| homed_engine(config, card, &mut |_| true);
     replay_with(Xor, start, trace, totals, large, to)
 }
 
@@ -133,7 +133,7 @@ where
 /// At the first bad row, or when `start` fails.
 pub fn replay_with<G, M, T, R, L, E>(
     gates: G,
-    start: impl FnOnce(&mut ReplayCard<T, Mtc<L>, E, G>) -> Result<M, StartError>,
+    start: impl FnOnce(&mut ReplayCard<T, MtcListener<L>, E, G>) -> Result<M, StartError>,
     trace: T,
     totals: R,
     large: bool,
@@ -146,7 +146,7 @@ where
     R: Iterator<Item = Result<RequestedTotal, E>>,
     L: Listener,
 {
-    let mtc = Mtc { seen: None, to };
+    let mtc = MtcListener { seen: None, to };
     let mut card = ReplayCard::new(gates, trace, mtc).map_err(ReplayError::Input)?;
     let mut corrector = start(&mut card).map_err(|error| {
         // The recording may already have ended with a bad row.

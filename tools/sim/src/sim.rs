@@ -1,11 +1,11 @@
 //! The machine with the unchanged engine in its feedback, and a corrector.
 
 use crate::axis::AxisSpec;
-use crate::corrected_axis::GateDesign;
-use crate::correction_control::{CorrectionControl, REST_NS, WINDOW_COUNTS};
+use crate::corrected_axis::GateInsertionDesign;
+use crate::corrector_with_sensors::{CorrectorWithSensors, REST_NS, WINDOW_COUNTS};
 use crate::gate_corrected_axes::GateCorrectedAxes;
-use crate::heat::{Heat, ThermalNetworkSpec};
-use crate::machine::{ControllerSpec, ServoFault, SimMachine};
+use crate::heat::{ThermalNetwork, ThermalNetworkSpec};
+use crate::machine::{ControllerLimits, ServoFault, SimMachine};
 use crate::nc_block::Block;
 use crate::trajectory::{AXES, Setpoint};
 use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
@@ -19,7 +19,7 @@ use rtec_rt::axis::{AxisConfig, RestPolicy};
 use rtec_rt::engine::StartError;
 use rtec_rt::link_messages::{Event, EventKind, Fault, Request, Status};
 
-pub use crate::correction_control::CONTROL_NS;
+pub use crate::corrector_with_sensors::CONTROL_NS;
 
 /// Keeps an event of the engine, which then goes on.
 pub(crate) fn keep(events: &mut Vec<Event>, event: Event) -> bool {
@@ -33,9 +33,9 @@ pub struct MachineSpec {
     /// The machine's axes.
     pub axes: Vec<AxisSpec>,
     /// The machine's controller.
-    pub controller: ControllerSpec,
+    pub controller: ControllerLimits,
     /// Insertion design of every axis.
-    pub design: GateDesign,
+    pub design: GateInsertionDesign,
     /// Policy for an axis at rest.
     pub rest: RestPolicy,
     /// Longest time from an edge until the engine acts on it, ns, for the gate.
@@ -63,8 +63,8 @@ impl MachineSpec {
     pub fn new(axes: Vec<AxisSpec>) -> Self {
         Self {
             axes,
-            controller: ControllerSpec::default(),
-            design: GateDesign::C,
+            controller: ControllerLimits::default(),
+            design: GateInsertionDesign::C,
             rest: RestPolicy::Insert { after_ns: REST_NS },
             detect_ns: 500,
             write_ns: 200,
@@ -86,7 +86,7 @@ impl MachineSpec {
         configs: &[AxisConfig],
         channels: &[String],
         known: &Machine,
-    ) -> Result<CorrectionControl, InputError> {
+    ) -> Result<CorrectorWithSensors, InputError> {
         let axes = self.axes.iter().zip(configs).map(|(axis, config)| AxisSetup {
             name: axis.name.to_owned(),
             count_um: axis.count_um,
@@ -94,7 +94,7 @@ impl MachineSpec {
             window_counts: config.window_counts,
             max_counts: config.max_correction_counts,
         });
-        let mut control = CorrectionControl::new(axes.collect(), channels, self.lead_s());
+        let mut control = CorrectorWithSensors::new(axes.collect(), channels, self.lead_s());
         control.load(known, &[])?;
         Ok(control)
     }
@@ -189,7 +189,7 @@ pub struct Sim {
     pub machine: SimMachine,
     corrected: GateCorrectedAxes,
     pub(crate) errors: TrueErrors,
-    control: Option<CorrectionControl>,
+    control: Option<CorrectorWithSensors>,
     control_ns: u64,
     next_control_ns: u64,
     events: Vec<Event>,
@@ -223,7 +223,7 @@ impl Sim {
         let corrected =
             GateCorrectedAxes::new(spec.design, &mut machine, &configs, lines, &origins, &mut |_| true)?;
         let control = known.map(|known| spec.control(&configs, &channels, known)).transpose()?;
-        let heat = Heat::cold(spec.ambient_degc, 0.02, seed).of(spec.network.clone());
+        let heat = ThermalNetwork::cold(spec.ambient_degc, 0.02, seed).with_network(spec.network.clone());
         let mut sim = Self {
             machine,
             corrected,
@@ -251,7 +251,7 @@ impl Sim {
 
     /// Reasons why axes do not follow the model now; empty if all follow.
     pub fn holding(&self) -> Vec<String> {
-        self.control.as_ref().map_or_else(Vec::new, CorrectionControl::holding)
+        self.control.as_ref().map_or_else(Vec::new, CorrectorWithSensors::holding)
     }
 
     /// The engine's status at this moment.

@@ -3,7 +3,7 @@
 
 use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
-use crate::machine::{ControllerSpec, SimMachine};
+use crate::machine::{ControllerLimits, SimMachine};
 use crate::nc_block::Block;
 use crate::trajectory::AXES;
 use crate::wired_machines::WiredMachines;
@@ -32,7 +32,7 @@ pub struct TrueAxisState {
     commanded: AtomicU64,
     /// Deviation of the axis from the command.
     /// It changes slowly, so a command read slightly too early is accurate enough.
-    off: AtomicU64,
+    deviation_counts: AtomicU64,
     mtc_count: AtomicI64,
     illegal: AtomicU64,
     /// Target of a jog, counts; NaN while it runs its cycle.
@@ -44,7 +44,7 @@ impl Default for TrueAxisState {
     fn default() -> Self {
         Self {
             commanded: AtomicU64::default(),
-            off: AtomicU64::default(),
+            deviation_counts: AtomicU64::default(),
             mtc_count: AtomicI64::default(),
             illegal: AtomicU64::default(),
             jog: AtomicU64::new(f64::NAN.to_bits()),
@@ -60,7 +60,7 @@ impl TrueAxisState {
 
     /// Deviation of the axis's scale position from the command, counts.
     pub fn off_counts(&self) -> f64 {
-        f64::from_bits(self.off.load(Ordering::Relaxed))
+        f64::from_bits(self.deviation_counts.load(Ordering::Relaxed))
     }
 
     /// Position of the axis by its scale, counts.
@@ -153,7 +153,7 @@ impl StrokeMotion {
         }
     }
 
-    fn to(&self, counts: f64) -> Block {
+    fn feed_block_to(&self, counts: f64) -> Block {
         let mut to = [0.0; AXES];
         to[0] = counts * MM_PER_COUNT;
         Block::Feed { to, feed_mm_s: self.feed_counts_s * MM_PER_COUNT }
@@ -164,7 +164,7 @@ impl StrokeMotion {
 /// A probe is in the middle of the first axis's stroke.
 pub fn moving_axes(axes: &[(AxisLines, StrokeMotion)], lines: MachineLines) -> (MovingAxes, Operator) {
     // Such a controller accepts any feedback, at any rate and with any deviation.
-    let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };
+    let controller = ControllerLimits { decoder_hz: f64::INFINITY, max_following_mm: f64::INFINITY };
     let (go, mut truth) = (Arc::<AtomicBool>::default(), Vec::new());
     let stroking = axes.iter().enumerate().map(|(n, &(lines, motion))| {
         let mut machine = SimMachine::new(&[motion.axis()], controller.clone(), [0.0; AXES]);
@@ -194,21 +194,21 @@ impl AttendedMachine for StrokingAxis {
         let jog = self.truth.jog.load(Ordering::Relaxed);
         let cycles = f64::from_bits(jog).is_nan();
         if std::mem::replace(&mut self.jogged, jog) != jog && !cycles {
-            self.machine.jog(self.motion.to(f64::from_bits(jog)));
+            self.machine.jog(self.motion.feed_block_to(f64::from_bits(jog)));
         } else if cycles && self.machine.finished() && self.go.load(Ordering::Relaxed) {
             let seconds = self.motion.dwell_s;
-            let stroke = self.motion.to(self.motion.stroke_counts);
+            let stroke = self.motion.feed_block_to(self.motion.stroke_counts);
             self.machine.load([
                 stroke,
                 Block::Dwell { seconds },
-                self.motion.to(0.0),
+                self.motion.feed_block_to(0.0),
                 Block::Dwell { seconds },
             ]);
         }
         let commanded_mm = self.machine.command.p_mm[0];
         let off_mm = self.machine.position_mm(0) - commanded_mm;
         self.truth.commanded.store((commanded_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);
-        self.truth.off.store((off_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);
+        self.truth.deviation_counts.store((off_mm / MM_PER_COUNT).to_bits(), Ordering::Relaxed);
     }
 
     fn changed(&mut self) {

@@ -1,7 +1,7 @@
 //! The machine's errors over time: the effects of its model under its own heat.
 //! They move tool and probe alike.
 
-use crate::heat::{Heat, SENSORS};
+use crate::heat::{SENSORS, ThermalNetwork};
 use crate::machine::SimMachine;
 use crate::noise::NoiseGenerator;
 use crate::trajectory::{AXES, AXIS_NAMES};
@@ -53,14 +53,14 @@ pub(crate) fn set_friction(machine: &mut SimMachine, effects: &[&Effect]) {
 /// The true machine's errors, and the heat that causes them.
 #[derive(Debug)]
 pub(crate) struct TrueErrors {
-    pub heat: Heat,
+    pub heat: ThermalNetwork,
     truth: LiveModel,
     pub channels: Vec<f64>,
     noise: NoiseGenerator,
 }
 
 impl TrueErrors {
-    pub(crate) fn new(truth: LiveModel, heat: Heat, seed: u64) -> Self {
+    pub(crate) fn new(truth: LiveModel, heat: ThermalNetwork, seed: u64) -> Self {
         let channels = vec![0.0; truth.layout().channels.len()];
         Self { heat, truth, channels, noise: NoiseGenerator::new(seed, 0xC0) }
     }
@@ -70,7 +70,7 @@ impl TrueErrors {
     }
 
     /// The present readings on a machine under these loads.
-    /// Their order is that of [`CorrectionControl`](crate::correction_control::CorrectionControl).
+    /// Their order is that of [`CorrectorWithSensors`](crate::corrector_with_sensors::CorrectorWithSensors).
     pub(crate) fn readings(&self, machine: &SimMachine, load_n: [f64; AXES]) -> impl Iterator<Item = f64> {
         let others = [machine.rpm, f64::from(u8::from(machine.coolant))];
         let logged = self.heat.readings_degc().iter().chain(&self.channels).copied();

@@ -1,11 +1,11 @@
 //! The experiment of NISTIR 4854 (section 2), step by step.
 //! Semi-finish cut, probing, errors, table, finish cut and inspection on the simulated machine.
 
-use crate::corrected_axis::GateDesign;
+use crate::corrected_axis::GateInsertionDesign;
 use crate::heat::SENSORS;
-use crate::lathe::{self, BEYOND_RAD, LatheConditions, LatheSpec, Move, arc_moves, probing_moves};
-use crate::lathe_program::{ProgramPurpose, ProgramResult, RunError, captured, run};
-use crate::machine::ControllerSpec;
+use crate::lathe::{self, BEYOND_RAD, LatheSetup, LatheSpec, Move, arc_moves, probing_moves};
+use crate::lathe_run::{ProgramPurpose, ProgramResult, RunError, captured, run};
+use crate::machine::ControllerLimits;
 use crate::trajectory::AXES;
 use crate::true_errors::{layout, of_the_probe};
 use crate::workpiece::Workpiece;
@@ -119,7 +119,7 @@ pub enum TurningError {
 
 /// Results of one probing session.
 #[derive(Debug, Clone)]
-pub struct ProbingSession {
+pub struct ProbingSessionResult {
     /// The captured trips.
     pub trips: Vec<Trip>,
     /// The record for `part errors`, with the temperatures at each trip.
@@ -224,7 +224,7 @@ pub const ORIGIN: Zx = Zx::new(300.0, 100.0);
 const PAUSE_S: f64 = 120.0;
 
 impl TurningExperiment {
-    fn gate_design(&self) -> Result<GateDesign, TurningError> {
+    fn gate_design(&self) -> Result<GateInsertionDesign, TurningError> {
         lathe::design(&self.design).ok_or_else(|| TurningError::Design(self.design.clone()))
     }
 
@@ -251,7 +251,7 @@ impl TurningExperiment {
     ) -> Result<ProgramResult, TurningError> {
         let path_mm = radius_mm + self.bench.nose_mm;
         let moves = arc_moves(self.centre, path_mm, self.cut_feed_mm_min / 60.0);
-        self.go(part, radius_mm, &moves, self.job(table), seed)
+        self.run_program(part, radius_mm, &moves, self.job(table), seed)
     }
 
     /// A cut with the known errors.
@@ -262,7 +262,7 @@ impl TurningExperiment {
         }
     }
 
-    fn go(
+    fn run_program(
         &self,
         part: &mut Workpiece,
         radius_mm: f64,
@@ -271,8 +271,8 @@ impl TurningExperiment {
         seed: u64,
     ) -> Result<ProgramResult, TurningError> {
         let (bench, machine, design) = (&self.bench, &self.machine, self.gate_design()?);
-        let decoder_hz = ControllerSpec::default().decoder_hz;
-        let stand = LatheConditions { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
+        let decoder_hz = ControllerLimits::default().decoder_hz;
+        let stand = LatheSetup { bench, machine, begin_s: self.begin_s, design, decoder_hz, seed };
         let ran = run(&stand, &self.cut(radius_mm), moves, job, part)?;
         let faults = ran.status.axes[..2].iter().any(|a| a.faults.any()) || ran.status.faults.any();
         if faults {
@@ -304,7 +304,7 @@ impl TurningExperiment {
         plan: &ProbingPlan,
         feed_mm_min: f64,
         seed: u64,
-    ) -> Result<ProbingSession, TurningError> {
+    ) -> Result<ProbingSessionResult, TurningError> {
         let approach: Vec<Zx> = plan.points.iter().map(|p| p.place.normal * -1.0).collect();
         self.probe_path(part, &plan.records(), &plan.expected(), &approach, feed_mm_min, seed)
     }
@@ -322,10 +322,11 @@ impl TurningExperiment {
         approach: &[Zx],
         feed_mm_min: f64,
         seed: u64,
-    ) -> Result<ProbingSession, TurningError> {
+    ) -> Result<ProbingSessionResult, TurningError> {
         let moves = probing_moves(records, feed_mm_min / 60.0);
         let mut part = part.clone();
-        let ran = self.go(&mut part, self.radius_mm, &moves, ProgramPurpose::Probe(self.tip_mm), seed)?;
+        let ran =
+            self.run_program(&mut part, self.radius_mm, &moves, ProgramPurpose::Probe(self.tip_mm), seed)?;
         // An axis is in the middle of a count; the scale's edges are half a count from there.
         let half_mm = self.bench.count_um * 5e-4;
         let edges = ORIGIN + Zx::new(half_mm, half_mm);
@@ -339,7 +340,7 @@ impl TurningExperiment {
             .map(|((t, truth), along)| (t.tip_centre - *truth).dot(*along).abs() * 1e3)
             .collect();
         let sensors: Vec<&str> = lathe::sensors().collect();
-        Ok(ProbingSession {
+        Ok(ProbingSessionResult {
             csv: probed_csv(&trips, approach, &sensors, &ran.degc),
             record: run_record(&trips, expected, approach, ORIGIN, &sensors, &ran.degc),
             worst_um: off.iter().copied().fold(0.0, f64::max),
@@ -353,7 +354,11 @@ impl TurningExperiment {
     ///
     /// # Errors
     /// The points give no circle.
-    pub fn errors(&self, session: &ProbingSession, radius_mm: f64) -> Result<PartErrorReport, TurningError> {
+    pub fn errors(
+        &self,
+        session: &ProbingSessionResult,
+        radius_mm: f64,
+    ) -> Result<PartErrorReport, TurningError> {
         let mut probed = ProbedPoints::parse(Path::new("probed.csv"), &session.csv)?;
         if let Some(model) = &self.model {
             probed.correct_geometric_thermal(model, ORIGIN)?;
@@ -417,7 +422,7 @@ impl TurningExperiment {
     ///
     /// # Errors
     /// The first step that cannot be done.
-    pub fn turn_nose(&self, corrected: bool) -> Result<ProbingSession, TurningError> {
+    pub fn turn_nose(&self, corrected: bool) -> Result<ProbingSessionResult, TurningError> {
         let semi_mm = self.radius_mm + self.allowance_mm;
         let (mut part, mut now) = (self.raw(), self.clone());
         let ran = now.turn(&mut part, semi_mm, None, self.seed)?;
@@ -435,7 +440,11 @@ impl TurningExperiment {
 
     /// Removes the machine's known errors from the session's record.
     /// Probing runs uncorrected, so a correct part shows the machine's errors (NISTIR 4832, probing mode).
-    fn correct_off_line(&self, session: &mut ProbingSession, plan: &ProbingPlan) -> Result<(), TurningError> {
+    fn correct_off_line(
+        &self,
+        session: &mut ProbingSessionResult,
+        plan: &ProbingPlan,
+    ) -> Result<(), TurningError> {
         let (Some(model), Some(record)) = (&self.model, &mut session.record) else { return Ok(()) };
         let mut probed = ProbedPoints::parse(Path::new("probed.csv"), &session.csv)?;
         let read = probed.tip_centre.clone();
@@ -509,7 +518,7 @@ impl TurningExperiment {
         let moves = self.program_moves(&table);
         // As with the arc, the move beyond each end does not count as a line of the program.
         let program_lines = moves.len().saturating_sub(2);
-        now.go(&mut other, self.radius_mm, &moves, self.job(None), self.seed + 4)?;
+        now.run_program(&mut other, self.radius_mm, &moves, self.job(None), self.seed + 4)?;
         let by_program = self
             .errors(&after.probe(&other, &plan, self.motion.feed_mm_min, self.seed + 5)?, self.radius_mm)?;
         let program = self.result(&by_program, &other, self.radius_mm)?;
@@ -602,7 +611,7 @@ impl TurningExperiment {
         files: &mut Vec<(String, Vec<u8>)>,
         step: &str,
         radius_mm: f64,
-        session: &ProbingSession,
+        session: &ProbingSessionResult,
         report: &PartErrorReport,
     ) -> Result<(), TurningError> {
         let (plan, unit) = (self.plan(radius_mm), Unit::MM);
@@ -684,7 +693,7 @@ fn known_form(model: &Machine, points: usize) -> Result<Option<Vec<PointError>>,
     Ok(Some(errors.collect()))
 }
 
-fn compare(feed_mm_min: f64, session: &ProbingSession) -> ProbingPerformance {
+fn compare(feed_mm_min: f64, session: &ProbingSessionResult) -> ProbingPerformance {
     let um_per_us = feed_mm_min / 60.0 * 1e-3;
     ProbingPerformance {
         feed_mm_min,

@@ -9,7 +9,7 @@ use rtec_driver::mock::Wires;
 
 /// A machine, and its axes' lines at the card.
 #[derive(Debug)]
-struct Station<A> {
+struct WiredMachine<A> {
     attended: A,
     lines: Vec<AxisLines>,
 }
@@ -17,7 +17,7 @@ struct Station<A> {
 /// Several machines on one card.
 #[derive(Debug)]
 pub struct WiredMachines<A> {
-    stations: Vec<Station<A>>,
+    stations: Vec<WiredMachine<A>>,
     probe: u64,
     hold: u64,
     /// Card time at which the machines' time begins, ns.
@@ -39,7 +39,7 @@ fn bit(line: Option<u8>) -> u64 {
     line.map_or(0, |b| 1 << b)
 }
 
-impl<A: AttendedMachine> Station<A> {
+impl<A: AttendedMachine> WiredMachine<A> {
     fn set_outputs(&mut self, outputs: u64, hold: u64) {
         let mut own = if outputs & hold == 0 { 0 } else { bit(OWN.hold) };
         for (n, lines) in self.lines.iter().enumerate() {
@@ -67,7 +67,7 @@ impl<A: AttendedMachine> WiredMachines<A> {
     /// Feed hold and probe are common to all.
     pub fn new(machines: impl IntoIterator<Item = (A, Vec<AxisLines>)>, lines: MachineLines) -> Self {
         let stations: Vec<_> =
-            machines.into_iter().map(|(attended, lines)| Station { attended, lines }).collect();
+            machines.into_iter().map(|(attended, lines)| WiredMachine { attended, lines }).collect();
         let fastest = stations.iter().map(|s| s.attended.machine().fastest_counts_s()).fold(1.0, f64::max);
         Self {
             stations,

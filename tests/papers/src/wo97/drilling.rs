@@ -7,7 +7,7 @@ use crate::rows::{Rows, shown};
 use rtec_measure::plot::{Chart, Colour, Series, Style};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_sim::compensation_experiments::ExperimentResults;
+use rtec_sim::compensation_experiments::ExperimentResult;
 use std::fmt::Write as _;
 
 /// Table 7, inches ·10⁻⁴: hole (and counterbore) by hole (and counterbore), X, Y, Z.
@@ -119,7 +119,7 @@ pub(super) fn drilling(
     let mut warm = run.experiment("drilling-fully-warm", Some(model))?;
     rows.figures.append(&mut cold.plots);
     rows.figures.append(&mut warm.plots);
-    let deviations = |found: &ExperimentResults, name: &str| -> Result<[Vec<f64>; 3], PaperError> {
+    let deviations = |found: &ExperimentResult, name: &str| -> Result<[Vec<f64>; 3], PaperError> {
         let record = record(found, name)?;
         Ok([0, 1, 2].map(|p| {
             let e = error_of(record, p);

@@ -4,7 +4,7 @@ use super::{AXES, INCH_UM, column, error_of, of_axis, record};
 use crate::rows::Agreement::Within;
 use crate::rows::Rows;
 use rtec_model::record::{Record, Role};
-use rtec_sim::compensation_experiments::ExperimentResults;
+use rtec_sim::compensation_experiments::ExperimentResult;
 
 /// Table 1, inches ·10⁻⁴: plane, feed, total error clockwise and counter-clockwise, reversal error likewise.
 type Circle = ((usize, usize), u32, [Option<f64>; 2], [Option<f64>; 2]);
@@ -22,7 +22,7 @@ const TABLE_1: [Circle; 9] = [
 
 /// Table 1: total error of each circle, largest minus smallest radial deviation about its own centre; and the largest step
 /// of either axis where it turns.
-pub(super) fn circles(rows: &mut Rows, found: &ExperimentResults) {
+pub(super) fn circles(rows: &mut Rows, found: &ExperimentResult) {
     let names = ["x", "y", "z"];
     let each = || {
         TABLE_1.iter().flat_map(|circle| {
@@ -65,7 +65,7 @@ pub(super) const GROWN_UM: f64 = 18e-4 * INCH_UM;
 
 /// The circles of a machine whose reversal of Z has grown to [`GROWN_UM`].
 /// They show what a reversal that grows with the speed does.
-pub(super) fn grown_reversal(rows: &mut Rows, found: &ExperimentResults) {
+pub(super) fn grown_reversal(rows: &mut Rows, found: &ExperimentResult) {
     let Ok(record) = record(found, "ballbar-yz-100") else { return };
     for (way, cycle, says) in [("CW", 2.0, 18.0), ("CCW", 1.0, 3.0)] {
         // Clockwise is what was set.
@@ -106,7 +106,7 @@ fn reversal(record: &Record, axis: usize, cycle: f64) -> f64 {
 }
 
 /// Table 2: the mean of both directions over the travel, and what sets the directions apart.
-pub(super) fn displacement(rows: &mut Rows, found: &ExperimentResults) -> [f64; 3] {
+pub(super) fn displacement(rows: &mut Rows, found: &ExperimentResult) -> [f64; 3] {
     let mut scales = [0.0; 3];
     for (p, (scale, reversal)) in
         [(0.0013, 0.0004), (0.0006, 0.0002), (0.0027, 0.0003)].into_iter().enumerate()
@@ -156,7 +156,7 @@ const TABLE_3: [[f64; 3]; 10] = [
     [-4.0, 4.0, 0.5],
 ];
 
-pub(super) fn tool_changes(rows: &mut Rows, found: &ExperimentResults) -> [f64; 3] {
+pub(super) fn tool_changes(rows: &mut Rows, found: &ExperimentResult) -> [f64; 3] {
     let mut largest = [0.0; 3];
     let Ok(record) = record(found, "tool-change-repeatability") else { return largest };
     for p in 0..3 {

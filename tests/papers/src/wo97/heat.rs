@@ -4,17 +4,17 @@ use super::{AXES, Centre, INCH_UM, PHASES, TABLE_4, TABLE_5, error_of, record};
 use crate::rows::Agreement::{AtMost, Within};
 use crate::rows::{Rows, shown};
 use rtec_model::record::Record;
-use rtec_sim::compensation_experiments::{ExperimentResults, GaugeReadings};
+use rtec_sim::compensation_experiments::{ExperimentResult, GaugeReadings};
 use rtec_sim::heat::FIGURE_9;
 
 /// What the five gauges showed in a record.
-fn gauges<'f>(found: &'f ExperimentResults, name: &str) -> &'f [GaugeReadings] {
+fn gauges<'f>(found: &'f ExperimentResult, name: &str) -> &'f [GaugeReadings] {
     found.gauges.iter().find(|g| g.0 == name).map_or(&[], |g| &g.1)
 }
 
 /// Tables 4 and 5 by phase, and how heating compares with cooling.
 /// Gives the drift of the wet three hours, µm.
-pub(super) fn drifts(rows: &mut Rows, found: &ExperimentResults) -> [[f64; 3]; 2] {
+pub(super) fn drifts(rows: &mut Rows, found: &ExperimentResult) -> [[f64; 3]; 2] {
     let mut three_hours = [[0.0; 3]; 2];
     let gets = FIGURE_9.iter().map(|c| c.1).sum();
     rows.given().number(("Figure 9", "length of the cycle", "min"), 435.0, gets, Within(0.0), "");
@@ -89,7 +89,7 @@ pub(super) fn table_6(rows: &mut Rows, scale: [f64; 3], positioning: [f64; 3], t
 }
 
 /// Figures 10, 11 and 13 to 15: housing and spindle, dry and wet.
-pub(super) fn dry_against_wet(rows: &mut Rows, found: &ExperimentResults) {
+pub(super) fn dry_against_wet(rows: &mut Rows, found: &ExperimentResult) {
     let (Ok(dry), Ok(wet)) = (record(found, "drift-dry"), record(found, "drift-wet")) else { return };
     let degc = |r: &Record, sensor: &str, minute: usize| r.temperature(sensor).map_or(0.0, |t| t[minute]);
     let (front, middle, rear) = ("T8", "T7", "T9");
@@ -123,7 +123,7 @@ pub(super) fn dry_against_wet(rows: &mut Rows, found: &ExperimentResults) {
 }
 
 /// Equations 2 to 4 as printed, with all temperatures alike, and at those of the simulated machine.
-pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &ExperimentResults) {
+pub(super) fn equations(rows: &mut Rows, centre: &Centre, found: &ExperimentResult) {
     let says = [("x", 0.4179), ("y", 0.4017), ("z", 0.5248)];
     for (equation, (axis, constant)) in centre.equation.iter().zip(says) {
         let place = format!("Equation {}", 2 + says.iter().position(|s| s.0 == axis).unwrap_or(0));

@@ -16,7 +16,7 @@ pub use starts::{STARTS, StartResult, starts};
 use model::wet_model;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_sim::compensation_experiments::{Experiment, ExperimentInputs, ExperimentResults};
+use rtec_sim::compensation_experiments::{Experiment, ExperimentInputs, ExperimentResult};
 use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::sim::MachineSpec;
 use serde::Deserialize;
@@ -109,7 +109,7 @@ impl<'a> Run<'a> {
     }
 
     /// An experiment of the characterisation, or with a model the drilling test without and with compensation.
-    fn experiment(&self, name: &str, known: Option<&Machine>) -> Result<ExperimentResults, PaperError> {
+    fn experiment(&self, name: &str, known: Option<&Machine>) -> Result<ExperimentResult, PaperError> {
         let setting = ExperimentInputs {
             spec: &self.spec,
             truth: self.truth,
@@ -132,7 +132,7 @@ pub(crate) fn run(
     let truth = described.machine(&centre.machine)?;
     let run = Run::new(&truth, seed);
     let mut rows = Rows::default();
-    let characterise = |rows: &mut Rows, name: &str| -> Result<ExperimentResults, PaperError> {
+    let characterise = |rows: &mut Rows, name: &str| -> Result<ExperimentResult, PaperError> {
         let mut found = run.experiment(name, None)?;
         rows.figures.append(&mut found.plots);
         Ok(found)
@@ -183,7 +183,7 @@ fn error_of(record: &Record, axis: usize) -> &[f64] {
     of_axis(record, Role::Error, axis)
 }
 
-fn record<'f>(findings: &'f ExperimentResults, name: &str) -> Result<&'f Record, PaperError> {
+fn record<'f>(findings: &'f ExperimentResult, name: &str) -> Result<&'f Record, PaperError> {
     let file = format!("{name}.run.toml");
     let found =
         findings.records.iter().find(|r| r.path.file_name().is_some_and(|n| n.to_string_lossy() == file));

@@ -10,7 +10,7 @@ use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::RequiredInput;
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Record, Role};
-use rtec_sim::compensation_experiments::ExperimentResults;
+use rtec_sim::compensation_experiments::ExperimentResult;
 use std::fmt::Write as _;
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
@@ -26,7 +26,7 @@ pub(super) fn wet_model(
     rows: &mut Rows,
     centre: &Centre,
     run: &Run<'_>,
-    found: &ExperimentResults,
+    found: &ExperimentResult,
 ) -> Result<Machine, PaperError> {
     let wet = record(found, "drift-wet")?;
     let z = error_of(wet, 2);
@@ -139,13 +139,13 @@ fn geometry(truth: &Machine) -> Result<Machine, PaperError> {
 mod tests {
     use super::*;
     use rtec_sim::described_machines::MachineDescriptions;
-    use rtec_sim::example::Example;
+    use rtec_sim::example_machines::ExampleMachine;
 
     /// `rtecctl model fit` in the example has the same base.
     #[test]
     fn the_example_knows_the_same_geometry() {
         let truth = MachineDescriptions::default().machine("wo97-machine.toml").unwrap();
-        let example = Example::find("wo97").unwrap().machine("machine.toml").unwrap();
+        let example = ExampleMachine::find("wo97").unwrap().machine("machine.toml").unwrap();
         let effects = |m: &Machine| m.effects().cloned().collect::<Vec<_>>();
         assert_eq!(effects(&geometry(&truth).unwrap()), effects(&example));
     }

@@ -150,7 +150,7 @@ impl Writer {
         if !file.metadata()?.is_file() {
             return Err(io::Error::other("it is no regular file"));
         }
-        self.give(&file);
+        self.grant_group_read(&file);
         let torn = whole_lines(&mut file)?;
         let known = self.head.n > 0;
         let mut missing = None;
@@ -181,7 +181,7 @@ impl Writer {
 
     /// Lets the group read a file, regardless of the process's umask.
     /// If the group cannot be set, only the daemon's user may read it.
-    fn give(&self, file: &File) {
+    fn grant_group_read(&self, file: &File) {
         if self.group.is_some() && fchown(file, None, self.group).is_ok() {
             let _ = file.set_permissions(Permissions::from_mode(0o640));
         }
@@ -193,7 +193,7 @@ impl Writer {
             return Ok(());
         }
         let file = own(OpenOptions::new().read(true).write(true).create(true)).open(head_path(&self.path))?;
-        self.give(&file);
+        self.grant_group_read(&file);
         let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, errno)| match errno {
             Errno::EWOULDBLOCK => {
                 io::Error::other("another process writes it: each rtecd needs a record of its own")

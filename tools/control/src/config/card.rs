@@ -6,7 +6,7 @@ use crate::profile;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::gpio::{self, GpioError, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId};
 use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{AddressSpace, CardProfile, Width, WordBit};
+use rtec_driver::profile::{AddressSpace, CardProfile, IoBit, Width};
 use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
 use rtec_files::nearest;
 use rtec_rt::link_messages::MAX_AXES;
@@ -304,7 +304,7 @@ fn wire(
     let direction = if output { "an output" } else { "an input" };
     let bit = match at.value {
         LineName::Name(name) => match (profile.lines.get(name), output) {
-            (Some(WordBit::Input(bit)), false) | (Some(WordBit::Output(bit)), true) => *bit,
+            (Some(IoBit::Input(bit)), false) | (Some(IoBit::Output(bit)), true) => *bit,
             (found, _) => {
                 let what = if found.is_some() { ", which goes the other way" } else { "" };
                 let names: Vec<&str> = profile.lines.keys().map(String::as_str).collect();

@@ -5,8 +5,8 @@ use super::{CardConfig, Config};
 use rtec_correct::Corrector;
 use rtec_files::keys::FileWithFindings;
 use rtec_files::message_text::quoted;
+use rtec_files::quadrature_trace::TraceReader;
 use rtec_files::toml::{Document, Table};
-use rtec_files::trace::TraceReader;
 use rtec_model::machine::Machine;
 use rtec_sensors::{SensorMonitor, SensorSource, bank};
 use std::path::Path;
@@ -54,7 +54,7 @@ fn model(source: &mut FileWithFindings<'_>, document: &Document<'_>, config: &mu
     if !whole {
         return;
     }
-    let setups = config.axes.iter().map(super::ConfiguredAxis::law).collect();
+    let setups = config.axes.iter().map(super::ConfiguredAxis::axis_setup).collect();
     let mut law = Corrector::new(setups, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
     let watches: Vec<SensorMonitor> = config.sensors.iter().cloned().map(SensorMonitor::new).collect();
     law.sense(0.0, &watches);

@@ -111,7 +111,7 @@ fn runs(config: &Config) {
     let machine = MachineConfig { lines: config.lines, may_arm: true };
     let Ok(mut engine) = Engine::new(&mut card, &config.engine_axes(), machine, &[]) else { return };
     engine.start_homed_at(&mut card, |n| config.axes[n].home_counts, &mut |_| true).expect("an engine");
-    let law = config.axes.iter().map(rtec_control::config::ConfiguredAxis::law).collect();
+    let law = config.axes.iter().map(rtec_control::config::ConfiguredAxis::axis_setup).collect();
     let mut corrector = Corrector::new(law, config.model.ramp_um_s, config.model.lead_ms * 1e-3, 0.0);
     for n in 0..600_u32 {
         if n % 100 == 0 {

@@ -74,7 +74,7 @@ fn outside_its_range_a_correction_fades_and_says_so() {
     bench.run(120.0, 2, |t| Some((20.0 + 0.1 * (t - 1000.0), 20.0)));
     // 3 K are 30 counts. 9 K more are outside the range, three times its width: a tenth is left.
     assert!((2..=4).contains(&bench.z()), "{}", bench.z());
-    let shown = bench.corrector.shown().unwrap();
+    let shown = bench.corrector.running_model().unwrap();
     assert!(shown.notes[0].contains("outside the range it was fitted on: 10 % of it is left"), "{shown:?}");
     let (total, sum) = bench.explained_um(2);
     assert!((total - sum).abs() < 1e-9);
@@ -93,7 +93,7 @@ fn a_part_is_explained_with_its_sensors_and_what_is_left_of_it() {
         assert_eq!(sensors, [("T1", Some(20.0 + delta_k)), ("T2", Some(20.0))]);
         assert_eq!(part.outside_k, outside_k);
         let outside: Vec<String> = bench.corrector.outside().collect();
-        let notes = bench.corrector.shown().unwrap().notes;
+        let notes = bench.corrector.running_model().unwrap().notes;
         match outside_k {
             Some(_) => {
                 assert!(outside == ["thermal_growth.z T1-T2"] && notes.len() == 1, "{outside:?} {notes:?}");

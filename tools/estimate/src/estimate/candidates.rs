@@ -182,7 +182,7 @@ pub(super) fn moments(
     without: &HypothesisSet,
     own: &Member,
 ) -> Option<[f64; 2]> {
-    use rtec_model::effect::Extent as _;
+    use rtec_model::effect::RecordExtent as _;
     let effect = own.cause.effect()?;
     let p = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment)?;
     let all = search.problem.rows.moments_s();

@@ -30,7 +30,7 @@ pub(super) struct FinalFitMember {
     /// Index of its first column; the linear ones come first, then the non-linear ones.
     pub(super) at: usize,
     pub(super) width: usize,
-    pub(super) bent: Vec<Bent>,
+    pub(super) bent: Vec<NonLinearParameter>,
     /// Coefficients that were left out.
     /// For each: number, index among the columns, and its standard deviation in its own unit.
     pub(super) left_out: Vec<(usize, usize, f64)>,
@@ -44,7 +44,7 @@ impl FinalFitMember {
 }
 
 /// A non-linear value in the last fit.
-pub(super) struct Bent {
+pub(super) struct NonLinearParameter {
     /// Index of the value.
     pub(super) value: usize,
     /// One standard deviation of it, in its unit.
@@ -60,7 +60,7 @@ pub(super) fn bent(
     set: &HypothesisSet,
     family: usize,
     effect: &Effect,
-) -> Vec<Bent> {
+) -> Vec<NonLinearParameter> {
     let families = &search.families.list;
     let family = &families[family];
     if family.replaces.is_some() || effect.width() > 1 {
@@ -91,7 +91,7 @@ pub(super) fn bent(
             }
             _ => (v.abs(), None),
         };
-        Some(Bent { value, sd, with })
+        Some(NonLinearParameter { value, sd, with })
     };
     law.parameters.iter().enumerate().filter_map(of).collect()
 }

@@ -12,9 +12,9 @@ use crate::rows::Rows;
 use crate::search_limits::{
     CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT,
 };
-use crate::shapes::{changing_wave, envelopes};
-use crate::wave::WaveVariable;
-use rtec_least_squares::{Factor, add, dot, products_beside};
+use crate::unnamed_shapes::{changing_wave, envelopes};
+use crate::wave::Periodogram;
+use rtec_least_squares::{QrFactor, add, dot, products_beside};
 use rtec_model::effect::{Effect, ParameterSearch, Refine, TemperatureDifference, ThermalDependence};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -130,7 +130,7 @@ impl HypothesisSearch<'_> {
             // Usual periods have half of the prior, and look like others on a grid. Some are finer than the
             // spectrum.
             let usual: Vec<f64> = facts.usual_mm.iter().map(|p| 1.0 / p).collect();
-            at.extend(along.near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
+            at.extend(along.strongest_near(weighed, &usual, 3e-4).into_iter().take(USUAL_TRIED));
         }
         let mut best = (f64::NEG_INFINITY, 0.0);
         for f in at {
@@ -268,7 +268,7 @@ impl HypothesisSearch<'_> {
             })
         };
         let mut all: Vec<ScreenedHypothesis> =
-            along.alike(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
+            along.alias_frequencies(1.0 / (effect.scalar(0) * unit)).into_iter().filter_map(of).collect();
         all.sort_by(|a, b| b.score.total_cmp(&a.score));
         all.truncate(TRIED);
         all
@@ -289,12 +289,12 @@ impl HypothesisSearch<'_> {
         for (c, b) in own.columns.iter().zip(&beta[without.len()..]) {
             add(&mut found, b * own.level, c);
         }
-        let found = without.beside(&found);
+        let found = without.projected_out(&found);
         let power = dot(&found, &found);
         let shows = |columns: Columns| {
-            let mut other = Factor::new(&found);
+            let mut other = QrFactor::new(&found);
             for c in columns {
-                other.push(&without.beside(&c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
+                other.push(&without.projected_out(&c).iter().map(|x| x * WIDE).collect::<Vec<_>>());
             }
             1.0 - dot(other.residual(), other.residual()) / power
         };
@@ -318,7 +318,7 @@ impl HypothesisSearch<'_> {
         let powers = (0..3).map(|p| knots.iter().map(|k| share(k).powi(p)).collect()).collect();
         let mut columns =
             self.columns(&Contribution::Map { effect: effect.clone(), directions: Arc::new(powers) });
-        let mut bow = Factor::new(&columns.pop().unwrap_or_default());
+        let mut bow = QrFactor::new(&columns.pop().unwrap_or_default());
         for line in columns {
             bow.push_free(&line);
         }
@@ -327,7 +327,7 @@ impl HypothesisSearch<'_> {
 
     /// Refines a seed's non-linear parameters to the best explanation.
     #[must_use]
-    pub fn refined(&self, factor: &Factor, seed: &ScreenedHypothesis) -> ScreenedHypothesis {
+    pub fn refined(&self, factor: &QrFactor, seed: &ScreenedHypothesis) -> ScreenedHypothesis {
         let Some(effect) = seed.cause.effect().cloned() else { return seed.clone() };
         let moves = parameter_steps(self.family(seed.family), &effect);
         if moves.is_empty() {
@@ -414,7 +414,11 @@ impl HypothesisSearch<'_> {
     /// A wave whose size changes along its travel, from a seed that is a wave.
     /// It has no name. What comes and goes has its strongest peaks beside its own frequency, so those near the
     /// seed's are tried too.
-    pub(crate) fn changing(&self, factor: &Factor, seed: &ScreenedHypothesis) -> Option<ScreenedHypothesis> {
+    pub(crate) fn changing(
+        &self,
+        factor: &QrFactor,
+        seed: &ScreenedHypothesis,
+    ) -> Option<ScreenedHypothesis> {
         let family = self.family(seed.family);
         let Scan::Wave { along, unit, .. } = &family.scan else { return None };
         let rows = self.problem.rows;
@@ -450,7 +454,7 @@ impl HypothesisSearch<'_> {
     }
 
     /// Sizes of a changing wave of a family.
-    fn envelopes(&self, family: usize, along: &WaveVariable) -> Rc<Columns> {
+    fn envelopes(&self, family: usize, along: &Periodogram) -> Rc<Columns> {
         let mut known = self.cache.envelopes.borrow_mut();
         let new = || Rc::new(envelopes(along, self.problem.rows.n));
         Rc::clone(known.entry(family).or_insert_with(new))

@@ -252,13 +252,13 @@ impl Header {
                 if cell.text().is_empty() {
                     continue;
                 }
-                return Err(cell.beyond(columns, &self.text));
+                return Err(cell.extra_field_finding(columns, &self.text));
             }
             take(columns, cell)?;
             columns += 1;
         }
         match self.names.get(columns) {
-            Some((missing, _)) => Err(row.short(columns, self.names.len(), missing)),
+            Some((missing, _)) => Err(row.missing_field_finding(columns, self.names.len(), missing)),
             None => Ok(()),
         }
     }

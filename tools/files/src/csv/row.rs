@@ -56,7 +56,7 @@ impl<'a> Row<'a> {
         (columns + 1..=2 * columns).contains(&cells.len()) && cells.iter().all(whole)
     }
 
-    pub(super) fn short(&self, cells: usize, columns: usize, missing: &str) -> InputError {
+    pub(super) fn missing_field_finding(&self, cells: usize, columns: usize, missing: &str) -> InputError {
         let found = format!("the end of the row after {cells} of {columns} fields");
         let column = self.text.chars().count() + 1;
         InputError::at(self.file, self.line, column, found, format!("the field {missing}"))
@@ -166,17 +166,17 @@ impl Cell<'_> {
 
     /// A finding at this cell: it shows the cell's text as what was found.
     pub fn finding(&self, expected: impl Into<String>) -> InputError {
-        self.said(shown(&self.text), expected)
+        self.finding_with_text(shown(&self.text), expected)
     }
 
     /// A finding at this cell, with the caller's own words for what was found.
-    pub fn said(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
+    pub fn finding_with_text(&self, found: impl Into<String>, expected: impl Into<String>) -> InputError {
         self.row.at(self.start, found, expected)
     }
 
     /// Column of the cell's first character, from 1.
     pub fn column(&self) -> usize {
-        self.said("", "").column
+        self.finding_with_text("", "").column
     }
 
     /// The cell's finite number.
@@ -191,7 +191,7 @@ impl Cell<'_> {
         number(&self.text).ok_or_else(|| self.finding("a finite number"))
     }
 
-    pub(super) fn beyond(&self, columns: usize, names: &str) -> InputError {
+    pub(super) fn extra_field_finding(&self, columns: usize, names: &str) -> InputError {
         let after =
             if names.len() <= 60 { names.to_owned() } else { format!("{columns} fields, one per column") };
         self.finding(format!("the end of the row after {after}"))

@@ -132,7 +132,7 @@ pub(super) struct GramColumns<'a> {
 }
 
 /// A least-squares solution on the folds.
-pub(super) struct FoldSolution {
+pub(super) struct CrossValidatedSolution {
     /// Mean square per fold, each left out.
     pub(super) mse: Vec<f64>,
     /// Constant, then one coefficient per term.
@@ -141,7 +141,7 @@ pub(super) struct FoldSolution {
     left: f64,
 }
 
-impl FoldSolution {
+impl CrossValidatedSolution {
     /// Root of the mean over the folds.
     pub(super) fn rms(&self) -> f64 {
         (self.mse.iter().sum::<f64>() / self.mse.len() as f64).sqrt()
@@ -235,7 +235,7 @@ impl<'a> GramColumns<'a> {
 
     /// Least squares on all folds, judged by leaving out each in turn.
     /// `None` if the columns are dependent.
-    pub(super) fn solve(&mut self) -> Option<FoldSolution> {
+    pub(super) fn solve(&mut self) -> Option<CrossValidatedSolution> {
         rtec_files::cancellable_computation::step();
         let response = &self.columns[0];
         let fit = self.roots_of_all.least_squares(&self.all)?;
@@ -252,7 +252,7 @@ impl<'a> GramColumns<'a> {
         coefficients.extend(fit[1..].iter().zip(terms).map(|(c, t)| c * response.scale / t.scale));
         let means: f64 = coefficients[1..].iter().zip(terms).map(|(c, t)| c * t.mean).sum();
         coefficients[0] = response.mean + fit[0] * response.scale - means;
-        Some(FoldSolution { mse, coefficients, left })
+        Some(CrossValidatedSolution { mse, coefficients, left })
     }
 
     /// Fits and judges these terms, whose columns are here.
@@ -260,13 +260,13 @@ impl<'a> GramColumns<'a> {
     pub(super) fn judge(&mut self, terms: &[Term]) -> Option<ValidatedStructure> {
         let solved = self.solve()?;
         let independent = independent(self.residuals(&solved).into_iter()).max(self.folds.len() as f64);
-        let FoldSolution { mse, coefficients, left } = solved;
+        let CrossValidatedSolution { mse, coefficients, left } = solved;
         let r = (1.0 - left).max(0.0).sqrt();
         Some(ValidatedStructure { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 
     /// The residual of the response, one value per bin of the folds.
-    fn residuals(&self, solved: &FoldSolution) -> Vec<f64> {
+    fn residuals(&self, solved: &CrossValidatedSolution) -> Vec<f64> {
         let response = &self.columns[0];
         let mut left: Vec<f64> = response.values.iter().map(|v| v * response.scale + response.mean).collect();
         for v in &mut left {

@@ -1,7 +1,7 @@
 //! The structure as effects of the dictionary.
 
-use super::interval::DifferenceBounds;
 use super::jackknife::{Intervals, Jackknife};
+use super::prediction_interval::TemperatureDifferenceBounds;
 use super::problem::Problem;
 use super::term::Term;
 use rtec_model::effect::laws::{coolant, offset, spindle_speed, thermal_growth, thermal_lag};
@@ -15,7 +15,7 @@ pub(super) fn effects(
     terms: &[Term],
     coefficients: &[f64],
     jackknife: &Jackknife,
-    guards: &[DifferenceBounds],
+    guards: &[TemperatureDifferenceBounds],
     response: &Role,
 ) -> Result<Vec<(Effect, Intervals)>, ValueError> {
     let dictionary = Dictionary::default();

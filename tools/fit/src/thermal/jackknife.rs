@@ -6,7 +6,7 @@ use super::cross_validation::independent;
 use super::problem::Problem;
 use super::rows::{Centred, Rows, lags_of};
 use super::term::{Term, relagged, squared};
-use crate::denoise::Spread;
+use crate::denoise::SmoothingUncertainty;
 use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_model::machine::NORMAL_95;
@@ -215,12 +215,17 @@ pub(super) fn jackknife(
 }
 
 /// Coefficients and lags fitted to random draws of the true temperatures.
-struct Drawn(Vec<(Vec<f64>, Vec<f64>)>);
+struct MonteCarloFits(Vec<(Vec<f64>, Vec<f64>)>);
 
-fn drawn(problem: &Problem, terms: &[Term], train: &[&Record], response: &Role) -> Result<Drawn, InputError> {
+fn drawn(
+    problem: &Problem,
+    terms: &[Term],
+    train: &[&Record],
+    response: &Role,
+) -> Result<MonteCarloFits, InputError> {
     let start_s = lags_of(problem, terms);
     let mut found = Vec::new();
-    let draws = if problem.spread.iter().all(Spread::is_empty) { 0 } else { DRAWS };
+    let draws = if problem.spread.iter().all(SmoothingUncertainty::is_empty) { 0 } else { DRAWS };
     for n in 0..draws {
         let drawn: Vec<Record> = problem.spread.iter().zip(train).map(|(s, r)| s.draw(r, n)).collect();
         let drawn: Vec<&Record> = drawn.iter().collect();
@@ -228,10 +233,10 @@ fn drawn(problem: &Problem, terms: &[Term], train: &[&Record], response: &Role) 
         let rows = Rows::with_lags(problem, terms, &lags_s, &drawn, response)?;
         found.extend(rows.solve(&|_| true).map(|c| (c, lags_s)));
     }
-    Ok(Drawn(found))
+    Ok(MonteCarloFits(found))
 }
 
-impl Drawn {
+impl MonteCarloFits {
     /// The interval of a value, including the uncertainty of its temperatures.
     fn allow_for(
         &self,

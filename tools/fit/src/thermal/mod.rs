@@ -25,7 +25,7 @@
 //! | `sensor_choice` | the choice of sensors alone, for comparison |
 //! | `select` | CASC, the refit, and the exchange of terms |
 //! | `rows` | least squares over every row |
-//! | `interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
+//! | `prediction_interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
 //! | `effects` | the structure as effects of the dictionary |
 //! | `compare` | simpler predictions, hold-outs, dry against wet |
 //! | `report`, `charts` | the results, as figures and charts |
@@ -34,8 +34,8 @@ mod charts;
 mod compare;
 mod cross_validation;
 mod effects;
-mod interval;
 mod jackknife;
+mod prediction_interval;
 mod problem;
 mod report;
 mod rows;
@@ -46,25 +46,25 @@ mod term;
 pub use charts::{prediction_chart, residual_chart};
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{
-    DryWet, FittedEffect, Interval, ParameterEstimate, RankedSensor, RedundantSensor, Rms, Round,
-    ThermalFitReport,
+    DryWet, FittedEffect, ParameterEstimate, PredictionInterval, RankedSensor, RedundantSensor, ResidualRms,
+    Round, ThermalFitReport,
 };
 pub use select::{REDUNDANT, ROUNDS};
 pub use sensor_choice::select_differences;
 
-use crate::denoise::{Spread, smoothed};
+use crate::denoise::{SmoothingUncertainty, smoothed};
 use crate::statistics::mean_square;
 use compare::{baselines, dry_wet, judge_holdouts};
 use cross_validation::ValidatedStructure;
 use effects::effects;
-use interval::{Watched, halves, mean_only, nested};
 use jackknife::{Jackknife, jackknife, tuned};
+use prediction_interval::{OfferedDifferences, halves, mean_only, nested};
 use problem::Problem;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_model::effect::{Effect, TemperatureDifference, ThermalDependence, ValueError};
-use rtec_model::machine::{FitNote, ListedEffect, Machine, Provenance, RecordRanges, SourceRecord};
+use rtec_model::machine::{EffectWithProvenance, FitNote, Machine, Provenance, RecordRanges, SourceRecord};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use term::{Term, unlagged};
@@ -155,7 +155,7 @@ pub fn fit(
     // The base's prediction is subtracted first.
     let beyond = |records: &[&Record]| {
         let of = |r: &&Record| match &options.base {
-            Some(base) => base.beyond(r),
+            Some(base) => base.without_prediction(r),
             None => Ok((*r).clone()),
         };
         records.iter().map(of).collect::<Result<Vec<Record>, InputError>>()
@@ -186,7 +186,7 @@ fn fit_response(
 ) -> Result<ThermalFitReport, InputError> {
     // Select terms and fit values on smoothed temperatures. Judge predictions on raw logs, as the live model
     // reads them.
-    let (quiet, spread): (Vec<Record>, Vec<Spread>) = train.iter().map(|r| smoothed(r)).unzip();
+    let (quiet, spread): (Vec<Record>, Vec<SmoothingUncertainty>) = train.iter().map(|r| smoothed(r)).unzip();
     let quiet: &[&Record] = &quiet.iter().collect::<Vec<_>>();
     let mut problem = Problem::new(quiet, response, options)?;
     problem.spread = spread;
@@ -237,7 +237,7 @@ fn fit_response(
         valid_until: date::format(options.date + options.valid_days),
         rms_um: blocks.mean_square().sqrt(),
         half_width_um: half_width_um.max(1e-9),
-        valid: Watched::new(&problem, train, response)?.ranges(&problem, &|_| true),
+        valid: OfferedDifferences::new(&problem, train, response)?.ranges(&problem, &|_| true),
         at_mm: None,
         by_kind_um: by_kind(train, half_width_um.max(1e-9)),
         from: train.iter().map(|r| SourceRecord::of(r)).collect(),
@@ -246,7 +246,7 @@ fn fit_response(
     // For the whole model, the base's uncertainty is added to that of the fit.
     let mut note = FitNote { at_mm: Some(FitNote::places(train)), ..note };
     if let Some(earlier) = machine.fits().iter().find(|f| f.response == note.response) {
-        note.on(earlier, rows.noise_um(&coefficients));
+        note.add_earlier_fit(earlier, rows.noise_um(&coefficients));
     }
     machine.note_fit(note);
     let later = judge_holdouts(&own, holdout, response)?;
@@ -273,14 +273,14 @@ fn fit_response(
         kept,
         pairs: problem.ranked_pairs(&all),
         effects: fitted,
-        rms_um: Rms {
+        rms_um: ResidualRms {
             train: rows.rms(&coefficients, &|_| true),
             folds_rms: blocks.mean_square().sqrt(),
             folds: blocks.folds,
             holdout: later.rms,
         },
         baselines,
-        interval95: Interval {
+        interval95: PredictionInterval {
             half_width_um,
             coverage_folds: blocks.coverage,
             coverage_halves,
@@ -380,7 +380,7 @@ fn unlike([later, earlier]: [f64; 2], half_width_um: f64) -> Option<String> {
 const OUTDONE: f64 = 1.1;
 
 /// A message if a simple prediction has smaller residuals than the fit.
-fn outdone(baselines: &BTreeMap<String, Rms>, folds: &[f64]) -> Option<String> {
+fn outdone(baselines: &BTreeMap<String, ResidualRms>, folds: &[f64]) -> Option<String> {
     let own = mean_square(folds).sqrt();
     let lines = baselines.iter().filter(|(name, _)| name.starts_with("linear "));
     let (name, line) = lines.map(|(n, b)| (n, b.mean_square().sqrt())).min_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -411,7 +411,7 @@ fn enter(
         fitted.push(FittedEffect::of(&effect, &interval));
         let provenance = provenance(&effect, train, date::format(options.date), interval);
         own.push(effect.clone(), provenance.clone())?;
-        take_in(machine, effect, provenance, train)?;
+        add_fitted_effect(machine, effect, provenance, train)?;
     }
     Ok(fitted)
 }
@@ -432,14 +432,15 @@ pub(crate) fn provenance(
 /// The set-up zeros of an earlier fit and of this one are added. The earlier one counts only if it acts in
 /// these
 /// runs, because then it was subtracted before this fit.
-fn take_in(
+fn add_fitted_effect(
     machine: &mut Machine,
     effect: Effect,
     provenance: Provenance,
     train: &[&Record],
 ) -> Result<(), ValueError> {
-    let earlier =
-        |l: &ListedEffect| l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name();
+    let earlier = |l: &EffectWithProvenance| {
+        l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name()
+    };
     let place = machine.listed().iter().position(earlier);
     let Some(n) = place else { return machine.push(effect, provenance) };
     let earlier = &machine.listed()[n];
@@ -455,7 +456,7 @@ mod tests {
 
     #[test]
     fn a_line_that_does_better_on_the_same_blocks_is_named() {
-        let rms = |folds: &[f64]| Rms {
+        let rms = |folds: &[f64]| ResidualRms {
             train: 1.0,
             folds: folds.to_vec(),
             folds_rms: mean_square(folds).sqrt(),

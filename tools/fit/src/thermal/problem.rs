@@ -3,7 +3,7 @@
 
 use super::Options;
 use super::term::{Pair, Term};
-use crate::denoise::Spread;
+use crate::denoise::SmoothingUncertainty;
 use crate::statistics::mean;
 use rtec_files::InputError;
 use rtec_least_squares::dot;
@@ -52,7 +52,7 @@ pub(super) struct Problem {
     pub(super) speed: Option<Vec<f64>>,
     pub(super) square: bool,
     /// Uncertainty of each record's smoothed temperatures, if known.
-    pub(super) spread: Vec<Spread>,
+    pub(super) spread: Vec<SmoothingUncertainty>,
 }
 
 /// The data for screening candidates at one lag, computed once for many pairs.

@@ -99,7 +99,7 @@ impl FittedEffect {
 
 /// RMS of the residual, µm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Rms {
+pub struct ResidualRms {
     /// On the data of the fit.
     pub train: f64,
     /// On every block, with structure and parameters chosen without it.
@@ -110,7 +110,7 @@ pub struct Rms {
     pub holdout: Vec<f64>,
 }
 
-impl Rms {
+impl ResidualRms {
     /// Mean square over the blocks.
     pub(super) fn mean_square(&self) -> f64 {
         mean_square(&self.folds)
@@ -119,7 +119,7 @@ impl Rms {
 
 /// The 95 % prediction interval.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Interval {
+pub struct PredictionInterval {
     /// Half width where the model knows most, µm.
     /// It is wider after a start and beyond the range of the fit.
     pub half_width_um: f64,
@@ -176,11 +176,11 @@ pub struct ThermalFitReport {
     /// The fitted effects.
     pub effects: Vec<FittedEffect>,
     /// RMS of the residuals.
-    pub rms_um: Rms,
+    pub rms_um: ResidualRms,
     /// Residual RMS of simpler predictions on the same blocks (mean) and hold-outs.
-    pub baselines: BTreeMap<String, Rms>,
+    pub baselines: BTreeMap<String, ResidualRms>,
     /// The prediction interval.
-    pub interval95: Interval,
+    pub interval95: PredictionInterval,
     /// Dry against wet, if the data have both.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dry_wet: Option<DryWet>,

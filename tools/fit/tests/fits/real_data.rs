@@ -4,9 +4,9 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_fit::thermal::{self, Options};
+use rtec_measure::drilled_plate;
 use rtec_measure::import;
 use rtec_measure::iso230;
-use rtec_measure::plate;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::{Path, PathBuf};
 
@@ -72,9 +72,9 @@ fn real_plate_equals_the_owners_fit() {
         return;
     };
     let record = import::cmm_plate(&path, &text, Path::new("plate.run.toml")).unwrap();
-    let squares = plate::evaluate(&record, plate::Norm::Squares).unwrap();
+    let squares = drilled_plate::evaluate(&record, drilled_plate::Norm::Squares).unwrap();
     // The owners minimise the sum of the fourth powers (a squared length handed to a least-squares routine).
-    let p = plate::evaluate(&record, plate::Norm::Fourth).unwrap();
+    let p = drilled_plate::evaluate(&record, drilled_plate::Norm::Fourth).unwrap();
     let owners = |key: &str, n: usize| -> f64 {
         let line = fit.lines().find(|l| l.starts_with(key)).unwrap();
         line[key.len()..].split_whitespace().nth(n).unwrap().parse().unwrap()
@@ -106,7 +106,7 @@ fn real_plate_equals_the_owners_fit() {
 fn the_older_plate_reads_too() {
     let Some((path, text)) = shared("plate_cmm/D2130A1") else { return };
     let record = import::cmm_plate(&path, &text, Path::new("plate.run.toml")).unwrap();
-    let p = plate::evaluate(&record, plate::Norm::Squares).unwrap();
+    let p = drilled_plate::evaluate(&record, drilled_plate::Norm::Squares).unwrap();
     assert_eq!(p.holes, text.lines().skip(4).filter(|l| !l.trim().is_empty()).count());
     assert!(p.rms_um > 1.0 && p.rms_um < 10.0, "{}", p.rms_um);
 }

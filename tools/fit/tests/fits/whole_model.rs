@@ -136,7 +136,7 @@ fn runs(truth: &Truth, d: &mut Dice) -> Vec<Record> {
 }
 
 fn left(machine: &Machine, record: &Record, response: &Role) -> Vec<f64> {
-    machine.beyond(record).unwrap().data(response).unwrap().to_vec()
+    machine.without_prediction(record).unwrap().data(response).unwrap().to_vec()
 }
 
 #[test]

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use rtec_files::Result;
 use rtec_least_squares::{Directions, orthonormal, projected_out};
 use rtec_model::ballbar_circle::{rates, tick};
-use rtec_model::effect::{Dictionary, Effect, EffectColumns, laws};
+use rtec_model::effect::{Dictionary, Effect, EffectInputColumns, laws};
 use rtec_model::record::{Axis, Role, median, rounding_error};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -297,7 +297,7 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
                     have wider intervals for it; measure both ways";
         warnings.push(text.to_owned());
     }
-    let mut shown = fit.shown();
+    let mut shown = fit.value_uncertainty();
     fit.average(axes, &told, &mut shown);
     let found = fit.answer(axes, &told, &shown);
     let lost = fit.not_told(&told, &shown);
@@ -317,7 +317,7 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
 fn circle_of(trace: &Trace) -> [f64; 3] {
     let contours = trace.evaluate();
     let n = contours.len().max(1) as f64;
-    let mean = |of: &dyn Fn(&super::Contour) -> f64| contours.iter().map(of).sum::<f64>() / n;
+    let mean = |of: &dyn Fn(&super::ContourResult) -> f64| contours.iter().map(of).sum::<f64>() / n;
     [mean(&|c| c.radius_um), mean(&|c| c.centre_um[0]), mean(&|c| c.centre_um[1])]
 }
 
@@ -444,7 +444,7 @@ impl<'t> Fit<'t> {
         effect: &Effect,
         only: Option<usize>,
         width: usize,
-        fill: impl Fn(&EffectColumns<'_>, usize, &mut [f64]),
+        fill: impl Fn(&EffectInputColumns<'_>, usize, &mut [f64]),
     ) -> Vec<DVector<f64>> {
         let mut out = vec![DVector::zeros(self.n); width];
         for (i, t) in self.traces.iter().enumerate().filter(|(i, _)| only.is_none_or(|o| o == *i)) {
@@ -657,16 +657,16 @@ impl<'t> Fit<'t> {
     }
 
     /// Half widths and resolution of each free value, and the structure.
-    pub(super) fn shown(&self) -> ValueUncertainty {
+    pub(super) fn value_uncertainty(&self) -> ValueUncertainty {
         let j = self.jacobian();
         let left = self.left();
         let freedom = self.freedom(j.ncols());
         let white = self.white(&left);
-        let variance = white.norm_squared() / freedom * UnexplainedHarmonics::hangs_together(&white);
+        let variance = white.norm_squared() / freedom * UnexplainedHarmonics::excess_correlation(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
         let variance = self.traces.iter().map(Trace::rounding_um2).fold(variance, f64::max);
         let directions = Directions::by(&j);
-        let told_beside = self.told(&left, variance);
+        let told_beside = self.structure_variance(&left, variance);
         // Change of each value per µm in each of the laws' orders.
         let moves = told_beside
             .map(|_| directions.solve_all(&self.each_column(&self.structure.taken, |c| self.white(c))));
@@ -718,7 +718,7 @@ impl<'t> Fit<'t> {
             odds += without.odds(columns, DRIFT_UM);
         }
         let share = (1.0 + (-odds).exp()).recip();
-        let halves = without.shown().halves;
+        let halves = without.value_uncertainty().halves;
         let values = without.terms.iter().flat_map(|t| t.free.iter().map(|i| t.parts[0].0.values()[*i]));
         let mut others = values.zip(halves);
         let mut at = 0;
@@ -939,7 +939,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Estimates the structure in the laws' orders from the harmonics.
-    fn told(&self, left: &DVector<f64>, variance: f64) -> Option<StructureVariance> {
+    fn structure_variance(&self, left: &DVector<f64>, variance: f64) -> Option<StructureVariance> {
         let harmonics = &self.structure.columns;
         if harmonics.ncols() == 0 {
             return None;
@@ -947,7 +947,7 @@ impl<'t> Fit<'t> {
         let all = self.all_whitened(harmonics);
         let directions = Directions::by(&all);
         let variances = directions.covariance.diagonal() * variance;
-        self.structure.told(&directions.solve(&self.whitened(left)), &variances)
+        self.structure.structure_variance(&directions.solve(&self.whitened(left)), &variances)
     }
 }
 

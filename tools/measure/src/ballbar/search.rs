@@ -3,7 +3,7 @@
 use super::diagnosis::{Fit, columns_of};
 use super::{law, unexplained_structure};
 use nalgebra::{DMatrix, DVector};
-use rtec_least_squares::{Factor, orthonormal, projected_out};
+use rtec_least_squares::{QrFactor, orthonormal, projected_out};
 use rtec_model::effect::{Dictionary, Effect, laws};
 use rtec_model::record::{Axis, median, span};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -79,7 +79,7 @@ impl Fit<'_> {
     fn drop_endless(&mut self, told: &mut Vec<String>) {
         let longest_mm = self.traces[0].record.circle().map_or(f64::INFINITY, |c| c.radius_mm) / 2.0;
         let before = self.terms.len();
-        let halves = self.shown().halves;
+        let halves = self.value_uncertainty().halves;
         let mut at = 0;
         self.terms.retain(|t| {
             let half = halves.get(at).copied().unwrap_or(0.0);
@@ -173,7 +173,7 @@ impl Fit<'_> {
     pub(super) fn odds(&self, columns: &[DVector<f64>], typical_um: f64) -> f64 {
         let (q, left, variance) = self.prepared();
         let left = left / variance.sqrt();
-        let mut factor = Factor::new(left.as_slice());
+        let mut factor = QrFactor::new(left.as_slice());
         for c in columns {
             factor.push((self.apart(&q, c) * (typical_um / variance.sqrt())).as_slice());
         }

@@ -76,7 +76,7 @@ impl UnexplainedHarmonics {
 
     /// Variance of sums of the whitened residual, relative to white noise, at least 1.
     /// Above 1 the residual is correlated more than the noise model says.
-    pub(super) fn hangs_together(white: &DVector<f64>) -> f64 {
+    pub(super) fn excess_correlation(white: &DVector<f64>) -> f64 {
         let n = white.len();
         let own = white.norm_squared() / n.max(1) as f64;
         let of = |rows: usize| {
@@ -107,7 +107,7 @@ impl UnexplainedHarmonics {
     }
 
     /// Estimates the structure in the laws' orders from the fitted amplitudes.
-    pub(super) fn told(
+    pub(super) fn structure_variance(
         &self,
         amplitude: &DVector<f64>,
         variance: &DVector<f64>,

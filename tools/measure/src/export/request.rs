@@ -7,9 +7,9 @@ use super::{
     beckhoff, siemens, siemens_cec, usage,
 };
 use rtec_files::Result;
-use rtec_files::date;
 #[cfg(feature = "clap")]
-use rtec_files::options::one_of;
+use rtec_files::cli_options::one_of;
+use rtec_files::date;
 use rtec_model::machine::{FitNote, Machine};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -184,7 +184,7 @@ impl ExportRequest {
         let mut warnings = machine.doubts(date::today());
         warnings.extend(errors.doubts()?);
         let along = self.to.along.as_ref().unwrap_or(&self.axis);
-        warnings.extend(beyond(machine, &self.axis, along, [self.wanted.from_mm, self.wanted.to_mm]));
+        warnings.extend(range_warnings(machine, &self.axis, along, [self.wanted.from_mm, self.wanted.to_mm]));
         warnings.extend(self.coarse(&table, rules.both));
         let (left, points, held) = (table.left, table.points.len(), errors.temperatures_degc()?);
         let spike_um = errors.behind_turn_um(f64::midpoint(self.wanted.from_mm, self.wanted.to_mm))?;
@@ -263,7 +263,7 @@ impl ExportRequest {
 }
 
 /// Warnings about a table beyond the range that the model was stated or fitted on.
-fn beyond(machine: &Machine, axis: &str, along: &str, [from, to]: [f64; 2]) -> Vec<String> {
+fn range_warnings(machine: &Machine, axis: &str, along: &str, [from, to]: [f64; 2]) -> Vec<String> {
     let mut found = machine.beyond_stated(|a| {
         (a.as_str() == along).then(|| (0..=100).map(|k| from + (to - from) * f64::from(k) / 100.0).collect())
     });

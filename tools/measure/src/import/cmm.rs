@@ -1,7 +1,7 @@
 //! Hole tables of coordinate measuring machines.
 
 use super::letter;
-use crate::plate::NOMINAL_DIAMETER;
+use crate::drilled_plate::NOMINAL_DIAMETER;
 use rtec_files::{DecimalMarks, InputError, Result};
 use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;

@@ -5,9 +5,9 @@ use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rt
 use crate::Sink;
 use crate::derivatives::derive;
 use crate::export::linuxcnc::Unit;
-use rtec_files::file_kind::FileKind;
 #[cfg(feature = "clap")]
-use rtec_files::options::one_of;
+use rtec_files::cli_options::one_of;
+use rtec_files::file_kind::FileKind;
 use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record, RunKind};

@@ -97,7 +97,7 @@ pub fn shdr(
     let mut columns = vec![Column::new("t", Role::Time, times)];
     columns.extend(wanted.iter().zip(data).map(|(w, data)| w.filled(data)));
     let mut record = record_of(to, kind, columns, log)?;
-    let counted = text.parse().ok().and_then(clock_column::counted);
+    let counted = text.parse().ok().and_then(clock_column::recognise_epoch_time);
     record.date = match &counted {
         Some(EpochTime { day, .. }) => Some(day.clone()),
         None => text.contains('-').then(|| day(first)),

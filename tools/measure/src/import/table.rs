@@ -5,7 +5,7 @@ use super::{add_note, finite, record_of};
 use rtec_files::clock_column::{self, ClockColumn, EpochTime, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
 use rtec_files::text::rounded;
-use rtec_files::{DecimalMarks, InputError, Result, TableMarks, units};
+use rtec_files::{DecimalMarks, InputError, Result, TableNumberFormat, units};
 use rtec_model::record::{Column, LINEAR, Record, Role, RunKind};
 use std::borrow::Cow;
 use std::path::Path;
@@ -96,7 +96,7 @@ impl ImportColumn {
         let scale = [factor * further[0], add * further[0] + further[1]];
         Ok(Self {
             column: column.to_owned(),
-            name: units::restated(name, unit_there),
+            name: units::with_unit_replaced(name, unit_there),
             unit: unit_there.to_owned(),
             role,
             scale,
@@ -234,7 +234,7 @@ pub fn table(
     let wanted = wanted.as_slice();
     let (numbers, written) = numbers(from, &text, wanted, form, &places)?;
     let mut data = vec![Vec::new(); wanted.len()];
-    let mut clock = Clock::of(&text, wanted, &places, reader.separator());
+    let mut clock = TimeColumnState::of(&text, wanted, &places, reader.separator());
     let by = reader.separator();
     let cut = cut_line(whole, by);
     while let Some(row) = reader.row()? {
@@ -398,7 +398,7 @@ fn slash_order(text: &str, place: usize, by: char) -> Option<clock_column::Slash
 
 /// State of a time column that may not begin with the run.
 #[derive(Default)]
-struct Clock {
+struct TimeColumnState {
     moments: ClockColumn,
     /// The last time as written.
     written: String,
@@ -408,7 +408,7 @@ struct Clock {
     last: Option<f64>,
 }
 
-impl Clock {
+impl TimeColumnState {
     /// For a table's time column, whose dates may show their order.
     fn of(text: &str, wanted: &[ImportColumn], places: &[usize], by: char) -> Self {
         let time = wanted.iter().zip(places).find(|(w, _)| w.role == Role::Time);
@@ -447,7 +447,7 @@ impl Clock {
         let counted = || match () {
             () if in_days => clock_column::spreadsheet(number),
             () if in_filetime => clock_column::filetime(number),
-            () => clock_column::counted(number * w.scale[0]),
+            () => clock_column::recognise_epoch_time(number * w.scale[0]),
         };
         let instead = |time: &str, EpochTime { unit, what, .. }: EpochTime| {
             format!("a time in {time}: this is {what} in {unit}, as {}=time:{unit}", w.column)
@@ -457,7 +457,9 @@ impl Clock {
                 return Err(instead("s, or its unit", found));
             }
             self.counted = Some((number, found));
-        } else if let Some(found) = clock_column::counted(number).filter(|_| first && w.scale[0] > 1.0) {
+        } else if let Some(found) =
+            clock_column::recognise_epoch_time(number).filter(|_| first && w.scale[0] > 1.0)
+        {
             // The number is a clock in its own unit, but not in minutes or hours.
             return Err(instead("the unit of its clock", found));
         }
@@ -518,7 +520,7 @@ fn numbers(
         return Ok((vec![DecimalMarks::written(if comma { ',' } else { '.' }); places.len()], None));
     }
     let (mut reader, _) = opened(from, text, wanted, form)?;
-    let marks = TableMarks::of(&mut reader)?;
+    let marks = TableNumberFormat::of(&mut reader)?;
     let written = if form.by.is_none() { marks.written(from) } else { marks.questions(from) };
     Ok((places.iter().map(|place| marks.numbers(*place)).collect(), written))
 }

@@ -104,7 +104,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
         b_d: largest(|p| p.B),
         squareness_urad,
         squareness_standard_error_urad,
-        scale_standard_error_ppm: together(all.iter().map(scale_error)),
+        scale_standard_error_ppm: standard_error_of_mean(all.iter().map(scale_error)),
         scale_ppm: scales.iter().sum::<f64>() / scales.len().max(1) as f64,
         diagonals: all,
         warnings,
@@ -198,7 +198,7 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal> {
 /// `None` without a direction column, or if the rows are not in order of movement: then both directions occur
 /// under each sense.
 fn sense(record: &Record, own: &Axis, along: &[f64]) -> Option<f64> {
-    let way = record.way(own)?;
+    let way = record.direction_or_velocity(own)?;
     let step = |i: usize| along[i] - along[i - 1];
     let mean = |rising: bool| -> Option<f64> {
         let rows: Vec<usize> =
@@ -222,14 +222,14 @@ fn direction(
     unit: &[f64],
 ) -> Option<Vec<f64>> {
     let turned = |(a, sense): (&Axis, f64)| -> Option<Vec<f64>> {
-        Some(record.way(a)?.iter().map(|v| rtec_model::effect::sign(*v) * sense).collect())
+        Some(record.direction_or_velocity(a)?.iter().map(|v| rtec_model::effect::sign(*v) * sense).collect())
     };
     let of_axis = || moving.iter().zip(unit).find_map(|((a, ..), u)| turned((a, u.signum())));
     own.and_then(turned).or_else(of_axis)
 }
 
 /// Standard error of the mean of values with these standard errors.
-fn together(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
+fn standard_error_of_mean(errors: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
     let n = errors.len() as f64;
     let squares: Option<f64> = errors.map(|error| Some(error?.powi(2))).sum();
     Some(squares?.sqrt() / n)
@@ -281,7 +281,7 @@ fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Opti
                 let error =
                     |d: &&Diagonal| Some(d.slope_standard_error_um? * d.along.travel_mm / area(d) * 1000.0);
                 let pair = format!("{}.{}", own[0].axes[i], own[0].axes[j]);
-                errors.insert(pair.clone(), together(own.iter().map(error)));
+                errors.insert(pair.clone(), standard_error_of_mean(own.iter().map(error)));
                 found.insert(pair, mean);
             }
         }

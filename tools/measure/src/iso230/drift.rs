@@ -5,7 +5,7 @@ mod scatter;
 mod spans;
 mod streamed;
 
-pub(crate) use streamed::StreamedDrift;
+pub(crate) use streamed::StreamedDriftTest;
 
 use super::{CircleAndDriftUncertainty, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};

@@ -13,11 +13,11 @@ use rtec_model::record::{Axis, Column, Record, Role, mean};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-mod change;
+mod drift_or_step;
 
-pub(super) use change::dot;
-use change::{Change, UNCHANGED};
-pub use change::{Step, Trend};
+pub(super) use drift_or_step::dot;
+use drift_or_step::{DriftOrStep, UNCHANGED};
+pub use drift_or_step::{Step, Trend};
 
 /// Axes longer than this, mm, have one approach from each side and no s.
 /// (ISO 230-2:2014, 5.3.3.)
@@ -170,7 +170,9 @@ pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positi
 fn direction_of<'r>(record: &'r Record, axis: &Axis) -> Result<&'r [f64]> {
     let role = Role::Direction(axis.clone());
     let expected = "a column of role direction.AXIS";
-    let direction = record.way(axis).ok_or_else(|| lacks(record, "no direction of approach", expected))?;
+    let direction = record
+        .direction_or_velocity(axis)
+        .ok_or_else(|| lacks(record, "no direction of approach", expected))?;
     let count = |of: fn(f64) -> bool| direction.iter().filter(|d| of(**d)).count();
     let (zeros, ups, downs) = (count(|d| d == 0.0), count(|d| d > 0.0), count(|d| d < 0.0));
     // A row of direction 0 belongs to neither side; a quarter of such rows is a mistake.
@@ -306,8 +308,8 @@ impl AxisRun<'_> {
         let resolution = self.resolution(unit);
         let [r_up, r_down] = [&ups, &downs].map(|side| largest(side.iter().map(|(_, s)| 4.0 * s)));
         let (drift, step) = match self.change([repeatability, r_up, r_down, reversal[0], reversal[1]], unit) {
-            Some(Change::Drift(drift)) => (Some(drift), None),
-            Some(Change::Step(step)) => (None, Some(step)),
+            Some(DriftOrStep::Drift(drift)) => (Some(drift), None),
+            Some(DriftOrStep::Step(step)) => (None, Some(step)),
             None => (None, None),
         };
         let mut found = Positioning {

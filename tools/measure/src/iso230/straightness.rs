@@ -108,7 +108,7 @@ fn slope_error(off: &[StraightPlace]) -> f64 {
 fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
     let position = record.position(axis).unwrap_or_default();
     let error = record.data(&Role::Error(across.clone())).unwrap_or_default();
-    let direction = record.way(axis);
+    let direction = record.direction_or_velocity(axis);
     let mut places = Vec::new();
     let mut spreads: Vec<f64> = Vec::new();
     for MeasuredPosition { position_mm, up, down } in super::places(position, direction, error) {

@@ -2,7 +2,7 @@
 
 use super::sensor_regression::{sensor_regression, with_lags};
 use super::stats::{median, middle_range, range};
-use super::{MistakeKind, Suspicion, repeats};
+use super::{MistakeKind, Suspicion, approach_outliers};
 use crate::iso230::correlation;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, mean, span};
 
@@ -179,7 +179,7 @@ fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     // On a plate or a circle the other moving axes are part of the place; their bins are coarser.
     let mut bins = vec![own];
     for other in a.axes(Role::Position).filter(|o| *o != axis) {
-        bins.extend(Bins::of(other, 4, a, b).filter(|o| o.size > repeats::MOVES * bins[0].size));
+        bins.extend(Bins::of(other, 4, a, b).filter(|o| o.size > approach_outliers::MOVES * bins[0].size));
     }
     let all = bins.iter().map(|b| b.count).product::<usize>();
     let means = |r: &Record, e: &[f64], side: usize| {
@@ -232,7 +232,7 @@ fn by_temperature(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     }
     let opposite = |a: &Record, ea: &[f64], b: &Record, eb: &[f64]| {
         let told = sensor_regression(a, ea, &names);
-        let says = told.says(b, &names);
+        let says = told.predict(b, &names);
         let ratio = middle_range(&says) / middle_range(eb).max(1e-12);
         told.left < 0.25 * middle_range(ea) / 3.3
             && correlation(&says, eb) < -0.85
@@ -265,8 +265,8 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
         // Both directions must agree: a regression from one load only may fail for another load and look the
         // same.
         let crosses = |a: &Record, b: &Record, rest: &[&str]| {
-            crosses(a, b, (p, q), rest).is_some_and(|by| by > CERTAINLY)
-                && crosses(b, a, (p, q), rest).is_some_and(|by| by > LIKELY)
+            exchange_error_ratio(a, b, (p, q), rest).is_some_and(|by| by > CERTAINLY)
+                && exchange_error_ratio(b, a, (p, q), rest).is_some_and(|by| by > LIKELY)
         };
         let found = crosses(a, b, &rest) || {
             // Heat that one body passes to another arrives late.
@@ -281,11 +281,11 @@ fn exchanged(a: &Record, b: &Record) -> Option<Vec<String>> {
 /// How much better a pair of sensors fits another record when exchanged.
 /// A regression on the other sensors, fitted on `a`, predicts the pair in `b`. Returns the ratio of the
 /// errors as labelled to those exchanged; `None` if a column is missing.
-fn crosses(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
+fn exchange_error_ratio(a: &Record, b: &Record, (p, q): (&str, &str), rest: &[&str]) -> Option<f64> {
     let columns = (a.temperature(p), a.temperature(q), b.temperature(p), b.temperature(q));
     let (Some(ap), Some(aq), Some(bp), Some(bq)) = columns else { return None };
     let (of_p, of_q) = (sensor_regression(a, ap, rest), sensor_regression(a, aq, rest));
-    let (says_p, says_q) = (of_p.says(b, rest), of_q.says(b, rest));
+    let (says_p, says_q) = (of_p.predict(b, rest), of_q.predict(b, rest));
     let away = |t: &[f64], says: &[f64]| {
         let d: f64 = t.iter().zip(says).map(|(t, s)| (t - s).powi(2)).sum();
         (d / t.len() as f64).sqrt()

@@ -9,11 +9,11 @@
 //! |---|---|
 //! | `sensors` | one temperature or channel against the others: unplugged, range, unit, jump, outliers, a copy |
 //! | `motion` | positions, directions, speeds, times and errors of a run against one another |
-//! | `rows` | duplicated rows, outliers and constant stretches of responses |
+//! | `duplicates_and_outliers` | duplicated rows, outliers and constant stretches of responses |
 //! | `small_sample_outliers` | outliers in records of few rows |
 //! | `misplaced_digits` | a position with a misplaced decimal point or a lost digit |
 //! | `stuck` | a frozen sensor, by its noise at other times and by the other sensors |
-//! | `repeats` | single approaches far from the others to the same target |
+//! | `approach_outliers` | single approaches far from the others to the same target |
 //! | `physical_peaks` | where a short peak is physical, and in which orders rows are neighbours |
 //! | `pieces` | a record too long for memory, piece by piece |
 //! | `between_records` | records against one another: repeated, a sign, a unit, two sensors exchanged |
@@ -23,20 +23,20 @@
 //! | `units` | minutes, hours, inches |
 //! | `stats` | medians, robust spreads, differences |
 
+mod approach_outliers;
 mod between_records;
-pub(crate) mod clock;
+mod duplicates_and_outliers;
 mod misplaced_digits;
 mod motion;
 mod physical_peaks;
 mod pieces;
-mod repeats;
-mod rows;
 mod sensor_regression;
 mod sensors;
 mod small_sample_outliers;
 mod stats;
 mod step;
 mod stuck;
+pub(crate) mod time_column;
 mod units;
 mod within_record;
 
@@ -192,9 +192,9 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     for record in records {
         sensors::look(record, &mut found);
         motion::look(record, &mut found);
-        rows::look(record, records, &mut found);
+        duplicates_and_outliers::look(record, records, &mut found);
         misplaced_digits::look(record, &mut found);
-        repeats::look(record, &mut found);
+        approach_outliers::look(record, &mut found);
         units::look(record, &mut found);
         within_record::look(record, &mut found);
     }
@@ -212,7 +212,7 @@ pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
 }
 
 /// Reports suspicions, steps and conditions of records; returns the suspicions.
-pub fn said(records: &[Record], say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
+pub fn report_suspicions(records: &[Record], say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
     let found = suspicions(records);
     found.iter().map(ToString::to_string).chain(steps_of(records)).for_each(|s| say(InputNotice::Warning(s)));
     say_conditions(records, &found, say);
@@ -228,9 +228,9 @@ pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnM
     for written in records.iter().filter_map(|r| r.written.clone()) {
         say(InputNotice::Note(written));
     }
-    let clocks = records
-        .iter()
-        .flat_map(|r| [clock::absolute(r), clock::stands_still(r), gauge_resolution::shared_time(r)]);
+    let clocks = records.iter().flat_map(|r| {
+        [time_column::absolute(r), time_column::stands_still(r), gauge_resolution::shared_time(r)]
+    });
     for clock in clocks.flatten() {
         say(InputNotice::Warning(clock));
     }
@@ -370,7 +370,7 @@ pub(crate) fn rows_left_out(doubts: &[Suspicion]) -> BTreeMap<String, BTreeSet<u
 /// Reports the suspicions of a record and returns it without the bad rows.
 pub fn only_good(record: Record, say: &mut dyn FnMut(InputNotice)) -> Record {
     let records = [record];
-    let doubts = said(&records, say);
+    let doubts = report_suspicions(&records, say);
     good_rows(&in_figures(&records, &doubts)[0], records[0].rows(), say).into_owned()
 }
 

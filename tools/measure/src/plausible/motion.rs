@@ -277,12 +277,13 @@ fn in_another_column(record: &Record, axes: &[Axis], out: &mut Vec<Suspicion>) {
     let place = |a: &Axis| record.column(&Role::Position(a.clone()));
     let moving: Vec<&Axis> = axes.iter().filter(|a| place(a).is_some_and(|p| range(&p.data) > 0.0)).collect();
     let [only] = moving[..] else { return };
-    let Some(p) = place(only).filter(|_| record.kind == RunKind::Positioning && record.way(only).is_none())
+    let Some(p) = place(only)
+        .filter(|_| record.kind == RunKind::Positioning && record.direction_or_velocity(only).is_none())
     else {
         return;
     };
     let still = record.axes(Role::Direction).chain(record.axes(Role::Velocity)).find(|a| *a != only);
-    let Some((axis, way)) = still.and_then(|a| Some((a, record.way(a)?))) else { return };
+    let Some((axis, way)) = still.and_then(|a| Some((a, record.direction_or_velocity(a)?))) else { return };
     let (agree, asked) = agreement(&p.data, way);
     let both_ways = way.iter().any(|w| *w > 0.0) && way.iter().any(|w| *w < 0.0);
     if both_ways && asked >= 10 && agree >= 0.95 {

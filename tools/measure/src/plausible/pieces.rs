@@ -25,7 +25,7 @@ impl RecordPieceSuspicions {
 
     /// Reports the suspicions of all pieces as [`super::said`] does.
     /// A suspicion of every piece as a whole is reported once, for the record.
-    pub fn said(self, say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
+    pub fn report_suspicions(self, say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
         let alike = |a: &Suspicion, b: &Suspicion| {
             a.column == b.column && a.what == b.what && a.rows.is_empty() == b.rows.is_empty()
         };

@@ -1,6 +1,6 @@
 //! Regression of one sensor (or error) on other sensors, applied to another run.
 
-use rtec_least_squares::{Factor, add, dot};
+use rtec_least_squares::{QrFactor, add, dot};
 use rtec_model::record::{Record, mean};
 
 /// Time constants of heat that one body passes to another, s.
@@ -43,7 +43,7 @@ pub(super) struct SensorRegression {
 }
 
 impl SensorRegression {
-    pub(super) fn says(&self, record: &Record, rest: &[&str]) -> Vec<f64> {
+    pub(super) fn predict(&self, record: &Record, rest: &[&str]) -> Vec<f64> {
         let columns: Vec<&[f64]> = rest.iter().filter_map(|n| record.temperature(n)).collect();
         let of =
             |i: usize| self.constant + columns.iter().zip(&self.slopes).map(|(c, s)| s * c[i]).sum::<f64>();
@@ -61,7 +61,7 @@ pub(super) fn sensor_regression(record: &Record, y: &[f64], rest: &[&str]) -> Se
     let squares: f64 = about.iter().map(|c| dot(c, c)).sum();
     let sd = (1e-4 * squares / columns.len().max(1) as f64 + 1e-9).sqrt().recip();
     let mut rest: Vec<f64> = y.iter().map(|v| v - my).collect();
-    let mut factor = Factor::new(&rest);
+    let mut factor = QrFactor::new(&rest);
     for column in &about {
         factor.push(&column.iter().map(|v| sd * v).collect::<Vec<_>>());
     }

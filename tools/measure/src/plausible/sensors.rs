@@ -1,10 +1,10 @@
 //! Checks one temperature or channel against the others of its record.
 
-use super::rows::bridged;
+use super::duplicates_and_outliers::bridged;
 use super::small_sample_outliers;
 use super::stats::{distinct, median, quantum, spread, steps};
 use super::{MistakeKind, Suspicion, is_sensor};
-use rtec_model::disconnected_sensors::disconnected;
+use rtec_model::disconnected_sensor_codes::disconnected;
 use rtec_model::record::{Column, Record, Role, span};
 
 /// Range of a sensor on a machine tool, °C.

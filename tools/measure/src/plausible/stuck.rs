@@ -91,7 +91,7 @@ fn stands_still(records: &[Record], k: usize, c: &Column) -> Option<(usize, usiz
     let others = records.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, r)| r);
     let elsewhere: Vec<&Record> =
         others.filter(|r| r.temperature(&c.name).is_some_and(|t| range(t) > 0.0)).collect();
-    let found = in_full_course(record, c, start)
+    let found = freezes_while_changing(record, c, start)
         || by_noise(record, c, (start, end), &elsewhere)
         || by_the_others(record, c, (start, end), &elsewhere)
         || (end - start == n && elsewhere.is_empty() && among_lively_ones(record, c));
@@ -107,7 +107,7 @@ fn resolution(v: &[f64]) -> f64 {
 
 /// Detects a sensor that freezes abruptly while it warms or cools.
 /// A real body slows down, or turns back where its heat source ends.
-fn in_full_course(record: &Record, c: &Column, start: usize) -> bool {
+fn freezes_while_changing(record: &Record, c: &Column, start: usize) -> bool {
     let Some(first) = start.checked_sub(COURSE) else { return false };
     let own = steps(&c.data[first..=start]);
     let step = resolution(&c.data);
@@ -180,7 +180,7 @@ fn by_the_others(record: &Record, c: &Column, (start, end): (usize, usize), else
             let ([l, h], [from, to]) = (span(a), span(b));
             from > l - 0.5 * (h - l) - 0.5 && to < h + 0.5 * (h - l) + 0.5
         };
-        let moved = moves_on(told.says(&asked, &rest));
+        let moved = moves_on(told.predict(&asked, &rest));
         // A regression of another record must hold beside this run too.
         let wrong = wrong.unwrap_or(0.0).max(wrong_beside(record, c, (start, end), &told, &rest));
         told.left < 0.1 * range(y)
@@ -216,7 +216,7 @@ fn wrong_beside(
 ) -> f64 {
     let rows = rows_beside(record, run);
     let off: Vec<f64> =
-        rows.iter().zip(told.says(&record.select(&rows), rest)).map(|(i, s)| c.data[*i] - s).collect();
+        rows.iter().zip(told.predict(&record.select(&rows), rest)).map(|(i, s)| c.data[*i] - s).collect();
     (off.iter().map(|x| x * x).sum::<f64>() / off.len().max(1) as f64).sqrt()
 }
 

@@ -4,7 +4,7 @@
 
 use super::sensor_regression::sensor_regression;
 use super::stats::{median, medians_of_others, quantum, range, spread, steps};
-use super::{MistakeKind, Suspicion, motion, repeats};
+use super::{MistakeKind, Suspicion, approach_outliers, motion};
 use crate::iso230::{correlation, mean_of};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -167,7 +167,7 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
 /// Taken from the direction column, else the velocity, else (on circles) the positions, because lag changes
 /// sign with the direction.
 fn ways(record: &Record, axis: &Axis, p: &[f64]) -> Vec<f64> {
-    if let Some(way) = record.way(axis) {
+    if let Some(way) = record.direction_or_velocity(axis) {
         return way.iter().map(|v| sign(*v)).collect();
     }
     if record.kind != RunKind::Ballbar {
@@ -182,8 +182,10 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
     let axis = c.role.axis()?;
     let p = record.position(axis)?;
     let d = ways(record, axis, p);
-    let others = repeats::also_moved(record, axis);
-    let groups = others.iter().fold(repeats::groups(p, &d), |groups, q| repeats::apart_by(groups, q));
+    let others = approach_outliers::also_moved(record, axis);
+    let groups = others
+        .iter()
+        .fold(approach_outliers::groups(p, &d), |groups, q| approach_outliers::apart_by(groups, q));
     let n = p.len();
     if groups.iter().filter(|g| g.len() >= 3).count() < 8 || range(&c.data) <= 0.0 {
         return None;
@@ -215,7 +217,7 @@ fn by_place(record: &Record, c: &Column) -> Option<usize> {
 /// One direction against the other is not compared: a screw worn along its length looks the same.
 fn of_approaches(record: &Record, c: &Column) -> Option<Vec<usize>> {
     let axis = c.role.axis()?;
-    let groups = repeats::groups(record.position(axis)?, record.direction(axis)?);
+    let groups = approach_outliers::groups(record.position(axis)?, record.direction(axis)?);
     let cycles = groups.iter().map(Vec::len).min().filter(|n| *n >= 3 && groups.len() >= 8)?;
     let others_of = |g: &Vec<usize>| medians_of_others(&g.iter().map(|i| c.data[*i]).collect::<Vec<_>>());
     let without: Vec<Vec<f64>> = groups.iter().map(others_of).collect();

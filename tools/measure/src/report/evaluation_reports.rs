@@ -1,14 +1,14 @@
 //! The reports of the evaluations, each in its standard's order.
 
 use super::{Report, ReportedRecord};
-use crate::ballbar::{Ballbar, ByAxis, Contour};
+use crate::ballbar::{BallbarResult, ByAxis, ContourResult};
+use crate::drilled_plate::DrilledPlateFit;
 use crate::export::number;
 use crate::history::{FigureHistory, History};
 use crate::iso230::{
     CircleAndDriftUncertainty, Conditions, Diagonal, Diagonals, Drift, Figures, Positioning,
     ReturnRepeatability, Straightness, Target,
 };
-use crate::plate::PlateFit;
 use crate::plot::{Chart, Colour, PlotError, PlotSpec, Polar, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
@@ -155,7 +155,7 @@ fn budget(report: &mut Report, of: &str, b: &CircleAndDriftUncertainty, figures:
 }
 
 /// Circular tests: contours, and causes of their deviations.
-pub(crate) fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Conditions) -> Drawn {
+pub(crate) fn ballbar(planes: &[BallbarResult], records: &[Record], conditions: &Conditions) -> Drawn {
     let names: Vec<&str> = planes.iter().map(|b| b.plane.as_str()).collect();
     let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
     let mut report = Report::new(&title, records, conditions);
@@ -204,7 +204,7 @@ pub(crate) fn ballbar(planes: &[Ballbar], records: &[Record], conditions: &Condi
     Ok(report)
 }
 
-fn diagnosis(report: &mut Report, b: &Ballbar) {
+fn diagnosis(report: &mut Report, b: &BallbarResult) {
     let d = &b.diagnosis;
     let head = ["cause", "#value", "unit", "#95 % interval", "#makes (µm)"];
     let mut rows = Vec::new();
@@ -258,15 +258,15 @@ fn diagnosis(report: &mut Report, b: &Ballbar) {
 }
 
 /// One plot per feed.
-fn circles(b: &Ballbar) -> Vec<Polar> {
-    let mut feeds: BTreeMap<i64, Vec<&Contour>> = BTreeMap::new();
+fn circles(b: &BallbarResult) -> Vec<Polar> {
+    let mut feeds: BTreeMap<i64, Vec<&ContourResult>> = BTreeMap::new();
     for c in &b.contours {
         // Feeds within about 10 % are one.
         let feed = c.feed_mm_per_min.map_or(0, |f| (f.max(1e-9).ln() * 10.0).round() as i64);
         feeds.entry(feed).or_default().push(c);
     }
     let (a, c) = b.plane.split_once('-').unwrap_or(("", ""));
-    let of = |contours: Vec<&Contour>| {
+    let of = |contours: Vec<&ContourResult>| {
         let feed = contours[0].feed_mm_per_min.map(|f| format!(" at {f:.0} mm/min")).unwrap_or_default();
         let series = contours.iter().map(|c| {
             let (name, colour) = match c.direction {
@@ -400,7 +400,7 @@ pub(crate) fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditio
 }
 
 /// A plate of holes.
-pub(crate) fn plate(p: &PlateFit, record: &Record, conditions: &Conditions) -> Drawn {
+pub(crate) fn plate(p: &DrilledPlateFit, record: &Record, conditions: &Conditions) -> Drawn {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     // A scale within its uncertainty implies no temperature of the plate.
     if p.is_scale_beyond_chance() {

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::circles::{Noise, Run, column, map_without_line, one};
-use rtec_measure::ballbar::{Ballbar, Contribution};
+use rtec_measure::ballbar::{BallbarResult, Contribution};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record, RunKind};
 use std::collections::BTreeMap;
@@ -134,7 +134,7 @@ fn machine(noise: &mut Noise, [a, b]: [&str; 2], number: u32) -> (String, BTreeM
 /// How often the intervals hold the truth, by name of the figure (the axis left out).
 fn count(
     held: &mut BTreeMap<String, (u32, u32)>,
-    found: &Ballbar,
+    found: &BallbarResult,
     truth: &BTreeMap<String, f64>,
     what: &str,
 ) {

@@ -194,7 +194,8 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
         column("ey", "error.y", of(&|x, y| (sy * y + d * x) / 1000.0 - 7.0)),
     ];
     let record = Record::new(Path::new("p.run.toml"), RunKind::Plate, columns).unwrap();
-    let p = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap();
+    let p =
+        rtec_measure::drilled_plate::evaluate(&record, rtec_measure::drilled_plate::Norm::Squares).unwrap();
     let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-6, "{got} and {want}");
     near(p.joint.terms.scale_x_ppm, sx);
     near(p.joint.terms.scale_y_ppm, sy);
@@ -222,7 +223,8 @@ fn holes_on_one_line_are_no_plate() {
             column("ey", "error.y", along.iter().map(|x| 0.02 * x).collect()),
         ];
         let record = Record::new(Path::new("p.run.toml"), RunKind::Plate, columns).unwrap();
-        let said = rtec_measure::plate::evaluate(&record, rtec_measure::plate::Norm::Squares).unwrap_err();
+        let said = rtec_measure::drilled_plate::evaluate(&record, rtec_measure::drilled_plate::Norm::Squares)
+            .unwrap_err();
         assert!(said.to_string().contains("holes on one line"), "{said}");
     }
 }

@@ -67,7 +67,7 @@ impl Dictionary {
     /// It takes each law on each response, with each sensor, sensor pair and channel that the records have in
     /// common. Parameters are those of [`Dictionary::effect`]. The caller places the knots.
     pub fn candidates(&self, records: &[&Record]) -> Vec<Effect> {
-        let Some(common) = Common::of(records) else { return Vec::new() };
+        let Some(common) = CommonColumns::of(records) else { return Vec::new() };
         let mut found: Vec<Effect> = Vec::new();
         for law in &self.laws {
             for name in common.names(law.describe()) {
@@ -119,7 +119,7 @@ fn axes_of(law: &LawDescription, rest: Option<&str>) -> Option<(Vec<Axis>, Optio
 }
 
 /// The responses, sensors and channels that all records have.
-struct Common<'r> {
+struct CommonColumns<'r> {
     records: &'r [&'r Record],
     sensors: Vec<&'r str>,
     channels: Vec<&'r str>,
@@ -137,7 +137,7 @@ fn responding(record: &Record) -> impl Iterator<Item = (bool, &Axis)> {
     own.chain(record.circle().into_iter().flat_map(|c| c.plane.iter().map(|a| (false, a))))
 }
 
-impl<'r> Common<'r> {
+impl<'r> CommonColumns<'r> {
     fn of(records: &'r [&'r Record]) -> Option<Self> {
         let first = records.first()?;
         let everywhere = |role: &Role| records.iter().all(|r| r.column(role).is_some());

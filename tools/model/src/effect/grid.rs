@@ -5,7 +5,7 @@ use super::Effect;
 use crate::record::Axis;
 
 /// The extent of a search's records, which a law's grid asks for.
-pub trait Extent {
+pub trait RecordExtent {
     /// Number of rows of all responses.
     fn rows(&self) -> usize;
     /// Time constants that the records can show, s, rising.
@@ -68,7 +68,7 @@ impl Effect {
     }
 
     /// The law's grid points in records of this extent.
-    pub fn grid(&self, records: &dyn Extent) -> Vec<GridHypothesis> {
+    pub fn grid(&self, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         self.law().grid(self, records)
     }
 }

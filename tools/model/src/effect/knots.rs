@@ -1,8 +1,8 @@
 //! A smooth function of one position: linear between knots, constant beyond.
 
 use super::{
-    Effect, EffectColumns, EffectState, Extent, GridHypothesis, Input, Law, LawDescription, Out, Parameter,
-    ParameterSearch, ValueError,
+    Effect, EffectInputColumns, EffectState, GridHypothesis, Input, Law, LawDescription, Out, Parameter,
+    ParameterSearch, RecordExtent, ValueError,
 };
 
 /// A function of one axis's position, linear between knots.
@@ -43,7 +43,7 @@ impl Law for BrokenLine {
     fn basis_rows(
         &self,
         effect: &Effect,
-        bound: &EffectColumns<'_>,
+        bound: &EffectInputColumns<'_>,
         _: usize,
         _: &mut EffectState,
         out: Out<'_>,
@@ -85,7 +85,7 @@ impl Law for BrokenLine {
 
     /// Sets of even knots, from 4 to 48.
     /// They cover the whole travel. If there are few places, one set has a knot at every place.
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let axis = &effect.axes()[self.along];
         let places = records.places_mm(axis);
         let mut all = even(&places, records.rows());

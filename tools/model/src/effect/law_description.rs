@@ -72,7 +72,7 @@ impl RequiredInput {
 
 /// The quantity that an effect acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Quantity {
+pub enum AffectedQuantity {
     /// A position error, µm.
     #[default]
     Error,
@@ -301,7 +301,7 @@ pub struct Wave {
 /// How a search for a missing effect treats a law.
 /// Its grid is [`super::Law::grid`].
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Searched {
+pub struct LawSearchSettings {
     /// Extra cost compared with a law with physics behind it, nats.
     pub price: f64,
     /// Several of one name may act at once, each with its own period or place.
@@ -331,7 +331,7 @@ pub struct LawDescription {
     /// What follows the law's name in the effect's name.
     pub naming: Naming,
     /// The quantity that it acts on.
-    pub quantity: Quantity,
+    pub quantity: AffectedQuantity,
     /// Its parameters, in the order of [`super::Effect::values`].
     pub parameters: Vec<Parameter>,
     /// The quantities that it reads.
@@ -358,13 +358,13 @@ pub struct LawDescription {
     /// The axes after the first may be exchanged; they are written alphabetically.
     pub symmetric: bool,
     /// How a search treats it.
-    pub searched: Searched,
+    pub searched: LawSearchSettings,
 }
 
 impl LawDescription {
     /// Whether it may be the zero of a gauge. A constant force belongs to the machine.
     pub fn may_be_set_up(&self) -> bool {
-        self.constant && self.quantity == Quantity::Error
+        self.constant && self.quantity == AffectedQuantity::Error
     }
 
     /// The index of the first parameter that a fit finds in this way.

@@ -2,7 +2,7 @@
 //!
 //! A [`Law`] is a kind of effect: its formula, parameters, channels, derivative and experiment. An [`Effect`]
 //! is a law with its axes, sensor and parameter values. Every law is written once, as *coefficients × basis*
-//! at one instant. It serves the batch ([`EffectColumns`] over a record), the live path ([`crate::live`])
+//! at one instant. It serves the batch ([`EffectInputColumns`] over a record), the live path ([`crate::live`])
 //! and fits:
 //!
 //! e(row) = Σₖ coefficientₖ · basisₖ(row; non-linear parameters)
@@ -41,15 +41,15 @@ pub use crate::role::sign;
 pub use dictionary::Dictionary;
 pub use difference::{DifferenceReference, STANDARD_DEGC, TemperatureDifference};
 pub(crate) use difference::{DifferenceSource, read_difference};
-pub use grid::{Extent, GridHypothesis};
+pub use grid::{GridHypothesis, RecordExtent};
 pub use lag::{Lag, Lags};
 pub use law_description::{
-    LawDescription, MechanicalParameter, Naming, Owner, Parameter, ParameterSearch, ProbingDependence,
-    Quantity, Refine, RequiredInput, Searched, ThermalDependence, Wave,
+    AffectedQuantity, LawDescription, LawSearchSettings, MechanicalParameter, Naming, Owner, Parameter,
+    ParameterSearch, ProbingDependence, Refine, RequiredInput, ThermalDependence, Wave,
 };
 use record_evaluation::RADIAL;
 pub(crate) use record_evaluation::States;
-pub use record_evaluation::{EffectColumns, MissingInput};
+pub use record_evaluation::{EffectInputColumns, MissingInput};
 
 use crate::record::{Axis, Record, Role, RunKind};
 use linear_in_parameters::Linear;
@@ -183,7 +183,7 @@ pub trait Law: fmt::Debug + Send + Sync {
 
     /// Grid points of the law's non-linear parameters, each with its price.
     /// They suit records of this extent. The default serves laws that have no such parameter.
-    fn grid(&self, effect: &Effect, _records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, _records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         GridHypothesis::only(effect)
     }
 
@@ -192,7 +192,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     fn basis_rows(
         &self,
         effect: &Effect,
-        bound: &EffectColumns<'_>,
+        bound: &EffectInputColumns<'_>,
         component: usize,
         state: &mut EffectState,
         out: Out<'_>,
@@ -426,7 +426,7 @@ impl Effect {
     /// error is composed of.
     fn component(&self, role: &Role, has_angle: bool, sole_error: bool, plane: &[Axis]) -> Option<usize> {
         let law = self.description();
-        let ((Role::Error(axis), Quantity::Error) | (Role::Force(axis), Quantity::Force)) =
+        let ((Role::Error(axis), AffectedQuantity::Error) | (Role::Force(axis), AffectedQuantity::Force)) =
             (role, law.quantity)
         else {
             return None;

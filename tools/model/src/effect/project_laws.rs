@@ -19,7 +19,7 @@
 //! ```
 
 use super::{
-    Dictionary, Effect, EffectState, Input, Law, LawDescription, Naming, Out, Parameter, Quantity,
+    AffectedQuantity, Dictionary, Effect, EffectState, Input, Law, LawDescription, Naming, Out, Parameter,
     RequiredInput, laws,
 };
 use rtec_files::InputError;
@@ -137,8 +137,8 @@ fn read_law(t: Table<'_>, name: &Entry<'_>) -> Result<FileLaw, InputError> {
         other => return Err(naming_entry.error(format!("`{other}`"), "A, A.B, A.B.C or A.NAME")),
     };
     let quantity = match t.get("acts_on").map(|e| (e, e.str("error or force"))) {
-        None | Some((_, Ok("error"))) => Quantity::Error,
-        Some((_, Ok("force"))) => Quantity::Force,
+        None | Some((_, Ok("error"))) => AffectedQuantity::Error,
+        Some((_, Ok("force"))) => AffectedQuantity::Force,
         Some((e, _)) => return Err(e.error(e.text(), "\"error\" or \"force\"")),
     };
     let mut needs: Vec<RequiredInput> = Vec::new();

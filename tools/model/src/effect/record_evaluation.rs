@@ -36,7 +36,7 @@ pub(crate) type States = [EffectState; 2];
 /// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
 /// once.
 #[derive(Debug, Clone, Default)]
-pub struct EffectColumns<'r> {
+pub struct EffectInputColumns<'r> {
     rows: usize,
     pub(super) t_s: &'r [f64],
     pub(super) p_mm: [Option<&'r [f64]>; 3],
@@ -57,7 +57,7 @@ pub struct EffectColumns<'r> {
     share: [Option<&'r [f64]>; 2],
 }
 
-impl EffectColumns<'_> {
+impl EffectInputColumns<'_> {
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows
@@ -103,7 +103,7 @@ impl EffectColumns<'_> {
         self.basis_on(effect, component, &mut States::default(), out);
     }
 
-    /// As [`EffectColumns::basis`], for rows that continue those of `states`.
+    /// As [`EffectInputColumns::basis`], for rows that continue those of `states`.
     pub(crate) fn basis_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows * effect.coefficient_count(), "one column per coefficient");
         self.projected(component, out, |component, out| {
@@ -136,7 +136,7 @@ impl EffectColumns<'_> {
         self.add_on(effect, component, &mut States::default(), out);
     }
 
-    /// As [`EffectColumns::add`], for rows that continue those of `states`.
+    /// As [`EffectInputColumns::add`], for rows that continue those of `states`.
     pub(crate) fn add_on(&self, effect: &Effect, component: usize, states: &mut States, out: Out<'_>) {
         assert_eq!(out.len(), self.rows, "one place per row");
         let coefficients = effect.coefficients();
@@ -177,8 +177,8 @@ impl Effect {
     ///
     /// # Errors
     /// A sensor or channel that the record does not have. A quantity that it does not log (velocity, load, …) is
-    /// taken as zero and listed in [`EffectColumns::taken_as_zero`].
-    pub fn bind<'r>(&self, record: &'r Record) -> Result<EffectColumns<'r>, MissingInput> {
+    /// taken as zero and listed in [`EffectInputColumns::taken_as_zero`].
+    pub fn bind<'r>(&self, record: &'r Record) -> Result<EffectInputColumns<'r>, MissingInput> {
         let named = |data: Option<&'r [f64]>, role: &Role, name: &str| {
             data.ok_or_else(|| MissingInput {
                 effect: self.name(),
@@ -186,11 +186,11 @@ impl Effect {
                 has: record.names(role).collect::<Vec<_>>().join(", "),
             })
         };
-        let mut bound = EffectColumns {
+        let mut bound = EffectInputColumns {
             rows: record.rows(),
             t_s: record.time_s(),
-            past_mm: record.past_mm(),
-            ..EffectColumns::default()
+            past_mm: record.overtravel_mm(),
+            ..EffectInputColumns::default()
         };
         // Only a pair acts on its second axis.
         let acts_on = if self.description().naming == Naming::Pair { 2 } else { 1 };

@@ -3,7 +3,7 @@
 
 use super::evaluate::differences;
 use super::relative_paths::folder_of;
-use super::{FitNote, ListedEffect, Machine, Validity};
+use super::{EffectWithProvenance, FitNote, Machine, ValidTemperatureRange};
 use crate::effect::{Effect, States, TemperatureDifference};
 use crate::record::{Axis, Record, Role, sha256_of};
 use rtec_files::date;
@@ -31,7 +31,7 @@ impl Machine {
             }
         }
         // An older model may have been fitted before zeros were marked.
-        let of_a_gauge = |l: &&ListedEffect| {
+        let of_a_gauge = |l: &&EffectWithProvenance| {
             let by_fit = l.provenance.added_by.as_deref() == Some("model fit");
             l.effect.description().may_be_set_up() && by_fit && !l.provenance.set_up
         };
@@ -208,7 +208,7 @@ struct Farthest {
 }
 
 impl Farthest {
-    fn see(farthest: &mut Option<Self>, v: &Validity, all: &[f64]) {
+    fn see(farthest: &mut Option<Self>, v: &ValidTemperatureRange, all: &[f64]) {
         for delta_k in all {
             let um = v.outside_um(*delta_k);
             let own = farthest.get_or_insert(Self { um, delta_k: *delta_k, rows: 0 });
@@ -315,11 +315,11 @@ mod tests {
         let cold = parse(&format!("name = \"m\"\n{note}{effect}")).unwrap();
         assert!(cold.half_widths_um(&run(0.5), &response).is_some());
         assert!(cold.half_widths_um(&run(12.0), &response).is_none());
-        let said = cold.stating(&RecordRanges::of(&run(12.0)), &response).unwrap_err();
+        let said = cold.fit_with_interval(&RecordRanges::of(&run(12.0)), &response).unwrap_err();
         assert!(said.contains("saw no temperature"), "{said}");
         let none = parse(&format!("name = \"m\"\n{effect}")).unwrap();
         assert_eq!(
-            none.stating(&RecordRanges::of(&run(0.5)), &response).unwrap_err(),
+            none.fit_with_interval(&RecordRanges::of(&run(0.5)), &response).unwrap_err(),
             "the model states no interval"
         );
         let warm = parse(&format!("name = \"m\"\n{note}{valid}{effect}")).unwrap();
@@ -345,9 +345,9 @@ mod tests {
             let run = Record::new(Path::new("r.run.toml"), RunKind::Positioning, columns).unwrap();
             assert_eq!(
                 m.half_widths_um(&run, &response).is_some(),
-                m.stating(&RecordRanges::of(&run), &response).is_ok()
+                m.fit_with_interval(&RecordRanges::of(&run), &response).is_ok()
             );
-            m.stating(&RecordRanges::of(&run), &response).err()
+            m.fit_with_interval(&RecordRanges::of(&run), &response).err()
         };
         assert_eq!(said("y", 160.0), None, "a tenth of the range beyond");
         let far = said("y", 286.4).unwrap();

@@ -1,7 +1,7 @@
 //! A model's prediction of a record, and its interval.
 
 use super::fit_note::unknown_um;
-use super::{FitNote, ListedEffect, Machine, RecordRanges};
+use super::{EffectWithProvenance, FitNote, Machine, RecordRanges};
 use crate::effect::laws::reversal;
 use crate::effect::{Effect, States, ThermalDependence};
 use crate::record::{Record, Role};
@@ -20,7 +20,7 @@ impl Machine {
 
     /// Whether a listed effect acts in a run that goes so far.
     /// The zero of a set-up is the gauges' of the runs that it was fitted on; every other run has its own.
-    pub fn acts_in(&self, listed: &ListedEffect, reach: &RecordRanges) -> bool {
+    pub fn acts_in(&self, listed: &EffectWithProvenance, reach: &RecordRanges) -> bool {
         let of = |note: &&FitNote| {
             let response = note.response.strip_prefix("error.");
             listed.effect.axes().first().is_some_and(|a| response == Some(a.as_str()))
@@ -32,7 +32,7 @@ impl Machine {
     ///
     /// # Errors
     /// As [`Machine::predict`].
-    pub fn beyond(&self, record: &Record) -> Result<Record, InputError> {
+    pub fn without_prediction(&self, record: &Record) -> Result<Record, InputError> {
         let mut left = record.clone();
         let predicted = self.predict(record)?.columns;
         let responses = left.columns.iter_mut().filter(|c| c.role.is_response());
@@ -72,10 +72,10 @@ impl Machine {
     ///
     /// # Errors
     /// The reason why no fit does, in words.
-    pub fn stating(&self, reach: &RecordRanges, response: &Role) -> Result<&FitNote, String> {
+    pub fn fit_with_interval(&self, reach: &RecordRanges, response: &Role) -> Result<&FitNote, String> {
         let note = self.fits.iter().find(|f| f.response == response.to_string());
         let note = note.ok_or("the model states no interval")?;
-        note.not_of(reach).map_or(Ok(note), |why| Err(format!("no interval: {why}")))
+        note.why_interval_not_valid(reach).map_or(Ok(note), |why| Err(format!("no interval: {why}")))
     }
 }
 
@@ -97,7 +97,7 @@ impl<'m> HalfWidthPredictor<'m> {
     /// The state before the first piece of a record with this reach.
     /// `None` if [`Machine::half_widths_um`] gives no interval.
     pub fn of(machine: &'m Machine, reach: &RecordRanges, response: &Role) -> Option<Self> {
-        let note = machine.stating(reach, response).ok()?;
+        let note = machine.fit_with_interval(reach, response).ok()?;
         let states = vec![States::default(); machine.effects().count()];
         let (response, own_um) = (response.clone(), note.half_width_for_um(reach));
         Some(Self { machine, response, own_um, states, start_s: None })

@@ -64,14 +64,14 @@ pub struct Provenance {
 
 /// An effect of a machine.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ListedEffect {
+pub struct EffectWithProvenance {
     /// The effect with its parameters.
     pub effect: Effect,
     /// Its records, dates and intervals.
     pub provenance: Provenance,
 }
 
-impl ListedEffect {
+impl EffectWithProvenance {
     /// The name that identifies it among a machine's effects.
     /// The zero of a set-up and the machine's own offset have different ones.
     pub fn identity(&self) -> String {
@@ -82,7 +82,7 @@ impl ListedEffect {
 
 /// The range of a temperature difference in which a fit is valid.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Validity {
+pub struct ValidTemperatureRange {
     /// The difference; the model may or may not read it.
     pub difference: TemperatureDifference,
     /// The range in which it was seen, K.
@@ -91,7 +91,7 @@ pub struct Validity {
     pub um_per_k: f64,
 }
 
-impl Validity {
+impl ValidTemperatureRange {
     /// The difference at every row of a record.
     /// `None` if the record lacks one of its sensors.
     pub fn of(&self, record: &Record) -> Option<Vec<f64>> {
@@ -120,7 +120,7 @@ pub struct FitNote {
     /// Half width of the 95 % prediction interval, µm.
     pub half_width_um: f64,
     /// Ranges of validity; outside of these, the interval is wider.
-    pub valid: Vec<Validity>,
+    pub valid: Vec<ValidTemperatureRange>,
     /// Range of each axis while it was seen, mm; axes that are not named stood still.
     /// Elsewhere there is no interval, because no record shows the machine there. `None` if the model does
     /// not state it.
@@ -220,7 +220,7 @@ impl FitNote {
     /// The reason why the interval does not apply to a record; `None` if it does.
     /// The fit must have seen the range of every axis that moves; a tenth of the range beyond is allowed. If
     /// the fit has seen no temperature, it does not apply to a machine that warms.
-    pub fn not_of(&self, reach: &RecordRanges) -> Option<String> {
+    pub fn why_interval_not_valid(&self, reach: &RecordRanges) -> Option<String> {
         if self.valid.is_empty() && reach.warms() {
             return Some(format!(
                 "the fit saw no temperature, and one moves by more than {WARMS_K} K in this run"
@@ -245,7 +245,7 @@ impl FitNote {
     /// The gauges of such a run have the fit's zero.
     pub fn has_zero_of(&self, reach: &RecordRanges) -> bool {
         let known = |kind: RunKind| self.by_kind_um.is_empty() || self.by_kind_um.contains_key(kind.name());
-        reach.kind().is_none_or(known) && self.not_of(reach).is_none()
+        reach.kind().is_none_or(known) && self.why_interval_not_valid(reach).is_none()
     }
 
     /// Whether a seen range of an axis covers another one, mm.
@@ -272,7 +272,7 @@ impl FitNote {
     /// Their ranges are joined.
     /// A kind of run that only one of them has seen keeps its uncertainty, because a drift at one place does
     /// not show changes from place to place.
-    pub fn on(&mut self, earlier: &Self, noise_um: f64) {
+    pub fn add_earlier_fit(&mut self, earlier: &Self, noise_um: f64) {
         let own_um = self.half_width_um;
         let beyond_um = (own_um.powi(2) - (NORMAL_95 * noise_um).powi(2)).max(0.0).sqrt();
         for (kind, um) in &earlier.by_kind_um {
@@ -326,7 +326,7 @@ mod tests {
             half_width_um: 0.2,
             valid: valid
                 .iter()
-                .map(|(sensor, range_k)| Validity {
+                .map(|(sensor, range_k)| ValidTemperatureRange {
                     difference: TemperatureDifference::single(sensor),
                     range_k: *range_k,
                     um_per_k: 1.3,
@@ -337,7 +337,7 @@ mod tests {
             from: Vec::new(),
         };
         let mut cold = note(&[("T8", [-0.1, 0.2]), ("T9", [0.0, 1.0])]);
-        cold.on(&note(&[("T8", [0.0, 14.0]), ("T6", [-2.0, 8.0])]), 0.0);
+        cold.add_earlier_fit(&note(&[("T8", [0.0, 14.0]), ("T6", [-2.0, 8.0])]), 0.0);
         let ranges: Vec<_> = cold.valid.iter().map(|v| (v.difference.to_string(), v.range_k)).collect();
         let expected = [("T8", [-0.1, 14.0]), ("T9", [0.0, 1.0]), ("T6", [-2.0, 8.0])];
         assert_eq!(ranges, expected.map(|(name, range)| (name.to_owned(), range)));

@@ -7,13 +7,13 @@
 //! | `fit_note` | a fit's own record: sources, dates, intervals, ranges |
 //! | `evaluate` | a model's prediction of a record, and its interval |
 //! | `check` | warnings before a model is used |
-//! | `document` | a model as JSON
+//! | `json_document` | a model as JSON
 //! | `places` | the path of a file from another file's folder |
 
 mod check;
-mod document;
 mod evaluate;
 mod fit_note;
+mod json_document;
 mod read;
 mod relative_paths;
 #[cfg(test)]
@@ -23,7 +23,8 @@ mod write;
 pub use check::FitRangeCheck;
 pub use evaluate::{HalfWidthPredictor, Prediction, RecordPiecePredictor};
 pub use fit_note::{
-    FitNote, ListedEffect, NORMAL_95, Provenance, RecordRanges, SourceRecord, Validity, unknown_um,
+    EffectWithProvenance, FitNote, NORMAL_95, Provenance, RecordRanges, SourceRecord, ValidTemperatureRange,
+    unknown_um,
 };
 
 use crate::chain::Chain;
@@ -38,7 +39,7 @@ pub struct Machine {
     pub path: PathBuf,
     sha256: String,
     name: String,
-    listed: Vec<ListedEffect>,
+    listed: Vec<EffectWithProvenance>,
     fits: Vec<FitNote>,
     chain: Option<Chain>,
     /// The laws given by the calling program; those of the model's own file are added.
@@ -79,7 +80,7 @@ impl Machine {
     }
 
     /// The effects with their provenance, in the file's order.
-    pub fn listed(&self) -> &[ListedEffect] {
+    pub fn listed(&self) -> &[EffectWithProvenance] {
         &self.listed
     }
 

@@ -1,7 +1,7 @@
 //! Reads `machine.toml`, strictly.
 
 use super::Machine;
-use super::fit_note::{FitNote, ListedEffect, Provenance, SourceRecord, Validity};
+use super::fit_note::{EffectWithProvenance, FitNote, Provenance, SourceRecord, ValidTemperatureRange};
 use crate::chain::Chain;
 use crate::effect::{Dictionary, Effect, Parameter, RequiredInput, read_difference};
 use crate::file_kind::FileKind;
@@ -119,7 +119,7 @@ impl Machine {
         let sha256 = hex(&hash.finalize());
         let fits = root.get("fit").map(|e| e.tables("[[fit]] tables")).transpose()?.unwrap_or_default();
         let fits = fits.into_iter().map(read_fit).collect::<Result<Vec<_>, _>>()?;
-        let mut listed: Vec<ListedEffect> = Vec::new();
+        let mut listed: Vec<EffectWithProvenance> = Vec::new();
         let mut identities = BTreeSet::new();
         let tables =
             root.get("effect").map(|e| e.tables("[[effect]] tables")).transpose()?.unwrap_or_default();
@@ -145,7 +145,7 @@ impl Machine {
 
 const PROVENANCE: [&str; 5] = ["added_by", "date", "from", "interval", "set_up"];
 
-fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<ListedEffect, InputError> {
+fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<EffectWithProvenance, InputError> {
     let entry = table.required("name", "the effect's name, as name = \"scale.x\"")?;
     let mut effect =
         dictionary.effect(entry.str("the effect's name")?).map_err(|e| entry.error(e.found, e.expected))?;
@@ -200,7 +200,7 @@ fn read_effect(table: Table<'_>, dictionary: &Dictionary) -> Result<ListedEffect
     })?;
 
     let provenance = read_provenance(table, &effect)?;
-    Ok(ListedEffect { effect, provenance })
+    Ok(EffectWithProvenance { effect, provenance })
 }
 
 fn read_sources(table: Table<'_>) -> Result<Vec<SourceRecord>, InputError> {
@@ -219,9 +219,9 @@ fn read_sources(table: Table<'_>) -> Result<Vec<SourceRecord>, InputError> {
 
 const VALID: &str = "{ sensor = \"…\", minus = \"…\", range_K = [low, high], um_per_K = … }";
 
-fn read_validity(t: Table<'_>) -> Result<Validity, InputError> {
+fn read_validity(t: Table<'_>) -> Result<ValidTemperatureRange, InputError> {
     t.only(&["sensor", "minus", "reference_degC", "range_K", "um_per_K"])?;
-    Ok(Validity {
+    Ok(ValidTemperatureRange {
         difference: read_difference(t)?,
         range_k: range_k(t.required("range_K", VALID)?, "a pair [lowest, highest] in K")?,
         um_per_k: t.required("um_per_K", VALID)?.within([-MOST_UM, MOST_UM], "µm/K")?,

@@ -1,7 +1,7 @@
 //! Changes and writes `machine.toml` without losing anything that the user wrote.
 
 use super::Machine;
-use super::fit_note::{FitNote, ListedEffect, Provenance, SourceRecord, Validity};
+use super::fit_note::{EffectWithProvenance, FitNote, Provenance, SourceRecord, ValidTemperatureRange};
 use super::relative_paths::{folder_of, named_from, whole};
 use crate::effect::{Dictionary, DifferenceReference, Effect, TemperatureDifference, ValueError};
 use rtec_files::InputError;
@@ -13,7 +13,7 @@ impl Machine {
     /// Writes the format and the writer into the file, once the program changes it.
     fn stamp(&mut self) {
         self.doc["format"] = value(i64::from(format_stamp::FORMAT));
-        self.doc["by"] = value(format_stamp::by());
+        self.doc["by"] = value(format_stamp::writer());
     }
 
     /// Adds the note of a fit.
@@ -27,7 +27,7 @@ impl Machine {
         let [rms, half_width, by_kind] = FitNote::keys_of(&note.response);
         t[rms] = value(note.rms_um);
         t[half_width] = value(note.half_width_um);
-        let valid = |v: &Validity| {
+        let valid = |v: &ValidTemperatureRange| {
             let mut t = InlineTable::new();
             put_difference(&mut t, &v.difference);
             t.insert("range_K", pair(&v.range_k));
@@ -64,7 +64,7 @@ impl Machine {
     ///
     /// # Errors
     /// The laws are refused, or its present dictionary cannot be read.
-    pub fn adopt(&mut self, file: &str, laws: &str) -> Result<String, InputError> {
+    pub fn add_project_laws(&mut self, file: &str, laws: &str) -> Result<String, InputError> {
         let mut text = match self.doc.get("dictionary").and_then(Item::as_str) {
             Some(own) => {
                 rtec_files::text::read(&self.path.parent().unwrap_or(Path::new("")).join(own))? + "\n"
@@ -85,7 +85,7 @@ impl Machine {
     /// # Errors
     /// The model already has it.
     pub fn push(&mut self, effect: Effect, provenance: Provenance) -> Result<(), ValueError> {
-        let next = ListedEffect { effect, provenance };
+        let next = EffectWithProvenance { effect, provenance };
         if self.listed.iter().any(|l| l.identity() == next.identity()) {
             let found = format!("`{}` a second time", next.effect.name());
             return Err(ValueError::new("name", found, "one of a name"));
@@ -221,7 +221,7 @@ impl Machine {
     /// The text could not be read back, or the directory cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), InputError> {
         let text = self.readable_text_at(path, &[])?;
-        rtec_files::write::whole(path, text.as_bytes())
+        rtec_files::write::write_atomically(path, text.as_bytes())
             .map_err(|e| InputError::whole(path, e.to_string(), "a file that can be written"))
     }
 }
@@ -405,12 +405,12 @@ mod tests {
             rms_um: 0.4,
             half_width_um: 0.8,
             valid: vec![
-                Validity {
+                ValidTemperatureRange {
                     difference: TemperatureDifference::pair("T8", "T18"),
                     range_k: [0.5, 9.0],
                     um_per_k: 3.0,
                 },
-                Validity {
+                ValidTemperatureRange {
                     difference: TemperatureDifference::single("T9"),
                     range_k: [-1.0, 2.0],
                     um_per_k: 1.0,

@@ -2,7 +2,7 @@
 //!
 //! Cleaning leaves out vertices, but no part of the path between them.
 
-use super::{Cleaned, Piece, PointGrid};
+use super::{CleaningSummary, NeighbourGrid, Piece};
 use crate::contour::{FeatureKind, Segment};
 use crate::geometric_fit::Zx;
 
@@ -17,11 +17,11 @@ pub(super) fn reach_mm(first_mm: f64, second_mm: f64) -> f64 {
 /// Joins short pieces end to end, and drops vertices that are too close.
 /// The joined line keeps its place and length. It is left out if it is no longer than the tolerance as a
 /// whole.
-pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
+pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut CleaningSummary) -> Vec<Piece> {
     let ends: Vec<Zx> = short.iter().flat_map(Piece::ends).collect();
     let lengths: Vec<f64> = short.iter().map(|p| p.segment.length_mm()).collect();
     let longest = lengths.iter().copied().fold(0.0, f64::max);
-    let places = PointGrid::of(ends.iter().copied(), longest * REACH);
+    let places = NeighbourGrid::of(ends.iter().copied(), longest * REACH);
     let mut used = vec![false; short.len()];
     let mut out = Vec::new();
     for first in 0..short.len() {
@@ -52,7 +52,12 @@ pub(super) fn joined(short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) 
 }
 
 /// The lines along a path, its vertices more than the tolerance apart.
-fn thinned(path: &[(Zx, usize)], short: &[Piece], tolerance_mm: f64, cleaned: &mut Cleaned) -> Vec<Piece> {
+fn thinned(
+    path: &[(Zx, usize)],
+    short: &[Piece],
+    tolerance_mm: f64,
+    cleaned: &mut CleaningSummary,
+) -> Vec<Piece> {
     let near = |a: Zx, b: Zx| (a - b).norm() <= tolerance_mm;
     let (first, last) = (path[0], path[path.len() - 1]);
     let mut kept = vec![first];

@@ -164,7 +164,7 @@ fn points_of_two_features_are_refused() {
 /// direction, and nothing appears beside the arc.
 #[test]
 fn an_arc_across_the_turn_keeps_its_order() {
-    use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc};
+    use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc};
     let files = Files::new();
     let centre = Zx::new(50.0, 30.0);
     let planted = |a: f64| 8.0 * (6.0 * a).cos();
@@ -185,7 +185,7 @@ fn an_arc_across_the_turn_keeps_its_order() {
         }
         assert!((errors[0].error_um - report.errors[0].error_um).abs() < 1e-3, "{start_deg}");
         let cut = FinishArc { centre, radius_mm: 5.0, nose_mm: 0.0, origin: Zx::new(0.0, 0.0) };
-        let axes = [AxisCounts { count_um: 1.0, increment: 2, sign: 1.0 }; 2];
+        let axes = [AxisCountConversion { count_um: 1.0, increment: 2, sign: 1.0 }; 2];
         let table = ArcFinishTable::new(cut, axes, errors);
         for (k, e) in report.errors.iter().enumerate() {
             // Asked by the place, as the live table is. The fitted centre is about 0.01 rad from the planted

@@ -3,7 +3,7 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch, EffectState,
+    LawDescription, Effect, RecordExtent, Input, Law, Naming, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch, EffectState,
 };
 use std::sync::Arc;
 
@@ -53,7 +53,7 @@ impl Law for Sag {
         out[FREE] = -3.0 * effect.scalar(UM) * reach.powi(2) / 100.0;
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let places = records.places_mm(&effect.axes()[1]);
         let free = places.iter().copied().step_by((places.len() / 10).max(1));
         GridHypothesis::along(effect, FREE, free, 10f64.ln())

@@ -1,7 +1,7 @@
 //! `rtecctl backup`: a machine's set-up in one archive.
 //! `restore` puts it back, here or on another computer.
 
-use crate::archive::Archive;
+use crate::archive::ArchiveWriter;
 use crate::prelude::*;
 use rtec_control::audit;
 use rtec_control::config::{Config, INSTALLED};
@@ -46,11 +46,11 @@ pub(crate) struct Manifest {
     /// Below: the same of the refusals.
     pub record: Option<(u64, String)>,
     pub refused: Option<(u64, String)>,
-    pub files: Vec<Packed>,
+    pub files: Vec<PackedFile>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Packed {
+pub(crate) struct PackedFile {
     /// Its name in the archive.
     pub name: String,
     /// Kind of the file.
@@ -105,7 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             None => (format!("elsewhere/{}", files.len()), std::path::absolute(&path)?),
         };
         let (kind, sha256) = (kind.to_owned(), hex(&Sha256::digest(&bytes)));
-        files.push(Packed { name, kind, path, mode: mode & 0o777, bytes: bytes.len() as u64, sha256 });
+        files.push(PackedFile { name, kind, path, mode: mode & 0o777, bytes: bytes.len() as u64, sha256 });
         contents.push(bytes);
     }
     if let Some(first) = absent.first() {
@@ -124,7 +124,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         files,
     };
     let text = pretty(&manifest)?;
-    let mut archive = Archive::create(&args.out)?;
+    let mut archive = ArchiveWriter::create(&args.out)?;
     let fill = || {
         archive.add(&format!("{TOP}/{MANIFEST}"), text.as_bytes())?;
         for (packed, bytes) in manifest.files.iter().zip(&contents) {

@@ -1,6 +1,6 @@
 //! `rtecctl bugreport`: an archive that lets others analyse a problem.
 
-use crate::archive::{Archive, now_s};
+use crate::archive::{ArchiveWriter, now_s};
 use crate::daemon::observe;
 use crate::prelude::*;
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
@@ -37,7 +37,7 @@ const STATE: &str = "state.json";
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let out = args.out.clone().unwrap_or_else(|| format!("rtec-bugreport-{}.tar", now_s()).into());
-    let done = Archive::create(&out).and_then(|archive| fill(args, archive));
+    let done = ArchiveWriter::create(&out).and_then(|archive| fill(args, archive));
     let (text, missing) = done?;
     if args.daemon.json {
         say_line(&serde_json::json!({ "file": out, "contents": text, "missing": missing }))?;
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Fills the archive. Returns its contents in words, and the parts that are missing.
-fn fill(args: &Args, mut archive: Archive) -> anyhow::Result<(String, Vec<&'static str>)> {
+fn fill(args: &Args, mut archive: ArchiveWriter) -> anyhow::Result<(String, Vec<&'static str>)> {
     let (mut contents, mut missing) = (String::new(), Vec::new());
     let mut put = |name: &'static str, text: anyhow::Result<String>| -> anyhow::Result<()> {
         let text = match text {
@@ -76,7 +76,7 @@ fn fill(args: &Args, mut archive: Archive) -> anyhow::Result<(String, Vec<&'stat
         None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
     };
     let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
-    put("versions.txt", Ok(format!("{}\n{release}", rtec_files::format_stamp::by())))?;
+    put("versions.txt", Ok(format!("{}\n{release}", rtec_files::format_stamp::writer())))?;
     let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
     let runs = seen.as_ref().ok().map(|seen| seen.status.machine.clone());
     let of = config.as_ref().ok().and_then(|text| Some(Config::parse(installed, text).ok()?.machine));
@@ -92,7 +92,7 @@ fn fill(args: &Args, mut archive: Archive) -> anyhow::Result<(String, Vec<&'stat
     let cpu = system.default_cpu();
     put("platform.json", pretty(&system.inspect(cpu, 80)))?;
     put("devices.txt", Ok(devices()))?;
-    for (name, text) in file.map(beside).unwrap_or_default() {
+    for (name, text) in file.map(files_named_by_config).unwrap_or_default() {
         let _ = writeln!(contents, "{name}: {} bytes", text.len());
         archive.add(&format!("{TOP}/{name}"), text.as_bytes())?;
     }
@@ -108,7 +108,7 @@ fn fill(args: &Args, mut archive: Archive) -> anyhow::Result<(String, Vec<&'stat
 
 /// The readable files that a configuration names: model, profile, list of devices.
 /// A file that cannot be read has the reason in place of its text.
-fn beside(file: &Path) -> Vec<(String, String)> {
+fn files_named_by_config(file: &Path) -> Vec<(String, String)> {
     let named = Config::load(file)
         .map_err(anyhow::Error::from)
         .and_then(|config| Ok(setup_files::of(file, &config)?));

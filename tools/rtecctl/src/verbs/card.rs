@@ -2,7 +2,7 @@
 
 mod watch;
 
-use crate::document;
+use crate::json_output;
 use crate::prelude::*;
 use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
@@ -11,7 +11,7 @@ use rtec_control::lock::{self, LockError, LockGuard};
 use rtec_control::profile::{self, SHIPPED};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{AddressSpace, CardProfile, PciBarSpec, Register, WordBit};
+use rtec_driver::profile::{AddressSpace, CardProfile, IoBit, PciBarSpec, Register};
 use rtec_rt::link_messages::MAX_AXES;
 use std::io::{BufRead, Write};
 
@@ -64,7 +64,7 @@ struct ProbeArgs {
     #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
     every: Duration,
     /// With --watch: end after this time; without it: until Ctrl-C
-    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = rtec_files::options::duration)]
+    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = rtec_files::cli_options::duration)]
     during: Option<Duration>,
     /// Print one JSON document; with --watch at the end of --for
     #[arg(long)]
@@ -72,7 +72,7 @@ struct ProbeArgs {
 }
 
 fn pause(text: &str) -> Result<Duration, String> {
-    let time = rtec_files::options::duration(text)?;
+    let time = rtec_files::cli_options::duration(text)?;
     let range = Duration::from_millis(20)..=Duration::from_secs(3600);
     if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }
@@ -85,13 +85,13 @@ fn probe(args: &ProbeArgs) -> anyhow::Result<()> {
         // A counter is latched to be read, and its flags are cleared, which the daemon would then miss.
         let counts =
             matches!(&config.card, CardConfig::Registers { profile, .. } if !profile.counters.is_empty());
-        let _alone = counts.then(|| alone(&config)).transpose()?;
+        let _alone = counts.then(|| lock_out_daemon(&config)).transpose()?;
         return watch::watch(&config, args);
     }
     if !args.drive {
         return show_lines(&config, args.json);
     }
-    let _alone = alone(&config)?;
+    let _alone = lock_out_daemon(&config)?;
     if !args.mtc_is_off {
         confirm("every output of this card is switched on and off again, one after the other")?;
     }
@@ -125,7 +125,7 @@ fn hex((vendor, device): (u16, u16)) -> String {
 /// Largest number of axes that a profile's lines allow, by two counts.
 /// The first is without lines of the machine, the second with read-back and feed hold.
 fn axes_that_fit(profile: &CardProfile) -> [usize; 2] {
-    let inputs = profile.lines.values().filter(|p| matches!(p, WordBit::Input(_))).count();
+    let inputs = profile.lines.values().filter(|p| matches!(p, IoBit::Input(_))).count();
     let outputs = profile.lines.len() - inputs;
     let fit = |inputs: usize, outputs: usize| inputs.min(outputs).min(MAX_AXES);
     [fit(inputs / 2, outputs / 2), fit(inputs / 4, outputs.saturating_sub(1) / 2)]
@@ -242,7 +242,7 @@ fn show(args: &ShowArgs) -> anyhow::Result<()> {
     }
     for (what, registers) in [("inputs", &p.inputs), ("outputs", &p.outputs)] {
         let at =
-            document::list(registers.iter().map(|r| format!("{:#x} ({} bits)", r.offset, r.width.bits())));
+            json_output::list(registers.iter().map(|r| format!("{:#x} ({} bits)", r.offset, r.width.bits())));
         println!("  {what:<8} {at}");
     }
     for s in &p.setup {
@@ -267,10 +267,10 @@ fn show(args: &ShowArgs) -> anyhow::Result<()> {
 }
 
 /// Direction, bit, and whether the line is active low.
-fn described(profile: &CardProfile, place: WordBit) -> (&'static str, u8, bool) {
+fn described(profile: &CardProfile, place: IoBit) -> (&'static str, u8, bool) {
     let (what, bit, inverted) = match place {
-        WordBit::Input(bit) => ("input", bit, profile.input_invert),
-        WordBit::Output(bit) => ("output", bit, profile.output_invert),
+        IoBit::Input(bit) => ("input", bit, profile.input_invert),
+        IoBit::Output(bit) => ("output", bit, profile.output_invert),
     };
     (what, bit, inverted >> bit & 1 == 1)
 }
@@ -292,7 +292,7 @@ pub(crate) fn unreachable(error: impl std::fmt::Display) -> anyhow::Error {
 
 /// Keeps the daemon from starting while the value lives.
 /// It would correct with the lines that are switched here.
-pub(crate) fn alone(config: &Config) -> anyhow::Result<Vec<LockGuard>> {
+pub(crate) fn lock_out_daemon(config: &Config) -> anyhow::Result<Vec<LockGuard>> {
     let stop = |e: LockError| {
         CommandFailure::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"))
     };

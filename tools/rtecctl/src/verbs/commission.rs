@@ -116,7 +116,7 @@ impl<'a> Guide<'a> {
         }
     }
 
-    fn stands(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
+    fn jog_simulated(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
         let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm, go_on: false };
         Ok(
             expected!(self.ask(&request)?, Response::Stands { display_mm, indicator_mm } => (display_mm, indicator_mm)),
@@ -125,18 +125,18 @@ impl<'a> Guide<'a> {
 
     /// Sends the axis to a displayed position, and reads all three there.
     /// Without a position it stays where it is.
-    fn go(&mut self, to_mm: Option<f64>) -> anyhow::Result<JogReading> {
+    fn jog_and_read(&mut self, to_mm: Option<f64>) -> anyhow::Result<JogReading> {
         let name = self.args.axis.clone();
         let (display_mm, indicator_mm) = if self.simulated {
-            let to_mm = to_mm.map_or_else(|| self.stands(None).map(|s| s.0.round()), Ok)?;
+            let to_mm = to_mm.map_or_else(|| self.jog_simulated(None).map(|s| s.0.round()), Ok)?;
             eprintln!("jogging {name} to {:.4} mm", rounded(to_mm));
-            self.stands(Some(to_mm))?;
+            self.jog_simulated(Some(to_mm))?;
             // It must first begin to move, then come to rest at the target.
-            while (self.stands(None)?.0 - to_mm).abs() > 1e-6 {
+            while (self.jog_simulated(None)?.0 - to_mm).abs() > 1e-6 {
                 std::thread::sleep(Duration::from_millis(20));
             }
             self.at_rest()?;
-            self.stands(None)?
+            self.jog_simulated(None)?
         } else {
             match to_mm {
                 Some(mm) => {
@@ -186,8 +186,8 @@ impl<'a> Guide<'a> {
     fn prove(&mut self, figures: &mut Map<String, Value>) -> anyhow::Result<JogFinding> {
         let (args, tolerance_um) = (self.args, self.args.tolerance_um);
         let mut note = |key: &str, value: Value| figures.insert(key.to_owned(), value);
-        let start = self.go(None)?;
-        let there = self.go(Some(start.display_mm + args.jog_mm))?;
+        let start = self.jog_and_read(None)?;
+        let there = self.jog_and_read(Some(start.display_mm + args.jog_mm))?;
         // At zero, position and counts give no unit, so the other reading's unit is taken.
         let count_um = if there.count_um.is_nan() { start.count_um } else { there.count_um };
         let [start, there] = [start, there].map(|p| JogReading { count_um, ..p });
@@ -204,18 +204,18 @@ impl<'a> Guide<'a> {
         let far_mm = start.display_mm + args.far_mm;
         let off = format!("take the indicator off first: the next jog goes to {:.4} mm", rounded(far_mm));
         self.indicator(false, &off);
-        let far = JogReading { count_um, ..self.go(Some(far_mm))? };
+        let far = JogReading { count_um, ..self.jog_and_read(Some(far_mm))? };
         note("controller_compensates_um", rounded(compensation_um(&start, &far)).into());
         if let Some(finding) = judge_compensation(&start, &far, tolerance_um) {
             return Ok(finding);
         }
-        let before = self.go(Some(start.display_mm))?;
+        let before = self.jog_and_read(Some(start.display_mm))?;
         self.indicator(true, "put the indicator back now: the axis stays near it");
         eprintln!("inserting {:+} counts", self.counts);
         self.insert(self.counts)?;
         // Away and back: at rest there is no edge at which to insert.
-        self.go(Some(start.display_mm + args.jog_mm))?;
-        let after = self.go(Some(start.display_mm))?;
+        self.jog_and_read(Some(start.display_mm + args.jog_mm))?;
+        let after = self.jog_and_read(Some(start.display_mm))?;
         self.insert(0)?;
         let (total, moved) = (after.in_effect - before.in_effect, after.scale_counts - before.scale_counts);
         note("inserted_counts", total.into());
@@ -227,8 +227,8 @@ impl<'a> Guide<'a> {
         if let Some(finding) = judge_insertion(&before, &after, total) {
             return Ok(finding);
         }
-        self.go(Some(start.display_mm + args.jog_mm))?;
-        let back = self.go(Some(start.display_mm))?;
+        self.jog_and_read(Some(start.display_mm + args.jog_mm))?;
+        let back = self.jog_and_read(Some(start.display_mm))?;
         if let Some(finding) = judge_insertion(&after, &back, back.in_effect - after.in_effect) {
             return Ok(finding);
         }
@@ -386,7 +386,7 @@ mod tests {
     #[test]
     fn every_example_has_the_window_proposed_for_its_model() {
         let mut axes = 0;
-        for example in rtec_sim::example::EXAMPLES {
+        for example in rtec_sim::example_machines::EXAMPLES {
             let Some((_, text)) = example.files.iter().find(|f| f.0 == "rtec.toml") else { continue };
             let model =
                 example.files.iter().find(|f| f.0 == "machine.toml").map_or("name = \"m\"\n", |f| f.1);

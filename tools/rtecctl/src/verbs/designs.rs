@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         for design in InsertionDesign::ALL {
             let file = dir.join(format!("design-{}.svg", design.name()));
             let svg = waveforms(design, &computer, 3);
-            crate::document::write(&file, &svg)?;
+            crate::json_output::write(&file, &svg)?;
             eprintln!("rtecctl: wrote {}", file.display());
         }
     }

@@ -1,7 +1,7 @@
 //! `rtecctl example`: a simulated machine to begin with.
 
 use crate::prelude::*;
-use rtec_sim::example::{EXAMPLES, Example};
+use rtec_sim::example_machines::{EXAMPLES, ExampleMachine};
 use std::io::ErrorKind;
 
 /// Write an example machine into a folder: model, run records, hold-outs, configuration
@@ -12,7 +12,7 @@ use std::io::ErrorKind;
 pub(crate) struct Args {
     /// The machine; see --list
     #[arg(required_unless_present = "list", value_parser = example)]
-    name: Option<&'static Example>,
+    name: Option<&'static ExampleMachine>,
     /// The folder, created where it is missing; one with anything in it is refused
     #[arg(value_name = "DIR", required_unless_present = "list")]
     dir: Option<PathBuf>,
@@ -24,8 +24,9 @@ pub(crate) struct Args {
     json: bool,
 }
 
-fn example(name: &str) -> Result<&'static Example, String> {
-    Example::find(name).ok_or_else(|| format!("expected one of {}", EXAMPLES.map(|e| e.name).join(", ")))
+fn example(name: &str) -> Result<&'static ExampleMachine, String> {
+    ExampleMachine::find(name)
+        .ok_or_else(|| format!("expected one of {}", EXAMPLES.map(|e| e.name).join(", ")))
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -56,7 +57,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for (name, text) in example.files {
         let file = dir.join(name);
         make_folder_of(&file)?;
-        crate::document::write(&file, text)?;
+        crate::json_output::write(&file, text)?;
         files.push(file);
     }
     let command = example.experiment();

@@ -54,7 +54,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let report = found.report()?;
     if let Some(path) = &args.html {
-        crate::document::write(path, &report.html())?;
+        crate::json_output::write(path, &report.html())?;
     }
     answer(args.json, &found, || report.text())?;
     // A limit that was applied to nothing does not count as kept.

@@ -18,5 +18,5 @@ pub(crate) fn said(said: InputNotice) {
 }
 
 pub(crate) fn warn(records: &[Record]) {
-    plausible::said(records, &mut say);
+    plausible::report_suspicions(records, &mut say);
 }

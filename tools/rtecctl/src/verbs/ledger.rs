@@ -7,7 +7,7 @@ use rtec_control::ledger_export::LedgerExportSummary;
 use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
 use rtec_driver::quadrature::State;
 use rtec_files::ColumnAssignment;
-use rtec_files::trace::{TotalRequestReader, TraceReader};
+use rtec_files::quadrature_trace::{RequestedTotalReader, TraceReader};
 use rtec_rt::axis::AxisConfig;
 use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::replay::ReplayOutcome;
@@ -35,7 +35,7 @@ struct ExportArgs {
     #[arg(long, value_name = "NAME")]
     axis: Option<String>,
     /// The last changes only, as 60s
-    #[arg(long, value_name = "TIME", value_parser = rtec_files::options::duration)]
+    #[arg(long, value_name = "TIME", value_parser = rtec_files::cli_options::duration)]
     last: Option<Duration>,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -103,7 +103,7 @@ fn export(args: &ExportArgs) -> anyhow::Result<()> {
     }
     let document = json!({ "machine": status.machine, "axes": all });
     let file = out.join("ledger.json");
-    crate::document::write(&file, &pretty(&document)?)?;
+    crate::json_output::write(&file, &pretty(&document)?)?;
     if daemon.json {
         say_line(&document)?;
     } else if !not_homed.is_empty() {
@@ -144,7 +144,7 @@ fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
 /// Replays the files through the engine.
 fn replayed(trace: &Path, requests: &Path) -> anyhow::Result<ReplayOutcome> {
     let trace = TraceReader::open(trace)?;
-    let requests = TotalRequestReader::open_beside(requests, &ColumnAssignment::default(), &trace)?;
+    let requests = RequestedTotalReader::open_beside(requests, &ColumnAssignment::default(), &trace)?;
     let trace = trace.playable();
     let config = AxisConfig { max_correction_counts: i64::MAX, ..AxisConfig::default() };
     let (outcome, _) = replay_any(InsertionDesign::C, config, trace, requests, true, |_, _: State| {})

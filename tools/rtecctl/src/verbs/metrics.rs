@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.prom")]
     textfile: Option<PathBuf>,
     /// Write the file again and again, as 15s
-    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = rtec_files::options::duration)]
+    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = rtec_files::cli_options::duration)]
     every: Option<Duration>,
     /// Serve them at this address, as 127.0.0.1:9837, or at a Unix socket, as /run/rtec-metrics/socket
     #[arg(long, value_name = "ADDRESS", conflicts_with = "textfile")]
@@ -66,7 +66,7 @@ fn write(daemon: &DaemonArgs, file: &Path, every: Option<Duration>) -> anyhow::R
     loop {
         let seen = seen(daemon);
         let metrics = text(seen.as_ref().ok(), MetricsFormat::Prometheus, VERSION);
-        crate::document::write(file, &metrics)?;
+        crate::json_output::write(file, &metrics)?;
         // The collector runs as another user.
         std::fs::set_permissions(file, Permissions::from_mode(0o644))?;
         match (every, seen) {
@@ -123,7 +123,7 @@ struct MetricsHandler {
 }
 
 impl Handler for MetricsHandler {
-    fn may(&self, head: &Request) -> Result<(), Answer> {
+    fn check_head(&self, head: &Request) -> Result<(), Answer> {
         if !["GET", "HEAD"].contains(&head.method.as_str()) {
             return Err(Answer::plain(405, "GET or HEAD"));
         }

@@ -20,7 +20,7 @@ super::verbs_below! {
     Load load::LoadArgs => load::load;
     Predict predict::Args => predict::run;
     Rehearse validate::RehearseArgs => validate::rehearse;
-    SelectSensors fit::SelectArgs => fit::select;
+    SelectSensors fit::SelectSensorsArgs => fit::select;
     Show show::ShowArgs => show::show;
     /// Run without a model: corrections go back in a ramp
     Unload crate::daemon::DaemonArgs => load::unload;

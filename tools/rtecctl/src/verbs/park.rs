@@ -1,7 +1,7 @@
 //! `rtecctl park`: ends corrections, with the counts kept or withdrawn.
 
 use crate::daemon::{DaemonArgs, ask, explained, status};
-use crate::document::list;
+use crate::json_output::list;
 use rtec_control::client::Client;
 use rtec_control::protocol::{AxisExplanation, AxisReport, ClientRequest, DaemonStatus};
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ pub(crate) struct Args {
     #[arg(long, group = "moves")]
     inverters_off: bool,
     /// Give up after this time without a count taken out, as 30s or 5min; corrections stay on then
-    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = rtec_files::options::duration)]
+    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = rtec_files::cli_options::duration)]
     patience: Duration,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -84,7 +84,7 @@ fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
         corrects(&now)?;
         let axes = explained(client)?;
         for (axis, parts) in now.axes.iter().zip(&axes).filter(|(_, parts)| parts.requested != 0) {
-            ask(client, &next(axis, parts))?;
+            ask(client, &step_to_zero(axis, parts))?;
         }
         if left(&now) < least {
             (least, since) = (left(&now), Instant::now());
@@ -155,7 +155,7 @@ fn operator_counts(parts: &AxisExplanation) -> i64 {
 
 /// The operator's next total towards zero within the belief window.
 /// The model's part returns by itself after the model is unloaded.
-fn next(axis: &AxisReport, parts: &AxisExplanation) -> ClientRequest {
+fn step_to_zero(axis: &AxisReport, parts: &AxisExplanation) -> ClientRequest {
     let operator_counts = operator_counts(parts);
     let step = axis.window_counts.max(1);
     let total_counts = operator_counts - operator_counts.clamp(-step, step);

@@ -1,7 +1,7 @@
 //! `rtecctl probe`: positions at the trips of the probe.
 
 use crate::daemon::{DaemonArgs, NO_EVENTS, ask, check, observe, unreachable};
-use crate::document::say_line;
+use crate::json_output::say_line;
 use clap::ValueEnum;
 use rtec_control::protocol::{ClientRequest, ProbeTripReport, Response};
 

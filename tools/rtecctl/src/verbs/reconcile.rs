@@ -3,10 +3,10 @@
 
 use super::characterise::record::{RecorderArgs, record};
 use super::read_records;
-use crate::document::write;
+use crate::json_output::write;
 use crate::prelude::*;
 use crate::rounding::with_half;
-use rtec_files::options::number;
+use rtec_files::cli_options::number;
 use rtec_files::{InputError, date};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{

@@ -6,8 +6,8 @@ use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_driver::replay::{Listener, TracePoint};
 use rtec_files::clock_column;
-use rtec_files::trace::{
-    TotalRequestReader, TraceFile, TraceFormat, TraceReader, request_columns, trace_columns,
+use rtec_files::quadrature_trace::{
+    AtomicTraceFile, RequestedTotalReader, TraceFormat, TraceReader, request_columns, trace_columns,
 };
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::link_messages::Fault;
@@ -57,11 +57,11 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    fn open(&self) -> Result<(TraceReader<File>, TotalRequestReader<File>), InputError> {
+    fn open(&self) -> Result<(TraceReader<File>, RequestedTotalReader<File>), InputError> {
         let trace = TraceReader::open_columns(&self.trace, &trace_columns(&self.columns)?)?;
         let columns = request_columns(&self.request_columns)
             .map_err(|e| InputError { file: Path::new("--request-columns").to_owned(), ..e })?;
-        let requests = TotalRequestReader::open_beside(&self.requests, &columns, &trace)?;
+        let requests = RequestedTotalReader::open_beside(&self.requests, &columns, &trace)?;
         Ok((trace, requests))
     }
 }
@@ -82,7 +82,7 @@ fn two_clocks(args: &Args) -> anyhow::Result<()> {
     let first = trace.next_point()?.map(|point| point.t_ns);
     // A total of 0 at time 0 may come first with any clock.
     let last = requests.by_ref().last().transpose()?.map(|request| request.t_ns);
-    for said in [trace.said(), requests.said()].into_iter().flatten() {
+    for said in [trace.notes(), requests.notes()].into_iter().flatten() {
         eprintln!("note: {said}");
     }
     let Some((first, last)) = first.zip(last) else { return Ok(()) };
@@ -117,7 +117,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 let found = format!("the name {}", file.display());
                 return Err(InputError::whole(file, found, expected).into());
             }
-            files.push((TraceFile::create(file)?, file.as_path()));
+            files.push((AtomicTraceFile::create(file)?, file.as_path()));
         }
     }
     let shown_at = Instant::now();
@@ -254,7 +254,7 @@ impl Iterator for TraceWithProgress {
 
 /// The files for A' and B', and the first failure to write one.
 struct Outputs<'a> {
-    files: Vec<(TraceFile, &'a Path)>,
+    files: Vec<(AtomicTraceFile, &'a Path)>,
     failed: Option<io::Error>,
 }
 

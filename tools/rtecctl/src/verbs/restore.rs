@@ -1,6 +1,6 @@
 //! `rtecctl restore`: a machine's set-up from an archive of `rtecctl backup`.
 
-use super::backup::{Manifest, Packed, read};
+use super::backup::{Manifest, PackedFile, read};
 use crate::prelude::*;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
@@ -41,7 +41,7 @@ pub(crate) struct Args {
 }
 
 struct RestoredFile<'a> {
-    packed: &'a Packed,
+    packed: &'a PackedFile,
     bytes: &'a [u8],
     to: PathBuf,
 }
@@ -121,12 +121,12 @@ fn checked(args: &Args, manifest: &Manifest, contents: &[Vec<u8>], folder: &Path
     Ok(config)
 }
 
-fn is_state(packed: &Packed) -> bool {
+fn is_state(packed: &PackedFile) -> bool {
     matches!(packed.kind.as_str(), "state" | "loaded")
 }
 
 /// A path of the archive, checked to stay inside its folder.
-fn inside(args: &Args, packed: &Packed) -> Result<PathBuf, InputError> {
+fn inside(args: &Args, packed: &PackedFile) -> Result<PathBuf, InputError> {
     let plain = packed.path.components().all(|part| matches!(part, Component::Normal(_)));
     if plain && !packed.path.as_os_str().is_empty() {
         return Ok(packed.path.clone());

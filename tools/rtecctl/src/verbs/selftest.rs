@@ -2,7 +2,7 @@
 //! It shows the speeds at which they allow corrections.
 
 use crate::prelude::*;
-use crate::verbs::card::{alone, confirm, unreachable};
+use crate::verbs::card::{confirm, lock_out_daemon, unreachable};
 use rtec_control::card::{self, CardAccess, CardOperation};
 use rtec_control::config::{CardConfig, Config, LatencyTestConditions};
 use rtec_files::write::AtomicFile;
@@ -63,14 +63,14 @@ struct LatencyArgs {
 }
 
 /// The self-test, for a card of any backend.
-struct CardTest<'a> {
+struct LatencyTest<'a> {
     options: SelftestOptions,
     axes: &'a [AxisConfig],
     drive: bool,
 }
 
 fn duration(text: &str) -> Result<Duration, String> {
-    let time = rtec_files::options::duration(text)?;
+    let time = rtec_files::cli_options::duration(text)?;
     if time < Duration::from_millis(100) { Err("at least 100ms".into()) } else { Ok(time) }
 }
 
@@ -95,13 +95,13 @@ fn latency(args: &LatencyArgs) -> anyhow::Result<()> {
     let (measured, backend) = match (simulated, &config) {
         (None, Some(config)) => {
             provenance.card = config.card.named();
-            let _alone = alone(config)?;
+            let _alone = lock_out_daemon(config)?;
             if args.drive && !args.mtc_is_off {
                 confirm("every inverter of this card is switched on and off again, for a third of the time")?;
             }
             eprintln!("selftest: card {}", provenance.card);
             let access = if args.drive { CardAccess::Drive } else { CardAccess::Read };
-            let test = CardTest { options, axes: &config.engine_axes(), drive: args.drive };
+            let test = LatencyTest { options, axes: &config.engine_axes(), drive: args.drive };
             (card::with(&config.card, access, test).map_err(unreachable)??, config.card.backend())
         }
         (simulated, _) => {
@@ -129,7 +129,7 @@ fn latency(args: &LatencyArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-impl CardOperation for CardTest<'_> {
+impl CardOperation for LatencyTest<'_> {
     type Output = Result<LatencyTestResult, SelftestError>;
 
     fn on<C: rtec_driver::card::Card + Send + 'static>(self, card: C) -> Self::Output {

@@ -4,7 +4,7 @@ use crate::prelude::*;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::RunKind;
 use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentError, ExperimentInputs};
-use rtec_sim::lathe_program::RunError;
+use rtec_sim::lathe_run::RunError;
 use rtec_sim::sim::{MachineSpec, SimError};
 use rtec_sim::turning::TurningError;
 use serde_json::Map;
@@ -106,7 +106,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     for (name, svg) in &findings.plots {
         let file = out.join(name);
-        crate::document::write(&file, svg)?;
+        crate::json_output::write(&file, svg)?;
         files.push(file.display().to_string());
     }
     if args.json {

@@ -1,7 +1,7 @@
 //! `rtecctl status`: what the corrector does, and if nothing, why.
 
 use crate::daemon::{explained, status};
-use crate::document::line;
+use crate::json_output::line;
 use crate::prelude::*;
 use crate::terminal::{self, Tone, toned};
 use rtec_control::client::Client;
@@ -17,7 +17,7 @@ pub(crate) struct Args {
     #[arg(long)]
     watch: bool,
     /// With --watch: another time between two looks, as 1s
-    #[arg(long, value_name = "TIME", requires = "watch", value_parser = rtec_files::options::duration)]
+    #[arg(long, value_name = "TIME", requires = "watch", value_parser = rtec_files::cli_options::duration)]
     every: Option<Duration>,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -35,7 +35,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if !args.daemon.json {
         let way =
             args.daemon.view().map_or_else(|_| Vec::new(), |mut client| on_their_way(&mut client, &status));
-        print!("{}", table(&status, &way, Screen::here()));
+        print!("{}", table(&status, &way, TerminalStyle::here()));
     }
     ensure!(status.mode != "fault", Fault, "a fault is latched");
     Ok(())
@@ -48,7 +48,7 @@ fn watch(daemon: &DaemonArgs, every: Duration) -> anyhow::Result<()> {
         let text = if daemon.json {
             line(&status)?
         } else {
-            table(&status, &on_their_way(&mut client, &status), Screen::here())
+            table(&status, &on_their_way(&mut client, &status), TerminalStyle::here())
         };
         if !terminal::redraw(&text, !daemon.json)? {
             return Ok(());
@@ -81,7 +81,7 @@ fn yes(is: bool) -> &'static str {
 
 /// The output of the status.
 #[derive(Debug, Clone, Copy)]
-struct Screen {
+struct TerminalStyle {
     colour: bool,
     /// Columns; none without a terminal, when lines are not wrapped.
     width: Option<u16>,
@@ -89,7 +89,7 @@ struct Screen {
 
 const WHOLE: u16 = 118;
 
-impl Screen {
+impl TerminalStyle {
     fn here() -> Self {
         Self { colour: terminal::colour(), width: terminal::width() }
     }
@@ -107,11 +107,11 @@ impl Screen {
     }
 }
 
-fn table(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
+fn table(s: &DaemonStatus, way: &[RampingAxis], screen: TerminalStyle) -> String {
     screen.fit(head(s, screen)) + &axes(s, screen) + &screen.fit(below(s, way, screen))
 }
 
-fn head(s: &DaemonStatus, screen: Screen) -> String {
+fn head(s: &DaemonStatus, screen: TerminalStyle) -> String {
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let ledger = if !s.ledger_known() {
         tone("not known", Tone::Doubtful)
@@ -134,7 +134,7 @@ fn head(s: &DaemonStatus, screen: Screen) -> String {
     )
 }
 
-fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
+fn below(s: &DaemonStatus, way: &[RampingAxis], screen: TerminalStyle) -> String {
     let mut text = String::new();
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let thread = match (s.rt.cpu, s.rt.priority) {
@@ -196,7 +196,7 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: Screen) -> String {
 }
 
 /// The axes, in lines of 80 columns if the terminal is not wide enough for all.
-fn axes(s: &DaemonStatus, screen: Screen) -> String {
+fn axes(s: &DaemonStatus, screen: TerminalStyle) -> String {
     // Each column with its width, and whether it stays on a narrow screen.
     const COLUMNS: [(&str, usize, bool); 9] = [
         ("position/mm", 13, true),
@@ -302,7 +302,7 @@ mod tests {
     use rtec_correct::explain::Contribution;
     use rtec_rt::link_messages::Fault;
 
-    const PLAIN: Screen = Screen { colour: false, width: None };
+    const PLAIN: TerminalStyle = TerminalStyle { colour: false, width: None };
 
     /// A machine that corrects with a model, and a sensor replaced by its last value.
     fn corrects() -> DaemonStatus {
@@ -356,13 +356,13 @@ mod tests {
         status.edited =
             vec!["/etc/rtec/rtec.toml was edited since the start: `systemctl restart rtecd`".into()];
         status.record_trouble = Some("/var/log/rtec/audit.log: No space left on device".into());
-        let coloured = table(&status, &[], Screen { colour: true, width: Some(80) });
+        let coloured = table(&status, &[], TerminalStyle { colour: true, width: Some(80) });
         crate::golden("status_terminal.txt", &coloured.replace('\x1b', "␛"));
         let mut bare = coloured;
         for code in ["32", "33", "1;31", "0"] {
             bare = bare.replace(&format!("\x1b[{code}m"), "");
         }
-        assert_eq!(bare, table(&status, &[], Screen { colour: false, width: Some(80) }));
+        assert_eq!(bare, table(&status, &[], TerminalStyle { colour: false, width: Some(80) }));
         assert!(bare.lines().all(|row| row.chars().count() <= 80), "{bare}");
     }
 

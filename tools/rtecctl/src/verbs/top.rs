@@ -24,7 +24,7 @@ use view::View;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Time between two looks, as 500ms
-    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = rtec_files::options::duration)]
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = rtec_files::cli_options::duration)]
     every: Duration,
     #[command(flatten)]
     daemon: DaemonArgs,

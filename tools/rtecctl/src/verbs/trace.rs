@@ -3,9 +3,9 @@
 
 use crate::prelude::*;
 use rtec_driver::replay::TracePoint;
-use rtec_files::options::number;
-use rtec_files::position_record::{PositionOptions, PositionRecord};
-use rtec_files::trace::{TraceFile, TraceReader, trace_columns};
+use rtec_files::cli_options::number;
+use rtec_files::quadrature_trace::{AtomicTraceFile, TraceReader, trace_columns};
+use rtec_files::trace_from_positions::{PositionOptions, PositionRecord};
 use std::time::{Duration, Instant};
 
 super::verbs_below! {
@@ -98,14 +98,14 @@ impl Summary {
 /// A trace being written; it reports its progress every two seconds.
 struct Output<'a> {
     path: &'a Path,
-    file: TraceFile,
+    file: AtomicTraceFile,
     summary: Summary,
     shown_at: Instant,
 }
 
 impl<'a> Output<'a> {
     fn create(path: &'a Path) -> anyhow::Result<Self> {
-        let (file, summary) = (TraceFile::create(path)?, Summary::default());
+        let (file, summary) = (AtomicTraceFile::create(path)?, Summary::default());
         Ok(Self { path, file, summary, shown_at: Instant::now() })
     }
 
@@ -134,7 +134,7 @@ fn convert(args: &Convert) -> anyhow::Result<()> {
         out.write(point)?;
     }
     let summary = out.finish()?;
-    for said in [reader.said(), reader.sampled()].into_iter().flatten() {
+    for said in [reader.notes(), reader.sampled()].into_iter().flatten() {
         eprintln!("note: {said}");
     }
     summary.print(&args.output, args.json)

@@ -75,7 +75,7 @@ fn a_sources_example_names_its_whole_experiment() {
         let command = format!("cd {name} && rtec-papers {name} --from . --out figures");
         assert!(said.lines().last().is_some_and(|l| l.ends_with(&command)), "{said}");
     }
-    let sources = rtec_sim::example::EXAMPLES.iter().filter(|e| e.experiment().is_some());
+    let sources = rtec_sim::example_machines::EXAMPLES.iter().filter(|e| e.experiment().is_some());
     assert_eq!(sources.count(), 4);
     let package = include_str!("../../../rtecd/Cargo.toml");
     assert!(package.contains("target/release/rtec-papers\""));

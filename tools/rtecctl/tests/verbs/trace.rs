@@ -1,7 +1,7 @@
 //! `rtecctl trace` as a user sees it, and on a real axis's record.
 
 use rtec_driver::quadrature::Decoder;
-use rtec_files::trace::TraceReader;
+use rtec_files::quadrature_trace::TraceReader;
 use std::process::{Command, Output};
 
 fn trace(args: &[&str]) -> Output {

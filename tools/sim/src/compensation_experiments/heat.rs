@@ -2,7 +2,7 @@
 
 use super::runs::{Done, ExperimentRun, Log, Row, RunPair, digits, feed, places, seed_of};
 use super::{
-    ExperimentError, ExperimentInputs, ExperimentResults, GAUGE_SPACING_MM, GaugeReadings, PROMISED, UNSEEN,
+    ExperimentError, ExperimentInputs, ExperimentResult, GAUGE_SPACING_MM, GaugeReadings, PROMISED, UNSEEN,
 };
 use crate::heat::{FIGURE_9, SENSORS};
 use crate::nc_block::Block;
@@ -12,7 +12,7 @@ use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::chain::Chain;
 use rtec_model::effect::{STANDARD_DEGC, TemperatureDifference};
-use rtec_model::machine::{FitNote, Validity};
+use rtec_model::machine::{FitNote, ValidTemperatureRange};
 use rtec_model::record::{Axis, Record, RunKind};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
@@ -39,7 +39,7 @@ fn soaked(
     cycle: &[(f64, f64)],
     coolant: bool,
 ) -> Result<RunPair, ExperimentError> {
-    let runs = experiment.both(name, |sim, log| soak(sim, log, cycle, coolant))?;
+    let runs = experiment.run_pair(name, |sim, log| soak(sim, log, cycle, coolant))?;
     let places = places(experiment.setting.spec);
     experiment.publish(&runs, RunKind::Drift, (&places, 0.1), ("time (min)", &minutes))?;
     Ok(runs)
@@ -126,7 +126,7 @@ pub(super) fn tool_change(experiment: &mut ExperimentRun<'_>) -> Done {
     let seed = experiment.setting.seed;
     // 300 in/min between the changes (WO 97/43703, text before table 3).
     let mm_min = 300.0 * 25.4;
-    let runs = experiment.both("tool-change-repeatability", |sim, log| {
+    let runs = experiment.run_pair("tool-change-repeatability", |sim, log| {
         let mut moves = NoiseGenerator::new(seed, 0x7001);
         let reference = [50.0, 20.0, -100.0];
         for cycle in 1..=10 {
@@ -264,7 +264,7 @@ pub(super) fn drilling(experiment: &mut ExperimentRun<'_>, name: &str, start: &S
 
 /// Deviations relative to hole 1, as in table 7 and figures 21 to 23.
 /// Each axis has a table, a plot and its largest deviation. Holes are as measured, as in `rtec-papers`.
-fn by_hole(name: &str, findings: &mut ExperimentResults) -> Done {
+fn by_hole(name: &str, findings: &mut ExperimentResult) -> Done {
     let off_um = |record: &Record, p: usize| -> Vec<f64> {
         let um = record.responses().nth(p).map_or(&[][..], |c| &c.data);
         um.iter().map(|e| digits(e - um[0], 1e3)).collect()
@@ -316,7 +316,7 @@ fn by_hole(name: &str, findings: &mut ExperimentResults) -> Done {
 
 /// Residuals that the model's own fits promise, and where they cannot.
 /// A correction may gain nothing if the machine moves by less. `first`: the row at hole 1.
-fn promised(setting: &ExperimentInputs<'_>, first: &Row, findings: &mut ExperimentResults) {
+fn promised(setting: &ExperimentInputs<'_>, first: &Row, findings: &mut ExperimentResult) {
     let Some(known) = setting.known else { return };
     let fits = known.fits();
     let mut say = |title: &str, of: &dyn Fn(&FitNote) -> Option<f64>| {
@@ -331,7 +331,7 @@ fn promised(setting: &ExperimentInputs<'_>, first: &Row, findings: &mut Experime
         Some(known.turned_back_um(&fit.response)).filter(|um| *um > 0.0)
     });
     say(UNSEEN, &|fit| {
-        let seen = |v: &Validity| v.outside_um(difference(&first.temperatures, &v.difference));
+        let seen = |v: &ValidTemperatureRange| v.outside_um(difference(&first.temperatures, &v.difference));
         let um = fit.valid.iter().map(seen).fold(0.0, f64::max);
         (um > fit.half_width_um).then_some(um)
     });

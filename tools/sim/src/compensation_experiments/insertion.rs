@@ -1,9 +1,9 @@
 //! Number and positions of insertions (NISTIR 4832).
 
 use super::runs::{Done, ExperimentRun, Row, along, digits, feed};
-use super::{ExperimentError, ExperimentInputs, ExperimentResults};
+use super::{ExperimentError, ExperimentInputs, ExperimentResult};
 use crate::axis::AxisSpec;
-use crate::corrected_axis::GateDesign;
+use crate::corrected_axis::GateInsertionDesign;
 use crate::nc_block::Block;
 use crate::sim::MachineSpec;
 use rtec_model::record::RunKind;
@@ -13,7 +13,7 @@ use serde_json::json;
 /// The report's machine: one axis of a metre, corrected by the Original RTEC.
 pub fn one_metre(count_um: f64, travel_mm: f64) -> MachineSpec {
     let mut spec = MachineSpec::new(vec![AxisSpec { count_um, ..AxisSpec::new("x", travel_mm) }]);
-    spec.design = GateDesign::Original;
+    spec.design = GateInsertionDesign::Original;
     spec.rest = RestPolicy::Wait;
     spec
 }
@@ -33,7 +33,7 @@ pub fn over_a_part(
     spec: &MachineSpec,
     length_mm: f64,
     mm_min: f64,
-) -> Result<ExperimentResults, ExperimentError> {
+) -> Result<ExperimentResult, ExperimentError> {
     let (mut experiment, mut insertions) = (ExperimentRun::new(setting), 0);
     let runs = experiment.both_on(spec, [0.0; 3], "linear-error-240um", |sim, log| {
         sim.machine.load([feed(along(0, length_mm), mm_min)]);

@@ -21,7 +21,7 @@ pub(super) fn linear_displacement(experiment: &mut ExperimentRun<'_>) -> Done {
         let mm_min = 64.0 * 25.4;
         let over = 4.0;
         let name = format!("linear-displacement-{}", axis.name);
-        let runs = experiment.both(&name, |sim, log| {
+        let runs = experiment.run_pair(&name, |sim, log| {
             sim.run([Block::Rapid { to: along(p, targets[0] - 2.0 * over) }])?;
             for cycle in 0..5 {
                 for up in [true, false] {
@@ -56,7 +56,7 @@ pub(super) fn ballbar(experiment: &mut ExperimentRun<'_>) -> Done {
             let mut start = [0.0; AXES];
             start[i] = radius;
             let name = format!("ballbar-{}{}-{inches}", AXIS_NAMES[i], AXIS_NAMES[j]);
-            let runs = experiment.both(&name, |sim, log| {
+            let runs = experiment.run_pair(&name, |sim, log| {
                 sim.run([Block::Rapid { to: start }])?;
                 for clockwise in [false, true] {
                     let arc =
@@ -91,7 +91,7 @@ pub(super) fn ballbar(experiment: &mut ExperimentRun<'_>) -> Done {
 }
 
 pub(super) fn plate(experiment: &mut ExperimentRun<'_>) -> Done {
-    let runs = experiment.both("plate", |sim, log| {
+    let runs = experiment.run_pair("plate", |sim, log| {
         for row in 0..9 {
             for k in 0..9 {
                 let column = if row % 2 == 0 { k } else { 8 - k };
@@ -110,7 +110,7 @@ pub(super) fn plate(experiment: &mut ExperimentRun<'_>) -> Done {
 pub(super) fn feed_sweep(experiment: &mut ExperimentRun<'_>) -> Done {
     for (axis, p) in experiment.axes() {
         let name = format!("feed-sweep-{}", axis.name);
-        let runs = experiment.both(&name, |sim, log| {
+        let runs = experiment.run_pair(&name, |sim, log| {
             let half = 60.0;
             sim.run([Block::Rapid { to: along(p, -half) }])?;
             for (n, mm_min) in
@@ -140,7 +140,7 @@ pub(super) fn feed_sweep(experiment: &mut ExperimentRun<'_>) -> Done {
 pub(super) fn dynamics(experiment: &mut ExperimentRun<'_>) -> Done {
     for (axis, p) in experiment.axes() {
         let name = format!("dynamics-{}", axis.name);
-        let runs = experiment.both(&name, |sim, log| {
+        let runs = experiment.run_pair(&name, |sim, log| {
             for (n, mm_min) in [1000.0, 3000.0, 6000.0, 10_000.0].into_iter().enumerate() {
                 for way in [40.0 + 10.0 * n as f64, -40.0] {
                     sim.machine.load([feed(along(p, way), mm_min)]);

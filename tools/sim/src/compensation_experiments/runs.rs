@@ -1,7 +1,7 @@
 //! Both runs of an experiment, without and with compensation.
 //! The module makes their rows, records and plots.
 
-use super::{ExperimentError, ExperimentInputs, ExperimentResults};
+use super::{ExperimentError, ExperimentInputs, ExperimentResult};
 use crate::axis::AxisSpec;
 use crate::heat::SENSORS;
 use crate::nc_block::Block;
@@ -149,12 +149,12 @@ pub(super) type Done = Result<(), ExperimentError>;
 /// An experiment under way.
 pub(super) struct ExperimentRun<'a> {
     pub(super) setting: &'a ExperimentInputs<'a>,
-    pub(super) findings: ExperimentResults,
+    pub(super) findings: ExperimentResult,
 }
 
 impl<'a> ExperimentRun<'a> {
     pub(super) fn new(setting: &'a ExperimentInputs<'a>) -> Self {
-        Self { setting, findings: ExperimentResults::default() }
+        Self { setting, findings: ExperimentResult::default() }
     }
 
     /// The machine's axes, each with its place (0 X, 1 Y, 2 Z).
@@ -163,7 +163,7 @@ impl<'a> ExperimentRun<'a> {
         spec.axes.iter().zip(places(spec))
     }
 
-    pub(super) fn both(
+    pub(super) fn run_pair(
         &self,
         name: &str,
         run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,

@@ -5,7 +5,7 @@
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use rtec_rt::axis::RestPolicy;
-use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentInputs, ExperimentResults};
+use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentInputs, ExperimentResult};
 use rtec_sim::heat::FIGURE_9;
 use rtec_sim::sim::MachineSpec;
 use std::path::Path;
@@ -18,13 +18,13 @@ fn effect(name: &str, rest: &str) -> String {
     format!("[[effect]]\nname = \"{name}\"\n{rest}\n")
 }
 
-fn run(name: &str, truth: &Machine, known: &Machine, seed: u64) -> ExperimentResults {
+fn run(name: &str, truth: &Machine, known: &Machine, seed: u64) -> ExperimentResult {
     let spec = MachineSpec::machining_centre();
     let setting = ExperimentInputs { spec: &spec, truth, known: Some(known), seed, out: Path::new("out") };
     Experiment::find(name).unwrap().run(&setting).unwrap()
 }
 
-fn record<'a>(findings: &'a ExperimentResults, stem: &str) -> &'a Record {
+fn record<'a>(findings: &'a ExperimentResult, stem: &str) -> &'a Record {
     let file = format!("{stem}.run.toml");
     findings.records.iter().find(|r| r.path.file_name().unwrap().to_str() == Some(&file)).unwrap()
 }

@@ -4,7 +4,7 @@
 
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::machine::{ControllerSpec, ServoFault, SimMachine};
+use rtec_sim::machine::{ControllerLimits, ServoFault, SimMachine};
 use rtec_sim::nc_block::Block;
 use rtec_sim::sim::{MachineSnapshot, MachineSpec, Sim};
 use std::path::Path;
@@ -115,7 +115,7 @@ fn the_counters_say_what_the_lines_show() {
         AxisSpec { hysteresis_counts: 0.7, ..axis("y") },
         axis("z"),
     ];
-    let controller = ControllerSpec { decoder_hz: f64::INFINITY, max_following_mm: 1e3 };
+    let controller = ControllerLimits { decoder_hz: f64::INFINITY, max_following_mm: 1e3 };
     let mut machine = SimMachine::new(&axes, controller, [0.0; 3]);
     let turn = [0.0, 1.0, 3.0];
     let there = [rapid([12.0, -7.0, 3.0]), feed(turn, 4000.0)];

@@ -9,7 +9,7 @@ use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
 use crate::record::RecordPieceReader;
 use rtec_files::{InputError, Result};
-use rtec_model::disconnected_sensors::disconnected;
+use rtec_model::disconnected_sensor_codes::disconnected;
 use rtec_model::record::{Column, Record, Role, median, span};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 const PIECE_ROWS: usize = 4096;
 
 /// A drift test on file after its first pass.
-pub(crate) struct StreamedDrift {
+pub(crate) struct StreamedDriftTest {
     path: PathBuf,
     pieces: RecordPieceReader,
     /// The record with its first rows only.
@@ -27,7 +27,7 @@ pub(crate) struct StreamedDrift {
     spans: Vec<Span>,
     errors: Vec<Outline>,
     degc: Vec<Outline>,
-    usual: Usual,
+    usual: UsualTemperatures,
     /// Suspicions against its rows.
     doubts: Vec<Suspicion>,
     /// Rows left out of all figures, from 0.
@@ -36,9 +36,9 @@ pub(crate) struct StreamedDrift {
 
 /// Usual temperature of each sensor in the first rows, to recognise error codes.
 #[derive(Default)]
-struct Usual(Vec<f64>);
+struct UsualTemperatures(Vec<f64>);
 
-impl Usual {
+impl UsualTemperatures {
     /// Readings of each temperature; NaN where the sensor took none.
     fn taken(&mut self, record: &Record) -> Vec<Vec<f64>> {
         let columns: Vec<&Column> = record.temperatures().collect();
@@ -65,7 +65,7 @@ impl Usual {
 /// Distance from usual at which 85 or 0 °C is an error code, K.
 const UNUSUAL_K: f64 = 15.0;
 
-impl StreamedDrift {
+impl StreamedDriftTest {
     /// Reads a record of more than `more_than` rows; `None` for a shorter one.
     /// Also `None` if an axis moves, because its positions are grouped over all rows.
     pub(crate) fn of(path: &Path, more_than: usize) -> Result<Option<Self>> {
@@ -75,7 +75,7 @@ impl StreamedDrift {
         };
         let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
         let (mut errors, mut degc): (Vec<Outline>, Vec<Outline>) = (Vec::new(), Vec::new());
-        let (mut before, mut usual) = (Vec::new(), Usual::default());
+        let (mut before, mut usual) = (Vec::new(), UsualTemperatures::default());
         while let Some(record) = pieces.next_record(PIECE_ROWS)? {
             let is_still = !moves(&record, &mut before);
             let Some(t) = record.data(&Role::Time).filter(|_| is_still) else { return Ok(None) };

@@ -2,7 +2,7 @@
 
 #![allow(dead_code, clippy::unwrap_used)] // each test takes what it needs; a test's own helpers
 
-use rtec_measure::ballbar::{self, Ballbar};
+use rtec_measure::ballbar::{self, BallbarResult};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -102,7 +102,7 @@ impl Noise {
     }
 }
 
-pub(crate) fn one(records: &[Record]) -> Ballbar {
+pub(crate) fn one(records: &[Record]) -> BallbarResult {
     let mut all = ballbar::evaluate(records).unwrap();
     assert_eq!(all.len(), 1);
     all.swap_remove(0)

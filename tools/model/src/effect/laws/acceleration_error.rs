@@ -1,6 +1,6 @@
 //! `acceleration_error.A`: bending under the machine's own inertia.
 
-use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, LawSearchSettings};
 use std::sync::Arc;
 
 /// Extra price over an effect of the position, nats: it is rarer.
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![RequiredInput::Acceleration],
         // Around a circle at constant speed the acceleration is proportional to the position, as of a scale.
-        searched: Searched { price: RARER, ..Searched::default() },
+        searched: LawSearchSettings { price: RARER, ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })

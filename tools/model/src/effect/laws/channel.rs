@@ -1,6 +1,6 @@
 //! `channel.A.NAME`: a logged quantity with no physics named.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, LawSearchSettings};
 use std::sync::Arc;
 
 /// Extra price over an effect that has a physical cause, nats.
@@ -22,7 +22,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             ),
         ],
         needs: vec![RequiredInput::Channel],
-        searched: Searched { price: NO_PHYSICS, ..Searched::default() },
+        searched: LawSearchSettings { price: NO_PHYSICS, ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.channel })

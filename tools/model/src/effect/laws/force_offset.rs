@@ -1,6 +1,6 @@
 //! `force_offset.A`: a constant force.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, Parameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -10,7 +10,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "weight that is not balanced, amplifier offset, Coulomb friction that differs by direction"
             .into(),
         experiment: "slow strokes both ways (dynamics run)".into(),
-        quantity: Quantity::Force,
+        quantity: AffectedQuantity::Force,
         parameters: vec![Parameter::linear("N", "N", 10_000.0).typically(20.0).within([-1e6, 1e6], "the weight of 100 t")],
         constant: true,
         mechanism: Some(MechanicalParameter::ConstantForce),

@@ -2,9 +2,9 @@
 //! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis, Refine,
+    LawDescription, Effect, RecordExtent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis, Refine,
     ParameterSearch,
-    Searched, EffectState,
+    LawSearchSettings, EffectState,
 };
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -38,7 +38,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![RequiredInput::Angle],
         experiment: "the part probed densely all around, twice (a bump stays, a chip does not)".into(),
         owner: Owner::Part,
-        searched: Searched { repeats: true, ..Searched::default() },
+        searched: LawSearchSettings { repeats: true, ..LawSearchSettings::default() },
         ..LawDescription::default()
     }))
 }
@@ -70,7 +70,7 @@ impl Law for FormBump {
     }
 
     /// Widths in a geometric series; for each, centres a quarter of the width apart.
-    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, _: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let mut points = Vec::new();
         let mut width = 0.15;
         while width < 4.0 {

@@ -1,6 +1,6 @@
 //! `friction_asymmetric.A`: viscous friction that differs by direction.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -9,7 +9,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "f = N_s_per_m·abs(v)/1000".into(),
         cause: "viscous friction that differs by direction".into(),
         experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
-        quantity: Quantity::Force,
+        quantity: AffectedQuantity::Force,
         parameters: vec![
             Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(60.0)
                 .within([-1e6, 1e6], "as viscous friction itself"),

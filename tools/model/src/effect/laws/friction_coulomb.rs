@@ -1,6 +1,6 @@
 //! `friction_coulomb.A`: dry friction.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity, sign};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity, sign};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -9,7 +9,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "f = N·sign(v)".into(),
         cause: "dry friction of guideways, seals and preloaded nuts".into(),
         experiment: "slow strokes both ways (dynamics run)".into(),
-        quantity: Quantity::Force,
+        quantity: AffectedQuantity::Force,
         parameters: vec![
             Parameter::linear("N", "N", 10_000.0).typically(40.0)
                 .within([0.0, 1e6], "friction takes energy and gives none; at most the dry friction of 1000 t on rollers of 0.01"),

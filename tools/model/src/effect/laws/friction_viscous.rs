@@ -1,6 +1,6 @@
 //! `friction_viscous.A`: force in proportion to the velocity.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -9,7 +9,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "f = N_s_per_m·v/1000".into(),
         cause: "lubricant sheared in guideways, screw and bearings".into(),
         experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
-        quantity: Quantity::Force,
+        quantity: AffectedQuantity::Force,
         parameters: vec![
             Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(200.0)
                 .within([0.0, 1e6], "friction takes energy and gives none; 1 kN at 1 mm/s is more than oil in any guideway takes"),

@@ -1,6 +1,6 @@
 //! `inertia.A`: the force that accelerates an axis.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, Quantity};
+use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -9,7 +9,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "f = kg·a/1000".into(),
         cause: "moved mass, with the drive's inertia referred to the axis".into(),
         experiment: "strokes at several accelerations (dynamics run)".into(),
-        quantity: Quantity::Force,
+        quantity: AffectedQuantity::Force,
         parameters: vec![
             Parameter::linear("kg", "kg", 100_000.0).typically(120.0).within([0.0, 1e6], "no mass is negative; 1000 t: no axis moves that"),
         ],

@@ -1,7 +1,7 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
+    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch, EffectState,
 };
 use std::sync::Arc;
@@ -42,7 +42,7 @@ impl Law for LostCounts {
         out[0] = f64::from(now.t_s >= effect.scalar(AT));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let at_s = effect.scalar(AT);
         for (row, out) in out.iter_mut().enumerate() {
             *out = f64::from(bound.t_s[row] >= at_s);
@@ -54,7 +54,7 @@ impl Law for LostCounts {
     }
 
     /// About 160 moments; the search continues between them from row to row.
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let all = records.moments_s();
         let price = (all.len().max(2) as f64).ln();
         let step = (all.len() / 160).max(1);

@@ -2,8 +2,8 @@
 
 use crate::effect::wave::{amplitude, phase, polar, set_polar};
 use crate::effect::{
-    LawDescription, Effect, Extent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis,
-    ParameterSearch, Searched,
+    LawDescription, Effect, RecordExtent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis,
+    ParameterSearch, LawSearchSettings,
     EffectState, ValueError,
 };
 use std::sync::Arc;
@@ -35,7 +35,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         ],
         needs: vec![RequiredInput::Angle],
         owner: Owner::Probe,
-        searched: Searched { repeats: true, ..Searched::default() },
+        searched: LawSearchSettings { repeats: true, ..LawSearchSettings::default() },
         ..LawDescription::default()
     }))
 }
@@ -78,7 +78,7 @@ impl Law for Lobing {
     }
 
     /// A single lobe can also be an eccentric set-up: it is allowed at a price.
-    fn grid(&self, effect: &Effect, _: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, _: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let told_apart = 11f64.ln();
         let mut points = GridHypothesis::along(effect, LOBES, [1.0], 1.0 + told_apart);
         points.extend(GridHypothesis::along(effect, LOBES, (2..=12).map(f64::from), told_apart));

@@ -1,7 +1,7 @@
 //! `reversal_slope.A`: a reversal that grows along the axis.
 //! A worn screw causes it.
 
-use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter, LawSearchSettings};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -16,7 +16,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-1000.0, 1000.0], "lost motion that grows by a millimetre in a metre is a broken screw"),
         ],
         needs: vec![RequiredInput::Direction, RequiredInput::Position(0)],
-        searched: Searched { beside: Some(super::reversal::NAME), ..Searched::default() },
+        searched: LawSearchSettings { beside: Some(super::reversal::NAME), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 * i.dir / 2.0 })

@@ -2,7 +2,7 @@
 //! It fades with the travel since the change.
 
 use crate::effect::{
-    LawDescription, Effect, Extent, Input, Law, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
+    LawDescription, Effect, RecordExtent, Input, Law, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
     EffectState,
 };
 use std::sync::Arc;
@@ -84,7 +84,7 @@ impl Law for ReversalSpike {
         out[LENGTH] = effect.scalar(UM) * out[UM] * d / (length * length);
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let travel = records.travel_mm(&effect.axes()[0]);
         if travel <= 0.0 {
             return Vec::new();

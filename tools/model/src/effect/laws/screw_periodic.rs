@@ -2,7 +2,7 @@
 //! Its period is a turn of a screw or an encoder.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{LawDescription, Law, RequiredInput, Searched, Wave};
+use crate::effect::{LawDescription, Law, RequiredInput, LawSearchSettings, Wave};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -28,7 +28,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             phase(),
         ],
         needs: vec![RequiredInput::Position(0)],
-        searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
+        searched: LawSearchSettings { repeats: true, wave: Some(wave), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: false })

@@ -1,7 +1,7 @@
 //! `screw_slope.A`: the amplitude of a screw's wave grows along the axis.
 
 use crate::effect::wave::{Sine, period, phase};
-use crate::effect::{LawDescription, Law, RequiredInput, Parameter, ParameterSearch, Searched};
+use crate::effect::{LawDescription, Law, RequiredInput, Parameter, ParameterSearch, LawSearchSettings};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             phase(),
         ],
         needs: vec![RequiredInput::Position(0)],
-        searched: Searched { repeats: true, beside: Some(super::screw_periodic::NAME), ..Searched::default() },
+        searched: LawSearchSettings { repeats: true, beside: Some(super::screw_periodic::NAME), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: true })

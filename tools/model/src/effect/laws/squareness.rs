@@ -1,6 +1,6 @@
 //! `squareness.A.B`: two axes that are not square to each other.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, Searched};
+use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, LawSearchSettings};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -18,7 +18,7 @@ pub(super) fn law() -> Arc<dyn Law> {
                 .within([-5000.0, 5000.0], "5 mrad, a third of a degree, is seen with a workshop square"),
         ],
         needs: vec![RequiredInput::Position(1)],
-        searched: Searched { one_beside: Some("rotation"), ..Searched::default() },
+        searched: LawSearchSettings { one_beside: Some("rotation"), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[1] / 1000.0 })

@@ -1,7 +1,7 @@
 //! `subdivision.A`: a wave along the travel with the signal period of the scale.
 
 use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{LawDescription, Law, RequiredInput, Searched, Wave};
+use crate::effect::{LawDescription, Law, RequiredInput, LawSearchSettings, Wave};
 use std::sync::Arc;
 
 /// Unit of the period, mm.
@@ -32,7 +32,7 @@ pub(super) fn law() -> Arc<dyn Law> {
             phase(),
         ],
         needs: vec![RequiredInput::Position(0)],
-        searched: Searched { repeats: true, wave: Some(wave), ..Searched::default() },
+        searched: LawSearchSettings { repeats: true, wave: Some(wave), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
     Arc::new(Sine { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS), grows: false })

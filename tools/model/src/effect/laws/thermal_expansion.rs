@@ -1,7 +1,7 @@
 //! `thermal_expansion.A`: a temperature difference changes a length.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, EffectState,
+    EffectInputColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, EffectState,
 };
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ impl Law for ThermalExpansion {
         out[0] = effect.bounded(now.delta_k) * now.p_mm[0] / 1000.0;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let Some(p_mm) = bound.p_mm[0] else { return out.fill(0.0) };
         for ((row, out), p_mm) in out.iter_mut().enumerate().zip(p_mm) {
             *out = effect.bounded(bound.delta_k(row)) * p_mm / 1000.0;

@@ -1,7 +1,7 @@
 //! `thermal_growth.A`: a temperature difference moves a point.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter,
+    EffectInputColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter,
     EffectState,
 };
 use std::sync::Arc;
@@ -50,7 +50,7 @@ impl Law for ThermalGrowth {
         out[1] = d * d;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let (first, second) = out.split_at_mut(bound.rows());
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
             *a = effect.bounded(bound.delta_k(row));

@@ -2,7 +2,7 @@
 
 use crate::effect::lag::{Decay, Lag};
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
+    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch,
     EffectState,
 };
@@ -74,7 +74,7 @@ impl Law for ThermalLag {
     fn basis_rows(
         &self,
         effect: &Effect,
-        bound: &EffectColumns<'_>,
+        bound: &EffectInputColumns<'_>,
         _: usize,
         state: &mut EffectState,
         out: Out<'_>,
@@ -101,7 +101,7 @@ impl Law for ThermalLag {
     }
 
     /// Pairs of sensors are many, so they get every other time constant only.
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();
         let every = if effect.delta.as_ref().is_some_and(super::super::TemperatureDifference::is_pair) { 2 } else { 1 };

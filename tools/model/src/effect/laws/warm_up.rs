@@ -1,7 +1,7 @@
 //! `warm_up.A`: a drift from the start, without a logged cause.
 
 use crate::effect::{
-    EffectColumns, LawDescription, Effect, Extent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
+    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
     Refine, ParameterSearch, EffectState,
 };
 use std::sync::Arc;
@@ -47,7 +47,7 @@ impl Law for WarmUp {
         out[0] = drift(now.t_s, effect.scalar(TAU));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
         let tau_s = effect.scalar(TAU);
         for (row, out) in out.iter_mut().enumerate() {
             *out = drift(bound.t_s[row], tau_s);
@@ -61,7 +61,7 @@ impl Law for WarmUp {
         out[TAU] = -effect.scalar(UM) * e * t / (tau * tau);
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn Extent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();
         GridHypothesis::along(effect, TAU, all, price)

@@ -53,7 +53,7 @@ fn by_hand(name: &str, r: &Record, row: usize) -> f64 {
 #[test]
 fn laws_are_the_formulas() {
     for e in one_of_each() {
-        let force = e.description().quantity == Quantity::Force;
+        let force = e.description().quantity == AffectedQuantity::Force;
         let r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let out = value_on(&e, &r, if force { "force.x" } else { "error.x" });
         if by_hand(&e.name(), &r, 0).is_nan() {
@@ -69,7 +69,7 @@ fn laws_are_the_formulas() {
 #[test]
 fn slopes_agree_with_central_differences() {
     for e in one_of_each() {
-        let force = e.description().quantity == Quantity::Force;
+        let force = e.description().quantity == AffectedQuantity::Force;
         let r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let (_, component) = e.acts_on(&r)[0].clone();
         let bound = e.bind(&r).unwrap();

@@ -8,7 +8,7 @@ use crate::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
 #[test]
 fn a_record_in_one_go_is_its_instants_one_by_one() {
     for e in one_of_each() {
-        let force = e.description().quantity == Quantity::Force;
+        let force = e.description().quantity == AffectedQuantity::Force;
         let mut r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         // Two rows of one instant.
         r.columns[0].data[10] = r.columns[0].data[9];
@@ -29,7 +29,7 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
 #[test]
 fn a_record_in_pieces_is_the_record_in_one_go() {
     for e in one_of_each() {
-        let force = e.description().quantity == Quantity::Force;
+        let force = e.description().quantity == AffectedQuantity::Force;
         let r = record(RunKind::Probing, 60, &[if force { "force.x" } else { "error.x" }]);
         let mut whole = vec![0.0; 60];
         e.bind(&r).unwrap().add(&e, 0, &mut whole);

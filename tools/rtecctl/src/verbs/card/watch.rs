@@ -17,7 +17,7 @@ const ALONE: u64 = 8;
 
 /// Observations of one input line.
 #[derive(Debug)]
-struct Line {
+struct InputLine {
     name: String,
     bit: u8,
     level: bool,
@@ -28,7 +28,7 @@ struct Line {
     rate_hz: f64,
 }
 
-impl Line {
+impl InputLine {
     const fn edges(&self) -> u64 {
         self.rises + self.falls
     }
@@ -45,7 +45,7 @@ impl Line {
 
 /// The two channels of an axis.
 #[derive(Debug)]
-struct Channels {
+struct AxisChannels {
     name: String,
     lines: AxisLines,
     scale: Decoder,
@@ -55,7 +55,7 @@ struct Channels {
     alone: Option<(Signal, u64)>,
 }
 
-impl Channels {
+impl AxisChannels {
     fn look(&mut self, state: State) {
         let before = self.scale.state();
         if state == before {
@@ -95,8 +95,8 @@ impl Channels {
 #[derive(Debug)]
 struct InputMonitor {
     card: String,
-    lines: Vec<Line>,
-    axes: Vec<Channels>,
+    lines: Vec<InputLine>,
+    axes: Vec<AxisChannels>,
     start_ns: u64,
     last_ns: u64,
     shown_ns: u64,
@@ -109,13 +109,13 @@ impl InputMonitor {
         let on = |bit: u8| first.inputs >> bit & 1 == 1;
         let line = |WiredLine { name, bit, .. }: WiredLine| {
             let level = on(bit);
-            Line { name, bit, level, rises: 0, falls: 0, before: 0, rate_hz: 0.0 }
+            InputLine { name, bit, level, rises: 0, falls: 0, before: 0, rate_hz: 0.0 }
         };
         let inputs = wires(config).into_iter().filter(|w| !w.output);
         let axes = config.axes.iter().map(|axis| {
             let lines = axis.engine.lines;
             let scale = Decoder::new(lines.scale(first.inputs));
-            Channels { name: axis.name.clone(), lines, scale, up: 0, down: 0, alone: None }
+            AxisChannels { name: axis.name.clone(), lines, scale, up: 0, down: 0, alone: None }
         });
         Self {
             card: config.card.named(),
@@ -163,12 +163,12 @@ impl InputMonitor {
         let mut out = format!("{card}: {seconds:.1} s, {looks} looks, at most {longest_us:.1} µs apart\n");
         out += "line             bit level        edges    edges/s  edges seen\n";
         for line in &self.lines {
-            let Line { name, bit, rate_hz, .. } = line;
+            let InputLine { name, bit, rate_hz, .. } = line;
             let (level, edges, seen) = (u8::from(line.level), line.edges(), line.seen());
             let _ = writeln!(out, "{name:<16} {bit:>3} {level:>5} {edges:>12} {rate_hz:>10.0}  {seen}");
         }
         for axis in &self.axes {
-            let Channels { name, up, down, .. } = axis;
+            let AxisChannels { name, up, down, .. } = axis;
             let (count, illegal, finding) = (axis.scale.count(), axis.scale.illegal(), axis.finding());
             let _ = writeln!(
                 out,
@@ -195,12 +195,12 @@ impl InputMonitor {
 }
 
 /// The watch, for a card of any backend.
-struct Watching<'a> {
+struct WatchOperation<'a> {
     config: &'a Config,
     args: &'a ProbeArgs,
 }
 
-impl CardOperation for Watching<'_> {
+impl CardOperation for WatchOperation<'_> {
     type Output = anyhow::Result<()>;
 
     fn on<C: Card + Send + 'static>(self, mut card: C) -> Self::Output {
@@ -231,7 +231,8 @@ impl CardOperation for Watching<'_> {
 /// # Errors
 /// When the card cannot be opened, or has no lines outside the daemon.
 pub(super) fn watch(config: &Config, args: &ProbeArgs) -> anyhow::Result<()> {
-    card::with(&config.card, CardAccess::Read, Watching { config, args }).map_err(|e| refused(config, e))?
+    card::with(&config.card, CardAccess::Read, WatchOperation { config, args })
+        .map_err(|e| refused(config, e))?
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! `rtecctl characterise evaluate`: figures of runs by their standard.
 //! The output is text, JSON, plots or a page.
 
-use crate::document::{answer, write};
+use crate::json_output::{answer, write};
 use crate::verbs::input_notices;
-use rtec_files::options::one_of;
+use rtec_files::cli_options::one_of;
 use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
 use rtec_measure::iso230::Conditions;
 use std::path::PathBuf;

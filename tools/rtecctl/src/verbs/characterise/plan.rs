@@ -49,7 +49,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// Writes the plan to its file, and prints what was asked for.
 fn give(args: &Args, text: &str, document: &impl serde::Serialize) -> anyhow::Result<()> {
     if let Some(path) = &args.out {
-        crate::document::write(path, text)?;
+        crate::json_output::write(path, text)?;
     }
     if args.json {
         say_pretty(document)?;

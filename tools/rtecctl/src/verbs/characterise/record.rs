@@ -13,7 +13,7 @@ use rtec_files::toml::Document;
 use rtec_model::record::{Column, LINEAR, Record, Role, RunKind, check};
 use rtec_sensors::bank::SensorBank;
 use rtec_sensors::sensor_line_feed::SensorLineFeed;
-use rtec_sensors::{SensorConfig, SensorUse};
+use rtec_sensors::{SensorConfig, SensorUsability};
 use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -131,7 +131,7 @@ fn usage(found: String, expected: &str) -> InputError {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    rtec_files::options::duration(text).map(|t| t.as_secs_f64())
+    rtec_files::cli_options::duration(text).map(|t| t.as_secs_f64())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -304,7 +304,7 @@ fn say_lost(feed: &SensorLineFeed, now_s: f64, lost: &mut bool) {
 
 /// Columns and sensors without a value now, with the reason.
 fn silent(bank: &SensorBank, now_s: f64, last: &[Option<f64>], columns: &[Column]) -> Vec<String> {
-    let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != SensorUse::Good).map(|w| {
+    let faults = bank.sensors().iter().filter(|w| w.usable(now_s) != SensorUsability::Good).map(|w| {
         let why = w.fault().map_or("no reading yet".to_owned(), ToString::to_string);
         format!("{} {why}", w.config().name)
     });

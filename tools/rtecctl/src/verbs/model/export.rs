@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         to: args.to.clone(),
     };
     let done = order.of(&machine)?;
-    crate::document::write(&args.out, &done.text)?;
+    crate::json_output::write(&args.out, &done.text)?;
     for warning in &done.warnings {
         eprintln!("warning: {}: {warning}", args.machine.display());
     }

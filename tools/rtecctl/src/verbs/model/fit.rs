@@ -49,7 +49,7 @@ pub(crate) struct Common {
 
 /// Choose sensors by correlation (CASC), without fitting a model
 #[derive(Debug, clap::Args)]
-pub(crate) struct SelectArgs {
+pub(crate) struct SelectSensorsArgs {
     #[command(flatten)]
     common: Common,
 }
@@ -107,7 +107,7 @@ impl Common {
     }
 }
 
-pub(crate) fn select(args: &SelectArgs) -> anyhow::Result<()> {
+pub(crate) fn select(args: &SelectSensorsArgs) -> anyhow::Result<()> {
     let asked = FitRequest { date: Some(0), ..args.common.asked()? };
     let done = args.common.fit(&[], &asked)?;
     if args.common.json {
@@ -235,7 +235,7 @@ pub(crate) fn draw_beside<'c>(
     for (word, chart) in charts {
         let path = if word.is_empty() { path.to_owned() } else { path.with_extension(format!("{word}.svg")) };
         let svg = chart.svg(width, height)?;
-        crate::document::write(&path, &svg)?;
+        crate::json_output::write(&path, &svg)?;
         drawn.push(path);
     }
     if drawn.iter().any(|d| d != path) {

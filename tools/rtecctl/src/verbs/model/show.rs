@@ -5,7 +5,7 @@ use crate::rounding::alike;
 use crate::verbs::input_notices;
 use rtec_files::date;
 use rtec_measure::plausible;
-use rtec_model::chain::{self, COMPONENTS, Chain, Term};
+use rtec_model::chain::{self, COMPONENTS, Chain, PolynomialTerm};
 use rtec_model::effect::Effect;
 use rtec_model::machine::{FitNote, Machine};
 use std::collections::BTreeMap;
@@ -137,7 +137,7 @@ fn chain_text(chain: &Chain) -> String {
 }
 
 /// One term, as +1.15·(p/100 mm)·ΔT.
-fn term(t: &Term) -> String {
+fn term(t: &PolynomialTerm) -> String {
     let power = |what: &str, n: u8| match n {
         0 => String::new(),
         1 => format!("·{what}"),
@@ -276,7 +276,7 @@ mod tests {
     /// A coefficient that came out of a fit, and one typed by a person.
     #[test]
     fn a_chain_s_terms_are_short() {
-        let term = |coefficient| super::term(&Term { position: 1, temperature: 0, coefficient });
+        let term = |coefficient| super::term(&PolynomialTerm { position: 1, temperature: 0, coefficient });
         assert_eq!(term(0.123_456_789_012_345_6), "+0.12346·(p/100 mm)");
         assert_eq!(term(-1.15), "-1.15·(p/100 mm)");
     }

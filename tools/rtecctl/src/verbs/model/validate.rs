@@ -146,7 +146,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
 /// Settings of the law for a configured machine.
 fn options(config: &Config) -> rehearse::Options {
     rehearse::Options {
-        axes: config.axes.iter().map(ConfiguredAxis::law).collect(),
+        axes: config.axes.iter().map(ConfiguredAxis::axis_setup).collect(),
         ramp_um_s: config.model.ramp_um_s,
         lead_s: config.model.lead_ms * 1e-3,
     }

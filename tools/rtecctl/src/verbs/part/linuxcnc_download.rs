@@ -42,7 +42,7 @@ impl DownloadArgs {
             return Err(usage("--program-folder", found, "the controller's program folder"));
         }
         let file = folder.join(name);
-        rtec_files::write::whole(&file, text.as_bytes())
+        rtec_files::write::write_atomically(&file, text.as_bytes())
             .with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
         let Some(address) = &self.download else { return Ok(()) };

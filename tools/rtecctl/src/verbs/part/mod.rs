@@ -47,14 +47,14 @@ fn write_all(folder: &Path, files: &[(&str, impl AsRef<[u8]>)]) -> anyhow::Resul
     use anyhow::Context as _;
     let ends = folder.extension().and_then(|e| e.to_str()).unwrap_or_default();
     if !folder.is_dir() && FILES.contains(&ends) {
-        let expected = format!("a folder, for {}", crate::document::list(files.iter().map(|f| f.0)));
+        let expected = format!("a folder, for {}", crate::json_output::list(files.iter().map(|f| f.0)));
         return Err(usage("--out", format!("the name of a file, {}", folder.display()), expected));
     }
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, content) in files {
         let file = folder.join(name);
-        let written = rtec_files::write::whole(&file, content.as_ref());
+        let written = rtec_files::write::write_atomically(&file, content.as_ref());
         written.with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }

@@ -34,14 +34,14 @@ pub(crate) struct PlanEditor {
     pub(crate) clear_mm: f64,
 }
 
-pub(crate) struct PlanPage {
+pub(crate) struct PlanPageServer {
     server: Server,
     address: SocketAddr,
     /// First part of every path.
     secret: String,
 }
 
-impl PlanPage {
+impl PlanPageServer {
     /// Listens on the loopback address; port 0 takes a free one.
     ///
     /// # Errors
@@ -65,7 +65,7 @@ impl PlanPage {
     /// The listening socket failed.
     pub(crate) fn serve(&self, session: PlanEditor) -> std::io::Result<()> {
         let done = Arc::<AtomicBool>::default();
-        let asked = PlanServer {
+        let asked = PlanRequestHandler {
             secret: self.secret.clone(),
             address: self.address,
             session: Mutex::new(session),
@@ -80,14 +80,14 @@ impl PlanPage {
 
 const LAST_ANSWER: Duration = Duration::from_millis(100);
 
-struct PlanServer {
+struct PlanRequestHandler {
     secret: String,
     address: SocketAddr,
     session: Mutex<PlanEditor>,
     done: Arc<AtomicBool>,
 }
 
-impl PlanServer {
+impl PlanRequestHandler {
     fn what<'r>(&self, request: &'r Request) -> Option<&'r str> {
         request.path.strip_prefix(&self.secret).filter(|what| what.starts_with('/'))
     }
@@ -103,8 +103,8 @@ impl PlanServer {
     }
 }
 
-impl Handler for PlanServer {
-    fn may(&self, head: &Request) -> Result<(), Answer> {
+impl Handler for PlanRequestHandler {
+    fn check_head(&self, head: &Request) -> Result<(), Answer> {
         match self.what(head) {
             Some(_) if self.is_ours(head) => Ok(()),
             _ => Err(Answer::plain(403, "only the page of whoever started it may ask")),
@@ -167,7 +167,7 @@ fn change(session: &mut PlanEditor, what: &str, asked: &Value) -> Result<(), Str
 fn save(session: &PlanEditor) -> std::io::Result<()> {
     std::fs::create_dir_all(&session.folder)?;
     for (name, text) in session.plan.files(&session.contour, session.unit) {
-        rtec_files::write::whole(&Path::new(&session.folder).join(name), text.as_bytes())?;
+        rtec_files::write::write_atomically(&Path::new(&session.folder).join(name), text.as_bytes())?;
     }
     Ok(())
 }

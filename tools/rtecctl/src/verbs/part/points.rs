@@ -1,7 +1,7 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
 use super::features::{DrawingArgs, read};
-use super::plan_page::{PlanEditor, PlanPage};
+use super::plan_page::{PlanEditor, PlanPageServer};
 use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_part::geometric_fit::Zx;
@@ -16,7 +16,7 @@ pub(crate) struct Args {
     drawing: DrawingArgs,
     /// Points on a feature: F1:20 puts 20 points on F1, F1:5mm one at least every 5 mm
     #[arg(long = "feature", value_name = "NAME:POINTS")]
-    features: Vec<Choice>,
+    features: Vec<FeaturePointSelection>,
     /// Points from a CSV `z_mm,x_mm`, each moved to the nearest place of the contour
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
@@ -83,26 +83,26 @@ pub(crate) fn positive(name: &str, value: f64) -> anyhow::Result<f64> {
 }
 
 #[derive(Debug, Clone)]
-struct Choice {
+struct FeaturePointSelection {
     feature: String,
-    by: PointSelection,
+    by: PointCountOrSpacing,
 }
 
 /// Largest number of points on one feature; more would take days to probe.
 const MOST_POINTS: usize = 10_000;
 
 #[derive(Debug, Clone, Copy)]
-enum PointSelection {
+enum PointCountOrSpacing {
     Number(usize),
     SpacingMm(f64),
 }
 
-impl Choice {
+impl FeaturePointSelection {
     /// Number of points on a stretch of this length.
     fn number(&self, between_mm: f64) -> anyhow::Result<usize> {
         let mm = match self.by {
-            PointSelection::Number(n) => return Ok(n),
-            PointSelection::SpacingMm(mm) => mm,
+            PointCountOrSpacing::Number(n) => return Ok(n),
+            PointCountOrSpacing::SpacingMm(mm) => mm,
         };
         let points = between_mm / mm;
         if points > MOST_POINTS as f64 {
@@ -115,14 +115,14 @@ impl Choice {
     }
 }
 
-impl FromStr for Choice {
+impl FromStr for FeaturePointSelection {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = "NAME:NUMBER or NAME:SPACINGmm, as F1:20 or F1:5mm";
         let (feature, points) = text.split_once(':').ok_or(expected)?;
         let by = if let Some(mm) = points.strip_suffix("mm") {
             let mm = mm.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
-            PointSelection::SpacingMm(mm.ok_or(expected)?)
+            PointCountOrSpacing::SpacingMm(mm.ok_or(expected)?)
         } else {
             let is_whole = !points.is_empty() && points.bytes().all(|byte| byte.is_ascii_digit());
             // A number too large for an integer is still a number.
@@ -131,7 +131,7 @@ impl FromStr for Choice {
                 let asks = format!("{feature}:{points} asks for {points} points");
                 return Err(format!("{asks}; 1 to {MOST_POINTS} are expected"));
             }
-            PointSelection::Number(number)
+            PointCountOrSpacing::Number(number)
         };
         Ok(Self { feature: feature.to_owned(), by })
     }
@@ -167,7 +167,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         stem,
     };
     let mut plan = ProbingPlan::new(probe);
-    let twice = |(k, c): &(usize, &Choice)| args.features[..*k].iter().any(|o| o.feature == c.feature);
+    let twice =
+        |(k, c): &(usize, &FeaturePointSelection)| args.features[..*k].iter().any(|o| o.feature == c.feature);
     if let Some((_, choice)) = args.features.iter().enumerate().find(twice) {
         return Err(usage("--feature", format!("{} twice", choice.feature), "each feature once"));
     }
@@ -199,7 +200,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         plan.add_bypasses(&contour, clear_mm);
     }
     if args.web {
-        let page = PlanPage::listen(args.port)?;
+        let page = PlanPageServer::listen(args.port)?;
         eprintln!("open {} and say Done there when you are", page.url());
         let clear_mm = args.bypass.unwrap_or(2.0);
         let session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };

@@ -8,7 +8,7 @@ use crate::daemon::{self, unreachable};
 use crate::prelude::*;
 use rtec_control::client::{Client, ClientError};
 use rtec_control::protocol::{self, ClientRequest, Response};
-use rtec_files::options::one_of;
+use rtec_files::cli_options::one_of;
 use rtec_measure::record::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::geometric_fit::Zx;

@@ -4,7 +4,7 @@ use super::linuxcnc_download::DownloadArgs;
 use super::points::positive;
 use super::{usage, write_all};
 use crate::prelude::*;
-use rtec_files::options::one_of;
+use rtec_files::cli_options::one_of;
 use rtec_part::probe_path::{PathRole, read_pathfin};
 use rtec_part::probing_program::{
     BUILT_IN, DialectWithTemplate, PARAMETERS, Parameters, ProbingProgramInputs, date_time,

@@ -4,7 +4,7 @@ use super::points::positive;
 use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_part::error_cor_file::FeatureErrors;
-use rtec_part::finish_table::{ArcFinishTable, AxisCounts, FinishArc, csv};
+use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc, csv};
 use rtec_part::geometric_fit::Zx;
 use rtec_part::straight_table::StraightFinishTable;
 
@@ -137,10 +137,10 @@ fn increment(text: &str) -> Result<i64, String> {
 }
 
 impl CountArgs {
-    pub(crate) fn axes(&self) -> anyhow::Result<[AxisCounts; 2]> {
+    pub(crate) fn axes(&self) -> anyhow::Result<[AxisCountConversion; 2]> {
         let count_um = self.count_um;
         within("--count-um", count_um, 1e-4..=1000.0, "what a scale's count is worth: 0.0001 to 1000 µm")?;
-        Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCounts {
+        Ok([self.z_counts_down, self.x_counts_down].map(|down| AxisCountConversion {
             count_um,
             increment: self.increment,
             sign: if down { -1.0 } else { 1.0 },
