@@ -62,6 +62,9 @@ fn changed(folder: &Path, file: &str, from: &str, to: &str) {
 
 #[test]
 fn nistir_4832() {
+    if !test_needs::long() {
+        return;
+    }
     let paper = compared("4832", None, 1);
     check_quoted(&paper, "NISTIR 4832");
     for (place, what) in [
@@ -144,6 +147,9 @@ fn nistir_4854() {
 
 #[test]
 fn tool_offset_corrects_size_and_table_corrects_form() {
+    if !test_needs::long() {
+        return;
+    }
     let left = rtec_papers::nistir4854::size_and_form(&MachineDescriptions::default(), 1).unwrap();
     let [offset, table, _, sized] = left.map(|(_, um)| um.map(f64::abs));
     assert!(offset[0] < 2.0 && offset[1] > 18.0, "{left:?}");

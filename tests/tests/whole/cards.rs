@@ -73,6 +73,9 @@ impl Lines for Counter {
 
 #[test]
 fn a_counter_card_counts_for_us_and_its_flags_are_latched() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let (burst, wrong) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicI16::new(0)));
     let config = CONFIG

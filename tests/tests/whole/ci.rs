@@ -164,6 +164,9 @@ fn workflows_call_stages_that_exist_and_all_of_them() {
 /// The cheapest stage runs there, and the script of every step exists.
 #[test]
 fn steps_are_there_in_an_empty_clone() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let clone = folder.path().join("rtec");
     let cloned = Command::new("git").args(["clone", "-q"]).arg(root()).arg(&clone).output().unwrap();

@@ -135,6 +135,9 @@ fn jog(socket: &Path, to_mm: f64) -> [f64; 2] {
 /// controller's count is reported.
 #[test]
 fn whoever_leaves_in_the_middle_leaves_nothing_requested() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let (directory, daemon) = enabled();
     let socket = directory.path().join("s");

@@ -256,6 +256,9 @@ fn alerts(rules: &str) -> Vec<&str> {
 /// The samples are in `metrics/alerts.yml`.
 #[test]
 fn every_shipped_rule_fires_and_is_quiet() {
+    if !test_needs::long() {
+        return;
+    }
     if !there("promtool", "prometheus") {
         return;
     }
@@ -325,6 +328,9 @@ fn what_the_rules_ask_for_is_there() {
 
 #[test]
 fn a_prometheus_scrapes_it_and_fires_on_a_latched_fault() {
+    if !test_needs::long() {
+        return;
+    }
     if !there("prometheus", "prometheus") {
         return;
     }

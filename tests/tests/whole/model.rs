@@ -47,6 +47,9 @@ const GROWTH: &str =
 /// Regression: the line of progress took the place of the question.
 #[test]
 fn the_question_of_a_load_stays_on_the_terminal() {
+    if !test_needs::long() {
+        return;
+    }
     if std::process::Command::new("tmux").arg("-V").output().is_err() {
         return skipped("no tmux (Debian: tmux)");
     }
@@ -71,6 +74,9 @@ fn the_question_of_a_load_stays_on_the_terminal() {
 
 #[test]
 fn a_model_is_shown_taken_explained_held_and_unloaded() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let sensors = Sensors::start(23.0);
@@ -174,6 +180,9 @@ fn a_model_is_shown_taken_explained_held_and_unloaded() {
 /// The log gives the heat inside the machine. A file that has changed meanwhile is not run.
 #[test]
 fn a_restart_goes_on_with_the_same_correction_and_a_changed_file_does_not() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let sensors = Sensors::start(20.0);

@@ -140,6 +140,9 @@ fn a_client_hears_faults_the_daemons_restart_and_the_brokers() {
 
 #[test]
 fn a_broker_that_stays_away_is_one_line() {
+    if !test_needs::long() {
+        return;
+    }
     let directory = tempfile::tempdir().unwrap();
     // A server that reads everything and then hangs up.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();

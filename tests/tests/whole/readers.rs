@@ -27,6 +27,9 @@ fn corrected() -> (tempfile::TempDir, Daemon) {
 
 #[test]
 fn a_ledger_replays_to_the_same_totals() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let (directory, daemon) = corrected();
     let out = directory.path().join("ledger");

@@ -10,6 +10,9 @@ use std::process::Command;
 /// The record is the EMPS benchmark (Janot, Gautier, Brunot).
 #[test]
 fn every_request_is_served_and_the_ledger_balances() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(record) = shared("data/axis_dynamics/identification.csv") else { return };
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);

@@ -22,6 +22,9 @@ const KNOWN: &str = "name = \"lathe\"\n[[effect]]\nname = \"scale.x\"\nppm = 12.
 /// points.
 #[test]
 fn a_worn_tool_is_named_from_probed_points_and_the_next_nose_is_round() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     std::fs::write(at.join("true.toml"), KNOWN).unwrap();

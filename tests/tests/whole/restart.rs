@@ -203,6 +203,9 @@ fn a_pc_that_comes_back_without_its_state_knows_nothing() {
 /// The service manager starts the next one.
 #[test]
 fn a_thread_that_stands_still_ends_the_process_and_holds_the_machine() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let bench = Bench::default();
     let daemon = bench.daemon();
@@ -229,6 +232,9 @@ fn a_thread_that_stands_still_ends_the_process_and_holds_the_machine() {
 /// They go from set-up to the operator who may not load one.
 #[test]
 fn the_steps_of_an_upgrade() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let bench = Bench::with("[model]\nfile = 'machine.toml'\nramp_um_s = 200\n");
     std::fs::write(bench.at("machine.toml"), "name = 'bench'\n[[effect]]\nname = 'offset.x'\num = 6.0\n")

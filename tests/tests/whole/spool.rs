@@ -104,6 +104,9 @@ fn shipped(directory: &Path) -> Output {
 
 #[test]
 fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let (spool, shop) = (directory.path().join("spool"), directory.path().join("shop"));
@@ -155,6 +158,9 @@ fn what_was_probed_and_what_was_recorded_reaches_the_shop_once() {
 
 #[test]
 fn a_spool_that_is_gone_or_full_costs_the_record_and_is_said() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let spool = directory.path().join("spool");
@@ -211,6 +217,9 @@ fn a_daemon_without_a_spool_says_how_to_have_one() {
 /// The number of kept records had no bound either.
 #[test]
 fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
+    if !test_needs::long() {
+        return;
+    }
     let _room = among_others();
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);

@@ -19,6 +19,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// `RTEC_KILLS=1000` sets the number, and `RTEC_SEED` other moments.
 #[test]
 fn killed_twenty_times_it_leaves_no_jump_and_no_illegal_state() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
@@ -167,6 +170,9 @@ fn a_stepped_clock_changes_nothing() {
 
 #[test]
 fn parking_freezes_or_takes_the_correction_out_in_gated_steps() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let bench = Bench::default();
     let daemon = bench.daemon();
@@ -232,6 +238,9 @@ impl Drop for Stopped {
 
 #[test]
 fn a_control_thread_that_stalls_alone_leaves_the_real_time_thread_at_work() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let bench = Bench::default();
     let daemon = bench.daemon();
@@ -297,6 +306,9 @@ impl Drop for Line {
 
 #[test]
 fn a_sensor_whose_file_goes_away_is_named_and_its_correction_stands() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let sensor = directory.path().join("sensor");

@@ -59,6 +59,9 @@ impl Drop for Terminal {
 
 #[test]
 fn it_shows_the_machine_and_outlives_its_daemon() {
+    if !test_needs::long() {
+        return;
+    }
     if Command::new("tmux").arg("-V").output().is_err() {
         return skipped("no tmux (Debian: tmux)");
     }

@@ -111,6 +111,9 @@ fn data_like_the_report_give_its_standard_deviations() {
 
 #[test]
 fn two_steps_come_closer_to_the_truth_than_one_over_a_thousand_random_bumps() {
+    if !test_needs::long() {
+        return;
+    }
     let mut rng = Rng::new(20);
     let (mut closer, mut robust_closer, mut plain_um, mut two_um, mut robust_um) = (0, 0, 0.0, 0.0, 0.0);
     // The same with points dropped on both sides, which is another reading of the report.
@@ -187,6 +190,9 @@ fn points_that_give_no_shape_are_refused() {
 /// White noise has no bump: nearly no point is left out.
 #[test]
 fn sizes_of_white_noise_hold_their_rate() {
+    if !test_needs::long() {
+        return;
+    }
     const SD_UM: f64 = 0.5;
     let mut rng = Rng::new(39);
     let (mut held, mut named, mut lost, mut files) = (0, 0, 0, 0);

@@ -231,6 +231,9 @@ fn spindle(text: &str, rows: std::ops::Range<usize>, decoys: &[(&str, Role, Vec<
 /// sensor is the cause, so several share the weight.
 #[test]
 fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(text) = data("spindle_thermal/first_half.csv") else { return };
     let model = Machine::ideal("spindle");
     let mut left_um = Vec::new();

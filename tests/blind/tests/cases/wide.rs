@@ -28,6 +28,9 @@ fn source(name: &str, num: &[(&'static str, f64)]) -> Source {
 /// The laws of the cases are written from the formats' table, independently of the model.
 #[test]
 fn the_model_computes_what_the_cases_were_made_of() {
+    if !test_needs::long() {
+        return;
+    }
     let mut laws = std::collections::BTreeSet::new();
     for class in [Class::Maps, Class::Pairs, Class::Many, Class::Heat] {
         for seed in 0..6 {
@@ -102,6 +105,9 @@ fn a_machine_can_have_what_a_case_hides_and_knows() {
 
 #[test]
 fn a_seed_makes_the_same_files_again() {
+    if !test_needs::long() {
+        return;
+    }
     for (class, ..) in CLASSES {
         let dirs = [0, 1].map(|_| tempfile::tempdir().unwrap());
         let made = [0, 1].map(|k: usize| make(class, 4_100, dirs[k].path()).case);
@@ -135,6 +141,9 @@ fn a_map_was_made_finer_than_it_is_measured() {
 
 #[test]
 fn a_log_carries_the_noise_of_its_sensors() {
+    if !test_needs::long() {
+        return;
+    }
     let mut stepped = 0;
     for seed in 0..12 {
         let dir = tempfile::tempdir().unwrap();
@@ -221,6 +230,9 @@ fn every_mistake_is_in_the_files_and_its_twin_is_clean() {
 /// This ceiling needs effects that are significant.
 #[test]
 fn true_names_close_the_gap() {
+    if !test_needs::long() {
+        return;
+    }
     let mut closed = Vec::new();
     for seed in 300..308 {
         let dir = tempfile::tempdir().unwrap();

@@ -71,6 +71,9 @@ fn what_a_full_disk_does_not_remember_is_said_and_never_comes_back() {
 
 #[test]
 fn who_was_late_is_seen_on_the_mock_too() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(&directory.path().join("s"), None);

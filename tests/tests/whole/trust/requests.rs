@@ -25,6 +25,9 @@ fn slow_model(file: &Path) {
 
 #[test]
 fn while_one_file_is_loaded_everybody_else_is_answered() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
@@ -67,6 +70,9 @@ fn while_one_file_is_loaded_everybody_else_is_answered() {
 /// The control thread stayed busy too.
 #[test]
 fn who_goes_away_during_a_load_leaves_nothing_behind() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
@@ -180,6 +186,9 @@ fn corrections_are_not_switched_on_behind_probing_or_hold() {
 
 #[test]
 fn an_axis_that_moves_is_not_homed() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let directory = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(&directory.path().join("s"), None);

@@ -66,6 +66,9 @@ fn a_state_file_of_another_boot_is_not_trusted_with_the_count() {
 /// A newest record that is damaged in both copies is unknown, and latches.
 #[test]
 fn a_newest_record_that_is_damaged_in_both_copies_latches() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     for (row, who) in [(0, serde_json::json!("x")), (6, serde_json::Value::Null)] {
         for slot in 0..2 {
@@ -103,6 +106,9 @@ fn a_newest_record_that_is_damaged_in_both_copies_latches() {
 /// It is removed, replaced, cut short or overwritten. Nothing is lost with the process.
 #[test]
 fn a_state_file_that_is_lost_while_it_is_written_is_written_anew() {
+    if !test_needs::long() {
+        return;
+    }
     let _alone = alone();
     let bench = Bench::default();
     let state = bench.at("state");

@@ -165,6 +165,9 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::FittedChainTerm>, PathBuf
 /// The result is compared with the symbolic reference of the truth.
 #[test]
 fn three_axis_machine_component_by_component() {
+    if !test_needs::long() {
+        return;
+    }
     let truth = Chain::read(&data("three_axis.toml")).unwrap();
     let coefficients = |c: &Chain| -> Vec<f64> {
         let of = c.joints.iter().flat_map(|j| &j.components).flat_map(|c| &c.terms);

@@ -132,6 +132,9 @@ fn spindle(text: &str, rows: std::ops::Range<usize>) -> Record {
 /// Sensors, lag and parameters are chosen without the block judged.
 #[test]
 fn real_spindle_is_predicted_from_temperatures() {
+    if !test_needs::long() {
+        return;
+    }
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     let record = spindle(&text, 0..2341);
     let (machine, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();

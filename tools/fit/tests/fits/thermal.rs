@@ -233,6 +233,9 @@ fn a_lag_earns_its_place_or_is_not_there() {
 /// The allowance for that exceeds the blocks' residuals. The interval still includes the gauge's own scatter.
 #[test]
 fn no_interval_is_narrower_than_the_gauges_scatter() {
+    if !test_needs::long() {
+        return;
+    }
     const NOISE_UM: f64 = 0.15;
     for seed in repetitions(1..=6) {
         let (mut noise, n) = (Noise(0x9e37_79b9 * seed), 480);
@@ -267,6 +270,9 @@ fn no_interval_is_narrower_than_the_gauges_scatter() {
 /// A message says so, because the fitted body may be another one.
 #[test]
 fn a_lag_that_the_record_is_too_short_for_is_said() {
+    if !test_needs::long() {
+        return;
+    }
     let record = |hours: f64, tau_s: f64| {
         let n = (hours * 60.0) as usize;
         let (mut quick, mut slow) = (0.0, 0.0);

@@ -81,6 +81,9 @@ fn numpy_finds_the_same() {
 
 #[test]
 fn squareness_alone_by_hand() {
+    if !test_needs::long() {
+        return;
+    }
     let run = Run::both(100.0, 20.0);
     let found = one(&[run.record("b.run.toml", |[_, a, _]| 2.0 * (2.0 * a).sin() + 1.0)]);
     for g in [found.g_ccw, found.g_cw, found.g_b] {
@@ -114,6 +117,9 @@ fn two_lobes_are_a_scale_mismatch() {
 
 #[test]
 fn spikes_and_cyclic_errors_are_found_with_length_and_period() {
+    if !test_needs::long() {
+        return;
+    }
     let run = Run::both(150.0, 25.0);
     let effects = "reversal.x um = 5.0\nreversal_spike.x um = 7.0; length_mm = 0.8\n\
                    screw_periodic.y period_mm = 10.0; um = 1.2; phase_rad = 0.7";

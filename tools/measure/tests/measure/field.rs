@@ -268,6 +268,9 @@ fn bidirectional(dice: &mut Dice, beside: impl Fn(f64) -> f64) -> Record {
 /// A step is told with its row and cycle, a drift of any shape as a drift, and noise as neither.
 #[test]
 fn positioning_tells_a_step_from_a_drift() {
+    if !test_needs::long() {
+        return;
+    }
     type Beside = fn(f64) -> f64;
     let kinds: [(&str, Beside); 8] = [
         ("step", |t| if t < 50.0 { 0.0 } else { 2.0 }),
@@ -319,6 +322,9 @@ fn drift_within_a_cycle_is_in_neither_reversal_nor_repeatability() {
 /// Copies are still found.
 #[test]
 fn a_coarse_gauge_copies_no_rows_and_makes_no_step() {
+    if !test_needs::long() {
+        return;
+    }
     let run = |seed: u64, step: f64, scatter: f64, row_s: f64, tick_s: f64| {
         let mut dice = Dice::new(seed);
         let mut data: [Vec<f64>; 4] = Default::default();

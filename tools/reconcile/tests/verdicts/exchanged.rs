@@ -56,6 +56,9 @@ fn plate(seed: u64, more: impl Fn(f64, f64) -> [f64; 2]) -> Record {
 /// A true squareness or rotation is still named.
 #[test]
 fn positions_or_errors_of_two_axes_exchanged_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 50.0\n[[effect]]\nname = \"scale.y\"\nppm = -85.0\n";
     for seed in repetitions(1..=3) {
         for pair in [["x", "y"], ["ex", "ey"]] {
@@ -214,6 +217,9 @@ const WARM: &str = "name = \"m\"\n[[effect]]\nname = \"thermal_lag.x\"\nsensor =
 /// If a clock is doubted, no lag is named, whichever check doubts it.
 #[test]
 fn minutes_and_revolutions_a_second_that_only_the_model_shows_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in repetitions(1..=3) {
         let clean = with_model(WARM, &warming(seed, false, false));
         assert_eq!((clean.verdict, kinds(&clean)), (Verdict::NothingMissing, vec![]), "{}", clean.to_json());

@@ -90,6 +90,9 @@ fn what_differs_from_cycle_to_cycle_is_no_lost_count() {
 /// Two circles with a vibration that comes and goes, each at its own frequency.
 #[test]
 fn a_vibration_of_each_run_is_no_map() {
+    if !test_needs::long() {
+        return;
+    }
     let bar = |name: &str, seed: u64, rows_per_wave: f64, way: f64| {
         let mut d = Dice::new(seed);
         let n = 0..720;
@@ -116,6 +119,9 @@ fn a_vibration_of_each_run_is_no_map() {
 /// A wave that comes and goes along the travel, and turns its sign.
 #[test]
 fn a_wave_of_changing_size_is_not_two_waves() {
+    if !test_needs::long() {
+        return;
+    }
     for (seed, period_mm) in [(0, 8.0), (1, 10.0), (6, 10.0), (10, 8.0)] {
         let mut d = Dice::new(seed);
         let waves: Vec<[f64; 3]> = (1..=5)
@@ -284,6 +290,9 @@ fn with_curve(train: Record, later: &[Record]) -> Reconciliation {
 /// A curve must help rows that it was not fitted to.
 #[test]
 fn a_curve_that_helps_nothing_is_not_written() {
+    if !test_needs::long() {
+        return;
+    }
     let saw = |period_s: f64| move |t: f64| 8.0 * ((t / period_s).fract() - 0.5);
     let run = |name: &str, seed: u64, of: &dyn Fn(f64) -> f64| {
         let mut dice = Dice::new(seed);

@@ -41,6 +41,9 @@ fn modelled(ppm: f64, reversal_um: f64, wave_um: f64) -> impl Fn(f64, f64) -> f6
 
 #[test]
 fn unlike_noise_of_two_records_names_nothing() {
+    if !test_needs::long() {
+        return;
+    }
     let um = modelled(20.0, 4.0, 3.0);
     for (k, (quiet, loud, phi)) in
         [(0.1, 3.0, 0.0), (0.5, 0.5, 0.6), (0.1, 1.0, 0.55)].into_iter().enumerate()
@@ -91,6 +94,9 @@ fn a_record_of_another_machine_is_said() {
 /// A unit may be left out or converted twice, of one response or of all.
 #[test]
 fn a_unit_is_said_in_both_directions() {
+    if !test_needs::long() {
+        return;
+    }
     let um = modelled(20.0, 4.0, 3.0);
     let scaled = |by_error: f64, by_place: f64| {
         let mut r = strokes("second", 2, &um, 0.3, 0.0);

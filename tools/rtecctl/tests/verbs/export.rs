@@ -120,6 +120,9 @@ const FORMATS: [(&str, &str); 6] = [
 
 #[test]
 fn every_table_leaves_what_was_said_by_another_programs_reading() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = folder();
     for (judge, flags) in test_needs::repetitions(FORMATS) {
         for (range, limit) in [("--from -100 --to 100", 0.5), ("--from -7.5 --to 31", 0.1)] {

@@ -26,6 +26,9 @@ fn rows(file: &Path) -> (Vec<String>, Vec<Vec<f64>>) {
 /// Volts become newtons and metres millimetres; velocity and acceleration are derived.
 #[test]
 fn a_real_axis_comes_in_with_force_velocity_and_acceleration() {
+    if !test_needs::long() {
+        return;
+    }
     let Some(path) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };
     let dir = tempfile::tempdir().unwrap();
     let said = import(

@@ -59,6 +59,9 @@ fn there_and_back(places: &[f64]) -> Vec<f64> {
 
 #[test]
 fn linuxcnc_takes_out_the_models_errors_in_both_units_types_and_directions() {
+    if !test_needs::long() {
+        return;
+    }
     if !available() {
         return;
     }
@@ -108,6 +111,9 @@ fn linuxcnc_takes_out_the_models_errors_in_both_units_types_and_directions() {
 /// It then compensates nothing, and the test above would fail.
 #[test]
 fn a_planted_comment_leaves_linuxcnc_without_compensation() {
+    if !test_needs::long() {
+        return;
+    }
     if !available() {
         return;
     }

@@ -28,6 +28,9 @@ fn gauge() -> String {
 
 #[test]
 fn a_live_run_is_recorded_and_reconciled() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("machine.toml"), "name = \"m\"\n").unwrap();
     let feed = gauge();
@@ -207,6 +210,9 @@ fn nowhere_is_said_at_the_floor_alone() {
 /// A drift, a wave and errors that repeat at targets are found; noise is not.
 #[test]
 fn the_first_stage_finds_time_period_and_place() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let find = || found_first(folder.path());
     let time = |i: u32| 60.0 * f64::from(i);

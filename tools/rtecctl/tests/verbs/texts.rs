@@ -141,6 +141,9 @@ fn a_fit_is_called_what_it_is_and_rows_are_rows() {
 /// A command's inputs are never overwritten, even by another path.
 #[test]
 fn nothing_that_was_read_is_written_over() {
+    if !test_needs::long() {
+        return;
+    }
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     let model = "name = \"a\"\neffect = [{ name = \"scale.x\", ppm = 12.0 }]\n";

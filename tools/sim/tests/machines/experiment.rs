@@ -190,6 +190,9 @@ fn knowing_half_takes_out_half() {
 
 #[test]
 fn same_seed_same_bytes_another_seed_others() {
+    if !test_needs::long() {
+        return;
+    }
     let truth = model(&effect("scale.x", "ppm = 40"));
     let text = |seed| {
         let f = run("plate", &truth, &truth, seed);

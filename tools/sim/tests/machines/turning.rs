@@ -21,6 +21,9 @@ fn setup(design: &str, seed: u64) -> TurningExperiment {
 /// Five corrections of 4 µm leave 4 µm and an SD of 2 µm. (NISTIR 4854, section 2)
 #[test]
 fn the_reports_experiment() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in repetitions(1..=3) {
         let o = run(&setup("original", seed));
         assert!((o.semi_finish.bump_um - 23.0).abs() < 1.5, "{seed}: {:?}", o.semi_finish);
@@ -53,6 +56,9 @@ fn design_c_at_two_micrometres_leaves_two() {
 
 #[test]
 fn fast_probing_saves_time_and_keeps_the_micrometre() {
+    if !test_needs::long() {
+        return;
+    }
     let [fast, slow] = run(&setup("c", 4)).probing;
     assert!(fast.capture_worst_um < 0.5 && slow.capture_worst_um < 0.5, "{fast:?} {slow:?}");
     assert!(fast.seconds * 4.0 < slow.seconds, "{fast:?} {slow:?}");

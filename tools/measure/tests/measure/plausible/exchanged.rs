@@ -79,6 +79,9 @@ fn another_angle_on_a_circle_is_said() {
 /// their clean twins are not.
 #[test]
 fn stretches_and_exchanges_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     fn stands(mut r: Vec<Record>, d: &mut Dice) -> Vec<Record> {
         let k = r.len() - 1;
         let n = r[k].rows();

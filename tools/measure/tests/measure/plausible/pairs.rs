@@ -296,6 +296,9 @@ const PAIRS: [(&str, Clean, Mistake, MistakeKind, &str); 58] = [
 
 #[test]
 fn each_mistake_is_said_and_its_clean_twin_is_not() {
+    if !test_needs::long() {
+        return;
+    }
     let turns: Vec<u64> = repetitions(0..cases(15)).collect();
     let (mut said, mut all, mut wrong, mut clean) = (0, 0, 0, 0);
     for (k, (name, make, mistake, what, of)) in PAIRS.iter().enumerate() {

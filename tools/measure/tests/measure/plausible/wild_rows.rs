@@ -65,6 +65,9 @@ fn unusable_rows_and_sensors_are_left_out() {
 /// A sensor of noise, a single wild row of a gauge or a bar however far off, a spreadsheet's days; and the clean twins.
 #[test]
 fn noise_single_wild_rows_and_days_are_said() {
+    if !test_needs::long() {
+        return;
+    }
     for seed in 1..=20 {
         let mut d = Dice::new(seed);
         let warm = |i: i32, k: f64| 20.0 + 9.0 * (1.0 - (-f64::from(i) / k).exp());
@@ -165,6 +168,9 @@ fn few_rows(d: &mut Dice) -> Record {
 /// One wild reading among few rows is named, whatever the rows are; of clean ones fewer than one in five hundred has one.
 #[test]
 fn one_wild_reading_in_few_rows_is_named() {
+    if !test_needs::long() {
+        return;
+    }
     let of = |r: &Record| -> Vec<usize> {
         let all = suspicions(std::slice::from_ref(r));
         let own = all.iter().filter(|s| s.what == MistakeKind::Outliers && s.column == "e");

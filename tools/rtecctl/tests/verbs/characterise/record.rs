@@ -19,6 +19,9 @@ fn one_nan_costs_its_row_and_not_the_run() {
 /// Regression: a time with its unit, as other verbs take it, was refused.
 #[test]
 fn a_time_with_its_unit_is_as_one_in_seconds() {
+    if !test_needs::long() {
+        return;
+    }
     for (duration, period) in [("2", "0.1"), ("2s", "100ms")] {
         let dir = tempfile::tempdir().unwrap();
         let from = feed(|i| format!("gz {i}\n"));

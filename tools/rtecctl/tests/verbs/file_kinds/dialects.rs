@@ -110,6 +110,9 @@ fn dialects(table: &str) -> Vec<(&'static str, Vec<u8>)> {
 
 #[test]
 fn every_reader_takes_every_dialect() {
+    if !test_needs::long() {
+        return;
+    }
     let record = "file = \"in.csv\"\nkind = \"drift\"\n[columns]\nt = { role = \"time\", unit = \"s\" }\ne = { role = \"error.z\", unit = \"um\" }\n";
     for (table, line) in [
         (

@@ -44,6 +44,9 @@ fn worst_of_g01_um(folder: &Path, g01: &str, errors: &[(f64, f64)]) -> Option<f6
 
 #[test]
 fn a_run_begins_with_the_drawing() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     std::fs::write(folder.join("nose.dxf"), drawing(30.0)).unwrap();
@@ -74,6 +77,9 @@ fn a_run_begins_with_the_drawing() {
 
 #[test]
 fn the_steps_follow_each_other_through_their_files() {
+    if !test_needs::long() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let go = |line: &str| json(folder, &line.split_whitespace().chain(["--json"]).collect::<Vec<_>>());

@@ -384,6 +384,9 @@ fn a_seed_is_one_history() {
 
 #[test]
 fn planted_faults_are_found() {
+    if !test_needs::long() {
+        return;
+    }
     for planted in Planted::ALL {
         let mut tally = Tally::default();
         let found = (1..=80).any(|seed| !history(seed, Some(planted), &mut tally).0.is_empty());
