@@ -336,3 +336,18 @@ fn two_bumps_of_a_part_are_both_added() {
     );
     assert_eq!(r.model.effects().count(), 2);
 }
+
+/// Two effects that look alike on circles, in records that lack four others too.
+/// Rounding of large columns once looked like a gain and hid the twin, so one of the two was named.
+#[test]
+fn a_twin_is_listed_however_many_records_are_given() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases/rounding");
+    let read = |name: &str| rtec_records::record::read(&folder.join(format!("{name}.run.toml"))).unwrap();
+    let train = ["pos_x", "bar_16_ccw", "bar_16_cw", "drift"].map(read);
+    let machine = rtec_model::machine::Machine::read(&folder.join("machine.toml")).unwrap();
+    let r = rtec_reconcile::reconcile(&train, &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let is = |name: &str| name.starts_with("following_error.");
+    let (lag, _) = r.effects.iter().find(|(f, _)| is(&f.effect.name())).unwrap();
+    assert!(lag.rivals.iter().any(|r| is(&r.name)), "{:?}", lag.rivals);
+    assert!(lag.name_mass < 0.6, "{}", lag.name_mass);
+}

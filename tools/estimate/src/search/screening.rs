@@ -55,8 +55,14 @@ impl HypothesisSearch<'_> {
                     let scored: Vec<f64> = points.iter().map(|(g, w, _)| of(*g) + w).collect();
                     let best = (0..points.len()).max_by(|a, b| scored[*a].total_cmp(&scored[*b]));
                     if let Some(i) = best {
-                        let (_, weight, cause) = &points[i];
-                        let total = log_sum(scored.iter().copied());
+                        let (group, weight, cause) = &points[i];
+                        let mut total = log_sum(scored.iter().copied());
+                        // Rounding that is left of several columns which the set spans may look like a gain, and
+                        // would hide all others.
+                        if total > 0.0 && self.families.bank.group(*group).0.len() > 1 {
+                            let exact = weight + self.gain(&set.factor, &self.columns(cause)).total;
+                            total += (exact - scored[i]).min(0.0);
+                        }
                         seeds.push(ScreenedHypothesis {
                             family: number,
                             cause: cause.clone(),
