@@ -133,6 +133,8 @@ fn by_noise(record: &Record, c: &Column, (start, end): (usize, usize), elsewhere
         return false;
     }
     let (sigma, step) = noise(&pieces);
+    // A logger may write fewer digits of the sensor in this record than in others.
+    let step = step.max(resolution(&c.data));
     if sigma <= 0.1 * step || sigma <= 0.0 {
         return false;
     }

@@ -296,3 +296,22 @@ fn a_gauge_that_another_record_shows_as_coarse_may_stand_still() {
     assert_eq!(stuck(suspicions(&[drift(vec![20.0; 60])])), 1);
     assert_eq!(stuck(suspicions(&[drift(grown), drift(vec![23.0; 60])])), 1);
 }
+
+/// A sensor whose logger writes tenths in one record and hundredths in another.
+/// What it does not write in the first record is no sign that the sensor stands still.
+#[test]
+fn a_sensor_may_stand_still_in_the_digits_that_were_written() {
+    for seed in 0..40 {
+        let mut d = Dice::new(seed);
+        let mut run = |degc: f64, step: f64, rows: usize| {
+            let t: Vec<f64> = (0..rows).map(|i| 4.0 * i as f64).collect();
+            let warm = rounded(t.iter().map(|t| degc + 1e-4 * t + 0.02 * d.normal()), step);
+            let e = t.iter().map(|_| d.normal()).collect();
+            let columns =
+                vec![column("t", "time", t), column("T1", "temperature", warm), column("e", "error.z", e)];
+            record("run", RunKind::Drift, columns)
+        };
+        let both = [run(20.47, 0.1, 66), run(27.9, 0.01, 88)];
+        assert_eq!(suspicions(&both), [], "{seed}");
+    }
+}
