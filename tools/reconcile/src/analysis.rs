@@ -2,8 +2,9 @@
 //! They are effects with a name, shapes without one, and corrections of the model.
 
 use rtec_estimate::problem::UnitAssumption;
+use rtec_estimate::rows::Rows;
 use rtec_estimate::{Estimate, EstimatedMember, Rival, UnnamedShape};
-use rtec_model::effect::Effect;
+use rtec_model::effect::{Effect, ParameterSearch};
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
 
@@ -32,6 +33,9 @@ pub(crate) struct Analysis {
     /// Effects with half widths of their intervals, strongest first.
     pub(crate) findings: Vec<(Finding, Vec<f64>)>,
     pub(crate) unexplained: Vec<UnnamedShape>,
+    /// Effects that may be parts of what is unexplained.
+    /// A curve for it stands beside them.
+    pub(crate) parts_of_unknown: Vec<(Finding, Vec<f64>)>,
     pub(crate) estimate: Estimate,
 }
 
@@ -61,6 +65,7 @@ fn p_value(f: &EstimatedMember) -> f64 {
 pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Analysis {
     let model: Vec<Effect> = machine.effects().cloned().collect();
     let estimate = rtec_estimate::estimate(records, machine.dictionary(), &model, &stated(machine));
+    let rows = Rows::new(records);
     let mut findings = Vec::new();
     let mut unexplained = Vec::new();
     for f in estimate.found.iter().filter(|f| f.replaces.is_some() || p_value(f) <= level) {
@@ -70,14 +75,38 @@ pub(crate) fn analyse(records: &[Record], machine: &Machine, level: f64) -> Anal
                 findings.push((finding(f, effect), f.half.clone()));
             }
             (Some(effect), _) => {
-                let rows = rtec_estimate::rows::Rows::new(records);
                 unexplained.extend(UnnamedShape::like(&rows, effect, "not as any effect of the dictionary"));
             }
             (None, Some(shape)) => unexplained.push(shape.clone()),
             (None, None) => {}
         }
     }
-    Analysis { findings, unexplained, estimate }
+    let mut parts_of_unknown = Vec::new();
+    for k in (0..findings.len()).rev() {
+        let found: &(Finding, Vec<f64>) = &findings[k];
+        if let Some(part) = part_of_unknown(&rows, &found.0.effect, &unexplained) {
+            unexplained.push(part);
+            parts_of_unknown.push(findings.remove(k));
+        }
+    }
+    Analysis { findings, unexplained, parts_of_unknown, estimate }
+}
+
+/// The shape that an effect describes, if it may be a part of something unknown.
+/// An unknown function of a variable has any form. No law with a form of its own over that variable can be told
+/// from a part of it. A map has any form itself.
+fn part_of_unknown(rows: &Rows<'_>, effect: &Effect, unknown: &[UnnamedShape]) -> Option<UnnamedShape> {
+    let law = effect.description();
+    let has_form = law.parameters.iter().any(|p| p.search != ParameterSearch::Linear && !p.array);
+    // Growth is a function of a difference of temperatures, and a spike after a turn one of the past.
+    if !has_form || effect.delta.is_some() || law.after_turn {
+        return None;
+    }
+    let own = UnnamedShape::like(rows, effect, &format!("in part like {}", effect.name()))?;
+    let covers = |shape: &UnnamedShape| {
+        shape.response == own.response && own.against.iter().all(|v| shape.against.contains(v))
+    };
+    unknown.iter().any(covers).then_some(own)
 }
 
 /// Log evidence of the best explanation of records, from an answer's members.

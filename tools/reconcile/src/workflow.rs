@@ -298,7 +298,7 @@ impl Work<'_> {
     fn add_curve(&self, answer: &Analysis, held: &[Record], better: &mut ImprovedModel) -> Option<String> {
         let shape = answer.unexplained.first()?;
         // The curve stands beside the findings as they are written.
-        let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
+        let found = answer.findings.iter().chain(&answer.parts_of_unknown).map(|(f, _)| f.effect.clone());
         let (known, rows) =
             (self.machine.effects().cloned().chain(found).collect::<Vec<_>>(), Rows::new(self.used));
         let problem = EstimationProblem::new(&rows, &known, &stated(self.machine)).by_hand();
@@ -311,8 +311,11 @@ impl Work<'_> {
             let alone = shape.against.len() == 1;
             let (effect, half) = refit.beside_set_up(&answer.estimate.noise, alone)?;
             let unit = gap::unit_of(&shape.response);
-            if !self.write(&mut model, &effect, &half, ": unexplained") {
-                return Some(format!("the model has {} already", effect.name()));
+            let parts = answer.parts_of_unknown.iter().map(|(f, half)| (&f.effect, half));
+            for (effect, half) in parts.chain([(&effect, &half)]) {
+                if !self.write(&mut model, effect, half, ": unexplained") {
+                    return Some(format!("the model has {} already", effect.name()));
+                }
             }
             let unseen = if held.is_empty() {
                 let of_response = |s: &&Segment| rows.responses[s.response].to_string() == shape.response;

@@ -35,6 +35,22 @@ fn a_stand_that_creeps_is_no_warm_up() {
     }
 }
 
+/// A part that rests in either of two places, and drifts in no known way.
+/// Beside what is unknown over time, none of its steps is lost counts.
+#[test]
+fn no_name_is_given_to_a_part_of_what_is_unknown() {
+    for seed in repetitions(1..9) {
+        let mut d = Dice::new(seed);
+        let mut at: Vec<f64> = Vec::new();
+        while at.last().is_none_or(|t| *t < 4800.0) {
+            at.push(at.last().unwrap_or(&0.0) + 150.0 - 600.0 * d.between(0.02, 1.0).ln());
+        }
+        let place = |t: f64| 1.2 * f64::from(u8::from(at.iter().filter(|s| **s < t).count() % 2 == 1));
+        let bend = |t: f64| 1.5 * (t / 500.0).sin() * (t / 1300.0).cos();
+        nameless("", &[drift("a", seed, |t| place(t) + bend(t))]);
+    }
+}
+
 /// An air conditioning blows for a third of its period.
 #[test]
 fn what_swings_in_time_need_not_be_a_sine() {
