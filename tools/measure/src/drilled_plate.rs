@@ -67,7 +67,8 @@ pub struct DrilledPlateFit {
 /// Error x = `scale_x·x + c·y`, error y = `scale_y·y + d·x`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AffineTerms<Angle> {
-    /// Offset of the measured holes, mm; that of [`DrilledPlateFit`] belongs to the other fit.
+    /// Offset of the measured holes, mm.
+    /// That of [`DrilledPlateFit`] belongs to the other fit.
     pub offset_mm: [f64; 2],
     /// Scale of x, ppm, as the effect `scale.x`.
     pub scale_x_ppm: f64,
