@@ -4,7 +4,7 @@ use crate::axis::{
     AxisConfig, AxisEngine, AxisSample, InitialAxisState, InversionCommand, Permit, TotalRequestResult,
 };
 use crate::histogram::{Reader, Recorder, histogram};
-use crate::journal::{AxisStateRecord, Journal, MachineStateRecord};
+use crate::journal::{AxisStateRecord, HoldAndFaultsRecord, Journal};
 use crate::link_messages::{
     AxisStatus, DisableReason, Event, EventKind, Fault, Faults, FeedHoldSource, InsertionStatus, MAX_AXES,
     Mode, Refusal, Request, Status,
@@ -240,7 +240,7 @@ impl Engine {
     fn note_machine(&mut self, hold_output: bool) {
         let (held, faults) = (self.held, self.faults);
         if let Some(journal) = &mut self.journal {
-            journal.record_machine(MachineStateRecord { held, hold_output, faults }, self.look_ns);
+            journal.record_machine(HoldAndFaultsRecord { held, hold_output, faults }, self.look_ns);
         }
     }
 

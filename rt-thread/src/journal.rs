@@ -112,7 +112,7 @@ impl AxisStateRecord {
 
 /// State of the machine as a whole that was in effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MachineStateRecord {
+pub struct HoldAndFaultsRecord {
     /// Who asked for feed hold.
     pub held: Option<FeedHoldSource>,
     /// Feed hold is on, asked for by somebody or by a fault.
@@ -121,7 +121,7 @@ pub struct MachineStateRecord {
     pub faults: Faults,
 }
 
-impl MachineStateRecord {
+impl HoldAndFaultsRecord {
     /// Flags and user as two words of the file.
     fn words(self) -> [u64; 2] {
         let (by, user) = match self.held {
@@ -181,7 +181,7 @@ pub struct StateAtOpen {
     /// The machine's record is damaged in both copies, or there is none.
     pub machine_damaged: bool,
     /// The machine's newest valid record.
-    pub machine: Option<MachineStateRecord>,
+    pub machine: Option<HoldAndFaultsRecord>,
     /// Times of faults and of feed hold.
     pub times: FaultAndHoldTimes,
     /// The process before this one lost its real-time thread.
@@ -209,7 +209,7 @@ impl StateAtOpen {
     pub fn hold_unexplained(&self) -> bool {
         let faulted = self.records.iter().any(|found| found[0].is_some_and(|r| r.faults.any()));
         let unasked =
-            |m: MachineStateRecord| m.hold_output && m.held.is_none() && !m.faults.any() && !faulted;
+            |m: HoldAndFaultsRecord| m.hold_output && m.held.is_none() && !m.faults.any() && !faulted;
         self.machine_damaged || self.machine.is_some_and(unasked)
     }
 }
@@ -318,7 +318,7 @@ pub struct Journal {
     mapping: Arc<Mapping>,
     next: [u64; ROWS],
     last: [Option<AxisStateRecord>; MAX_AXES],
-    last_machine: Option<MachineStateRecord>,
+    last_machine: Option<HoldAndFaultsRecord>,
     /// Faults whose times are in the file, a set for each row.
     /// `timed_hold` is the same for feed hold.
     timed: [Faults; ROWS],
@@ -409,8 +409,8 @@ impl Journal {
             // The text of version 2 is where this version has other words.
             journal.wipe(TIMES_AT..PAGE_WORDS);
         } else {
-            let damaged = journal.damaged(MACHINE, MachineStateRecord::of);
-            before.machine = journal.newest_first(MACHINE, MachineStateRecord::of)[0];
+            let damaged = journal.damaged(MACHINE, HoldAndFaultsRecord::of);
+            before.machine = journal.newest_first(MACHINE, HoldAndFaultsRecord::of)[0];
             before.machine_damaged = !first_start && (damaged || before.machine.is_none());
             journal.timed[MACHINE] = before.machine.map_or(Faults::NONE, |m| m.faults);
             journal.timed_hold = before.machine.is_some_and(|m| m.held.is_some());
@@ -569,7 +569,7 @@ impl Journal {
     }
 
     /// Notes at `t_ns` the state of the machine as a whole. It makes no system call.
-    pub fn record_machine(&mut self, record: MachineStateRecord, t_ns: u64) {
+    pub fn record_machine(&mut self, record: HoldAndFaultsRecord, t_ns: u64) {
         if self.last_machine == Some(record) {
             return;
         }
@@ -595,7 +595,7 @@ impl Journal {
             }
             let words = match self.last.get(row) {
                 Some(axis) => axis.map(|r| [r.flags(), r.completed as u64]),
-                None => self.last_machine.map(MachineStateRecord::words),
+                None => self.last_machine.map(HoldAndFaultsRecord::words),
             };
             // Both slots get the record, because an empty slot looks like a lost record.
             for words in words.into_iter().cycle().take(2 * usize::from(words.is_some())) {
@@ -824,20 +824,20 @@ mod tests {
             None,
         ] {
             for hold_output in [false, true] {
-                let machine = MachineStateRecord { held, hold_output, faults: set(&[Fault::Card]) };
+                let machine = HoldAndFaultsRecord { held, hold_output, faults: set(&[Fault::Card]) };
                 let mut journal = begun(&path, OURS);
                 journal.record_machine(machine, 5_000);
                 drop(journal);
                 assert_eq!(Journal::open(&path, OURS).unwrap().1.machine, Some(machine));
             }
         }
-        assert_eq!(MachineStateRecord::of([8, 0]), None);
-        assert_eq!(MachineStateRecord::of([1, 1 << 32]), None);
+        assert_eq!(HoldAndFaultsRecord::of([8, 0]), None);
+        assert_eq!(HoldAndFaultsRecord::of([1, 1 << 32]), None);
         let mut journal = begun(&path, OURS);
         let (first, both) = (set(&[Fault::ErrorLimit]), set(&[Fault::ErrorLimit, Fault::PollGap]));
         journal.record(2, AxisStateRecord { faults: first, ..record(0, 2) }, 7_000);
         journal.record(2, AxisStateRecord { faults: both, ..record(0, 2) }, 9_999);
-        let user = MachineStateRecord {
+        let user = HoldAndFaultsRecord {
             held: Some(FeedHoldSource::User(7)),
             hold_output: true,
             faults: Faults::NONE,
@@ -847,7 +847,7 @@ mod tests {
         let mut journal = begun(&path, OURS);
         // A fault that is still latched keeps its time in the next process, and so does feed hold.
         journal.record(2, AxisStateRecord { faults: both, ..record(0, 2) }, 20_000);
-        journal.record_machine(MachineStateRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
+        journal.record_machine(HoldAndFaultsRecord { faults: set(&[Fault::Card]), ..user }, 21_000);
         drop(journal);
         let times = Journal::open(&path, OURS).unwrap().1.times;
         let of = |axis, fault| times.latched_ns(axis, fault);
@@ -918,7 +918,8 @@ mod tests {
         assert!(Journal::open(&path, OURS).unwrap().1.thread_lost);
         let (mut journal, before) = Journal::open(&path, OURS).unwrap();
         assert!(before.thread_lost, "the first successor may have died before it latched it");
-        let machine = MachineStateRecord { held: None, hold_output: true, faults: set(&[Fault::ThreadLost]) };
+        let machine =
+            HoldAndFaultsRecord { held: None, hold_output: true, faults: set(&[Fault::ThreadLost]) };
         journal.record_machine(machine, 1000);
         drop(journal);
         assert!(!Journal::open(&path, OURS).unwrap().1.thread_lost);
@@ -928,7 +929,7 @@ mod tests {
     #[test]
     fn a_file_of_another_boot_is_told_until_its_records_say_what_follows() {
         let (_directory, path) = new();
-        let machine = MachineStateRecord { held: None, hold_output: false, faults: Faults::NONE };
+        let machine = HoldAndFaultsRecord { held: None, hold_output: false, faults: Faults::NONE };
         let mut journal = begun(&path, OURS);
         journal.record(0, record(0, 4), 1000);
         journal.record_machine(machine, 1000);
@@ -958,15 +959,15 @@ mod tests {
     #[test]
     fn a_record_that_both_copies_have_lost_is_told() {
         let (_directory, path) = new();
-        let machine = MachineStateRecord { held: None, hold_output: false, faults: Faults::NONE };
-        let held = MachineStateRecord { held: Some(FeedHoldSource::User(7)), hold_output: true, ..machine };
+        let machine = HoldAndFaultsRecord { held: None, hold_output: false, faults: Faults::NONE };
+        let held = HoldAndFaultsRecord { held: Some(FeedHoldSource::User(7)), hold_output: true, ..machine };
         let mut journal = begun(&path, OURS);
         journal.record(2, record(0, 2), 1000);
         journal.record_machine(machine, 1000);
         journal.record(2, AxisStateRecord { faults: set(&[Fault::PollGap]), ..record(0, 2) }, 1000);
         journal.record_machine(held, 1000);
         journal.record(2, AxisStateRecord { faults: set(&[Fault::Card]), ..record(0, 2) }, 1000);
-        journal.record_machine(MachineStateRecord { held: Some(FeedHoldSource::Controller), ..held }, 1000);
+        journal.record_machine(HoldAndFaultsRecord { held: Some(FeedHoldSource::Controller), ..held }, 1000);
         drop(journal);
         let found = || Journal::open(&path, OURS).unwrap().1;
         let told =

@@ -197,7 +197,7 @@ extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _co
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::journal::{AxisStateRecord, MachineStateRecord};
+    use crate::journal::{AxisStateRecord, HoldAndFaultsRecord};
     use crate::link_messages::{Faults, FeedHoldSource};
 
     type Deed<'a> = (StateFileLoss, Box<dyn Fn() + 'a>);
@@ -210,7 +210,7 @@ mod tests {
         let path = at("state");
         let axis =
             |completed| AxisStateRecord { inverters: 0, completed, faults: Faults::NONE, mtc_known: true };
-        let held = MachineStateRecord {
+        let held = HoldAndFaultsRecord {
             held: Some(FeedHoldSource::User(7)),
             hold_output: true,
             faults: Faults::NONE,
@@ -218,7 +218,7 @@ mod tests {
         let open = || Journal::open(&path, "lost").unwrap();
         let (mut journal, _) = open();
         journal.record(0, axis(0), 1_000_000);
-        journal.record_machine(MachineStateRecord { held: None, hold_output: false, ..held }, 1_000_000);
+        journal.record_machine(HoldAndFaultsRecord { held: None, hold_output: false, ..held }, 1_000_000);
         journal.place().unwrap();
         let mut file = StateFileWatch::watch(&journal).unwrap();
         file.outlive_truncation().unwrap();

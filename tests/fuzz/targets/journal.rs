@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_rt::journal::{AxisStateRecord, Journal, MachineStateRecord};
+use rtec_rt::journal::{AxisStateRecord, Journal, HoldAndFaultsRecord};
 use rtec_rt::link_messages::{Faults, FeedHoldSource, MAX_AXES};
 
 const OURS: &str = "machine \"fuzz\"";
@@ -29,7 +29,7 @@ fuzz_target!(|data: &[u8]| {
     });
     noted.iter().for_each(|record| journal.record(2, *record, 1000));
     let machine =
-        MachineStateRecord { held: Some(FeedHoldSource::User(1)), hold_output: true, faults: Faults::NONE };
+        HoldAndFaultsRecord { held: Some(FeedHoldSource::User(1)), hold_output: true, faults: Faults::NONE };
     journal.record_machine(machine, 1000);
     journal.place().expect("it is there already");
     drop(journal);

@@ -6,7 +6,7 @@ use realfft::{RealFftPlanner, RealToComplex, num_complex::Complex};
 use std::fmt;
 use std::sync::Arc;
 
-/// A variable that a wave may run along, at the rows that show it.
+/// Spectra over a variable along which waves may run, at the rows that show them.
 #[derive(Clone)]
 pub struct Periodogram {
     /// Row, position, and the share of the wave that the row shows.
@@ -35,7 +35,7 @@ impl fmt::Debug for Periodogram {
 }
 
 impl Periodogram {
-    /// A variable with these positions; `None` if nothing moves or no period fits.
+    /// Of rows at these positions; `None` if nothing moves or no period fits.
     #[must_use]
     pub fn new(rows: Vec<(usize, f64, f64)>, [lowest, highest]: [f64; 2]) -> Option<Self> {
         let (lo, hi) = rows.iter().fold((f64::MAX, f64::MIN), |(l, h), r| (l.min(r.1), h.max(r.1)));

@@ -30,7 +30,7 @@ mod advice;
 mod analysis;
 mod data_screening;
 mod document;
-mod evidence_table;
+mod evidence_for_effect;
 mod gap;
 mod grid_aliases;
 mod html_report;
@@ -52,7 +52,7 @@ mod workflow;
 pub const SEED: u64 = 4832;
 
 pub use analysis::Finding;
-pub use evidence_table::why;
+pub use evidence_for_effect::why;
 pub use gap::{Abscissa, Gap, ResidualTrace};
 pub use html_report::{html, pictures};
 pub use localisation::ResidualStructure;

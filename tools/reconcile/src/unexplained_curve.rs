@@ -42,7 +42,7 @@ fn quantity(label: &str, axis: &str) -> Option<(&'static str, Role)> {
 }
 
 /// The variable of a stand-in, in the keys of a law's terms.
-struct Along {
+struct CurveVariable {
     /// The axis of its response.
     axis: String,
     /// The variable's label, and its name after the role.
@@ -55,7 +55,7 @@ struct Along {
     sensor: Option<String>,
 }
 
-impl Along {
+impl CurveVariable {
     /// `None` for a shape over a variable that no law reads.
     fn of(shape: &UnnamedShape) -> Option<Self> {
         let axis = shape.response.split('.').nth(1)?.to_owned();
@@ -138,7 +138,7 @@ pub(crate) fn stand_in(
     train: &[Record],
     model: &mut Machine,
 ) -> Option<StandIn> {
-    let along = Along::of(shape)?;
+    let along = CurveVariable::of(shape)?;
     let range = along.range(train)?;
     let name = format!("unexplained_{}", shape.against.join("_").replace('.', "_"));
     let laws = model.add_project_laws(LAWS_FILE, &along.law(&name, shape, knots, range)).ok()?;
@@ -181,13 +181,15 @@ mod tests {
 
     #[test]
     fn the_sign_of_a_velocity_is_a_direction_and_the_cycle_is_read_by_no_law() {
-        let signed = Along::of(&shape(&["velocity.x", "position.x"], "sign of the velocity times position"));
+        let signed =
+            CurveVariable::of(&shape(&["velocity.x", "position.x"], "sign of the velocity times position"));
         assert_eq!(signed.map(|a| (a.key, a.factor)), Some(("p", Some("dir"))));
-        let wet = Along::of(&shape(&["spindle_speed", "coolant"], "spindle speed while the coolant is on"))
-            .unwrap();
+        let wet =
+            CurveVariable::of(&shape(&["spindle_speed", "coolant"], "spindle speed while the coolant is on"))
+                .unwrap();
         assert_eq!((wet.key, wet.factor), ("rpm", Some("wet")));
-        assert!(Along::of(&shape(&["cycle"], "smooth")).is_none());
-        let warm = Along::of(&shape(&["position.x", "temperature.T3"], "in proportion")).unwrap();
+        assert!(CurveVariable::of(&shape(&["cycle"], "smooth")).is_none());
+        let warm = CurveVariable::of(&shape(&["position.x", "temperature.T3"], "in proportion")).unwrap();
         assert_eq!((warm.key, warm.factor, warm.sensor.as_deref()), ("dT", Some("p"), Some("T3")));
     }
 }

@@ -103,13 +103,13 @@ struct RecordedAxis {
 
 /// Recorded axes, played in real time from the first look on.
 /// After the last edge they stand still.
-pub(crate) struct Recordings {
+pub(crate) struct RecordedAxes {
     axes: Vec<RecordedAxis>,
     start_ns: Option<u64>,
     now_ns: u64,
 }
 
-impl Wires for Recordings {
+impl Wires for RecordedAxes {
     fn levels(&mut self, t_ns: u64, _outputs: u64) -> u64 {
         let start_ns = *self.start_ns.get_or_insert(t_ns);
         self.now_ns = t_ns - start_ns;
@@ -140,7 +140,7 @@ impl Wires for Recordings {
 pub(crate) fn replay(
     config: &Config,
     traces: &[PathBuf],
-) -> Result<MockCard<Recordings, Monotonic>, InputError> {
+) -> Result<MockCard<RecordedAxes, Monotonic>, InputError> {
     let mut axes = Vec::new();
     let mut held = 0;
     for (axis, file) in config.axes.iter().zip(traces) {
@@ -155,7 +155,7 @@ pub(crate) fn replay(
         }
         axes.push(RecordedAxis { lines: axis.engine.lines, points, at: 0 });
     }
-    Ok(MockCard::new(Recordings { axes, start_ns: None, now_ns: 0 }, Monotonic))
+    Ok(MockCard::new(RecordedAxes { axes, start_ns: None, now_ns: 0 }, Monotonic))
 }
 
 /// Whether the file may drive a machine.
@@ -178,7 +178,7 @@ mod tests {
         let points = vec![point(1000, 0), point(1100, 1), point(1150, 3), point(2000, 2)];
         let lines = AxisLines::standard(0, false);
         let mut wires =
-            Recordings { axes: vec![RecordedAxis { lines, points, at: 0 }], start_ns: None, now_ns: 0 };
+            RecordedAxes { axes: vec![RecordedAxis { lines, points, at: 0 }], start_ns: None, now_ns: 0 };
         assert_eq!(wires.levels(50_000, 0), 0);
         assert_eq!(wires.step_limit_ns(), 100);
         assert_eq!(wires.levels(50_100, 0), 1);

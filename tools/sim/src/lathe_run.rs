@@ -7,7 +7,7 @@ use crate::corrector_with_sensors::{CorrectorWithSensors, WINDOW_COUNTS};
 use crate::gate_corrected_axes::GateCorrectedAxes;
 use crate::lathe::{Lathe, LatheSetup, Move, axes, cut_away};
 use crate::machine::ServoFault;
-use crate::polled::PolledCard;
+use crate::polled_card::PolledCard;
 use crate::sim::keep;
 use crate::workpiece::Workpiece;
 use rtec_correct::AxisSetup;

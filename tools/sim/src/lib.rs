@@ -18,7 +18,7 @@
 //! | [`axis`], [`machine`] | the one machine, as a card: drives, scales, decoders, probe |
 //! | [`heat`] | a thermal network and its sensors |
 //! | [`sim`] | machine, engine and corrector together: runs programs, probes, reports the tool's position |
-//! | [`attended_machine`], `polled` | events at the machine in every period; the card that polls it |
+//! | [`attended_machine`], `polled_card` | events at the machine in every period; the card that polls it |
 //! | [`wired_machines`], [`strokes`], [`machining_task`] | machines at a mock card's wires in real time: strokes, the lathe's task |
 //! | [`workpiece`], [`lathe`], [`lathe_run`] | a workpiece, a tool and a probe on the machine; a program on it under the engine |
 //! | [`turning`] | NISTIR 4854's loop: semi-finish cut, probing, table, finish cut, inspection |
@@ -55,7 +55,7 @@ pub mod machine;
 pub mod machining_task;
 pub mod nc_block;
 pub mod noise;
-mod polled;
+mod polled_card;
 pub mod replay;
 pub mod sim;
 pub mod strokes;

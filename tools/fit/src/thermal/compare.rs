@@ -2,7 +2,7 @@
 //! These are simpler predictions, unseen records, and dry rows against wet ones.
 
 use super::problem::Problem;
-use super::report::{DryWet, ResidualRms};
+use super::report::{CrossValidatedRms, DryWet};
 use super::rows::{Rows, wet};
 use super::term::Term;
 use crate::statistics::{mean, mean_square, rms};
@@ -18,7 +18,7 @@ pub(super) fn baselines(
     train: &[&Record],
     holdout: &[&Record],
     response: &Role,
-) -> Result<BTreeMap<String, ResidualRms>, InputError> {
+) -> Result<BTreeMap<String, CrossValidatedRms>, InputError> {
     let mut found = BTreeMap::new();
     let mut judge = |name: String, terms: &[Term]| -> Result<(), InputError> {
         let rows = Rows::new(problem, terms, train, response)?;
@@ -35,7 +35,10 @@ pub(super) fn baselines(
             out.push(own.rms(&c, &|_| true));
         }
         let train = rows.rms(&c, &|_| true);
-        found.insert(name, ResidualRms { train, folds_rms: mean_square(&folds).sqrt(), folds, holdout: out });
+        found.insert(
+            name,
+            CrossValidatedRms { train, folds_rms: mean_square(&folds).sqrt(), folds, holdout: out },
+        );
         Ok(())
     };
     judge("mean".to_owned(), &[])?;
@@ -56,7 +59,7 @@ pub(super) fn baselines(
     let folds: Vec<f64> = (0..problem.folds).map(fold).collect();
     found.insert(
         "persistence".to_owned(),
-        ResidualRms {
+        CrossValidatedRms {
             train: rms(all.iter().copied()),
             folds_rms: mean_square(&folds).sqrt(),
             folds,

@@ -46,8 +46,8 @@ mod term;
 pub use charts::{prediction_chart, residual_chart};
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{
-    DryWet, FittedEffect, ParameterEstimate, PredictionInterval, RankedSensor, RedundantSensor, ResidualRms,
-    Round, ThermalFitReport,
+    CrossValidatedRms, DryWet, FittedEffect, ParameterEstimate, PredictionInterval, RankedSensor,
+    RedundantSensor, Round, ThermalFitReport,
 };
 pub use select::{REDUNDANT, ROUNDS};
 pub use sensor_choice::select_differences;
@@ -273,7 +273,7 @@ fn fit_response(
         kept,
         pairs: problem.ranked_pairs(&all),
         effects: fitted,
-        rms_um: ResidualRms {
+        rms_um: CrossValidatedRms {
             train: rows.rms(&coefficients, &|_| true),
             folds_rms: blocks.mean_square().sqrt(),
             folds: blocks.folds,
@@ -380,7 +380,7 @@ fn unlike([later, earlier]: [f64; 2], half_width_um: f64) -> Option<String> {
 const OUTDONE: f64 = 1.1;
 
 /// A message if a simple prediction has smaller residuals than the fit.
-fn outdone(baselines: &BTreeMap<String, ResidualRms>, folds: &[f64]) -> Option<String> {
+fn outdone(baselines: &BTreeMap<String, CrossValidatedRms>, folds: &[f64]) -> Option<String> {
     let own = mean_square(folds).sqrt();
     let lines = baselines.iter().filter(|(name, _)| name.starts_with("linear "));
     let (name, line) = lines.map(|(n, b)| (n, b.mean_square().sqrt())).min_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -456,7 +456,7 @@ mod tests {
 
     #[test]
     fn a_line_that_does_better_on_the_same_blocks_is_named() {
-        let rms = |folds: &[f64]| ResidualRms {
+        let rms = |folds: &[f64]| CrossValidatedRms {
             train: 1.0,
             folds: folds.to_vec(),
             folds_rms: mean_square(folds).sqrt(),

@@ -42,7 +42,7 @@ pub(super) struct Problem {
     /// Per sensor and lag: one value per bin.
     pub(super) binned: Vec<Vec<Vec<f64>>>,
     /// The lags that candidates are screened at.
-    pub(super) screened: Vec<ScreeningColumns>,
+    pub(super) screened: Vec<ScreeningColumnsAtLag>,
     pub(super) y: Vec<f64>,
     pub(super) weight: Vec<f64>,
     /// The bins of each fold.
@@ -56,14 +56,14 @@ pub(super) struct Problem {
 }
 
 /// The data for screening candidates at one lag, computed once for many pairs.
-pub(super) struct ScreeningColumns {
+pub(super) struct ScreeningColumnsAtLag {
     /// Per sensor one value per bin, about its mean.
     pub(super) centred: Vec<Vec<f64>>,
     /// Per pair and fold the sum of squares of their difference.
     squares: Vec<Vec<f64>>,
 }
 
-impl ScreeningColumns {
+impl ScreeningColumnsAtLag {
     fn new(problem: &Problem, lag: usize) -> Self {
         let centre = |lags: &Vec<Vec<f64>>| {
             let mean = mean(&lags[lag]);
@@ -170,7 +170,7 @@ impl Problem {
             binned,
         };
         let screened = (0..problem.taus.len()).step_by(SCREEN_LAGS);
-        problem.screened = screened.map(|lag| ScreeningColumns::new(&problem, lag)).collect();
+        problem.screened = screened.map(|lag| ScreeningColumnsAtLag::new(&problem, lag)).collect();
         Ok(problem)
     }
 

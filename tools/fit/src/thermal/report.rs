@@ -99,7 +99,7 @@ impl FittedEffect {
 
 /// RMS of the residual, µm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ResidualRms {
+pub struct CrossValidatedRms {
     /// On the data of the fit.
     pub train: f64,
     /// On every block, with structure and parameters chosen without it.
@@ -110,7 +110,7 @@ pub struct ResidualRms {
     pub holdout: Vec<f64>,
 }
 
-impl ResidualRms {
+impl CrossValidatedRms {
     /// Mean square over the blocks.
     pub(super) fn mean_square(&self) -> f64 {
         mean_square(&self.folds)
@@ -176,9 +176,9 @@ pub struct ThermalFitReport {
     /// The fitted effects.
     pub effects: Vec<FittedEffect>,
     /// RMS of the residuals.
-    pub rms_um: ResidualRms,
+    pub rms_um: CrossValidatedRms,
     /// Residual RMS of simpler predictions on the same blocks (mean) and hold-outs.
-    pub baselines: BTreeMap<String, ResidualRms>,
+    pub baselines: BTreeMap<String, CrossValidatedRms>,
     /// The prediction interval.
     pub interval95: PredictionInterval,
     /// Dry against wet, if the data have both.

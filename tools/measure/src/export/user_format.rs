@@ -28,7 +28,7 @@ const ONCE: [&str; 5] = ["axis", "points", "step", "first", "last"];
 const EACH: [&str; 5] = ["n", "position", "forward", "reverse", "mean"];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Value {
+enum TabulatedQuantity {
     Error,
     Correction,
     Reached,
@@ -46,7 +46,7 @@ pub struct UserFormat {
     header: Vec<Piece>,
     line: Vec<Piece>,
     footer: Vec<Piece>,
-    value: Value,
+    value: TabulatedQuantity,
     /// Unit of positions, mm, and decimals.
     position: (f64, usize),
     /// Unit of values, mm, and decimals.
@@ -145,8 +145,11 @@ impl UserFormat {
         let flag = |key: &str| root.get(key).map_or(Ok(false), |e| e.bool("true or false"));
         let expected =
             "value = \"error\" (reached minus commanded), \"correction\" (its negative) or \"reached\"";
-        let values =
-            [("error", Value::Error), ("correction", Value::Correction), ("reached", Value::Reached)];
+        let values = [
+            ("error", TabulatedQuantity::Error),
+            ("correction", TabulatedQuantity::Correction),
+            ("reached", TabulatedQuantity::Reached),
+        ];
         let value = choice(root.required("value", expected)?, &values, expected)?;
         let most = root.required("max_points", "max_points, the most points that the controller takes")?;
         let expected = "a whole number from 2 to 100000";
@@ -157,7 +160,7 @@ impl UserFormat {
         let expected = "line_end = \"lf\" or \"crlf\"";
         let line_end = root.get("line_end").map_or(Ok("\n"), |entry| choice(entry, &ends, expected))?;
         let zero = flag("zero_at_reference")?;
-        if zero && value == Value::Reached {
+        if zero && value == TabulatedQuantity::Reached {
             let entry = root.required("zero_at_reference", "zero_at_reference")?;
             return Err(entry.mismatch("no zero where the values are positions reached"));
         }
@@ -190,9 +193,9 @@ impl UserFormat {
 
     fn value(&self, point: &CompensationPoint, um: f64) -> String {
         let mm = match self.value {
-            Value::Error => um / 1000.0,
-            Value::Correction => -um / 1000.0,
-            Value::Reached => point.position_mm + um / 1000.0,
+            TabulatedQuantity::Error => um / 1000.0,
+            TabulatedQuantity::Correction => -um / 1000.0,
+            TabulatedQuantity::Reached => point.position_mm + um / 1000.0,
         };
         self.write(mm / self.values.0, self.values.1)
     }

@@ -9,7 +9,7 @@ pub(crate) use streamed::StreamedDriftTest;
 
 use super::{CircleAndDriftUncertainty, Conditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
-use figures::{FirstPass, SecondPass};
+use figures::{SpreadAndChange, SumsForMeans};
 use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
@@ -192,11 +192,11 @@ fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scat
 fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usize> + Clone) -> Figures {
     let degc: Vec<&[f64]> = record.temperatures().map(|c| c.data.as_slice()).collect();
     let of = |row: usize| (t[row], e[row], degc.as_slice(), row);
-    let mut sums = FirstPass::new(degc.len());
+    let mut sums = SumsForMeans::new(degc.len());
     for row in rows.clone() {
         sums.see(of(row));
     }
-    let mut look = SecondPass::at(sums);
+    let mut look = SpreadAndChange::at(sums);
     for row in rows {
         look.see(of(row));
     }

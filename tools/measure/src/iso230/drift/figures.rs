@@ -12,7 +12,7 @@ pub(super) type Row<'d> = (f64, f64, &'d [&'d [f64]], usize);
 
 /// First pass: sums that the second pass needs.
 #[derive(Debug, Clone, Default)]
-pub(super) struct FirstPass {
+pub(super) struct SumsForMeans {
     rows: usize,
     first_s: f64,
     last_s: f64,
@@ -22,7 +22,7 @@ pub(super) struct FirstPass {
     degc: Vec<(f64, usize)>,
 }
 
-impl FirstPass {
+impl SumsForMeans {
     pub(super) fn new(sensors: usize) -> Self {
         Self { degc: vec![(0.0, 0); sensors], ..Self::default() }
     }
@@ -137,8 +137,8 @@ impl SensorSums {
 
 /// Second pass over the same rows in the same order.
 #[derive(Debug, Clone, Default)]
-pub(super) struct SecondPass {
-    of: FirstPass,
+pub(super) struct SpreadAndChange {
+    of: SumsForMeans,
     seen: usize,
     /// Number of rows in 1 % of all, at least one.
     few: usize,
@@ -156,8 +156,8 @@ pub(super) struct SecondPass {
     sensors: Vec<SensorSums>,
 }
 
-impl SecondPass {
-    pub(super) fn at(of: FirstPass) -> Self {
+impl SpreadAndChange {
+    pub(super) fn at(of: SumsForMeans) -> Self {
         let n = of.rows as f64;
         Self {
             few: (of.rows / 100).max(1),

@@ -1,7 +1,7 @@
 //! A drift test of any number of rows in bounded memory.
 //! It reads the file three times; leaving rows out takes three more.
 
-use super::figures::{FirstPass, Row, SecondPass};
+use super::figures::{Row, SpreadAndChange, SumsForMeans};
 use super::scatter::Scatter;
 use super::spans::{Span, Spans};
 use super::{Drift, Figures, Phase, charts_of, displaced};
@@ -139,22 +139,22 @@ impl StreamedDriftTest {
     /// Reads the file twice; `each` gets its rows in pieces of `rows_at_once`.
     pub(crate) fn drift(&mut self, rows_at_once: usize, mut each: impl FnMut(&Record)) -> Result<Vec<Drift>> {
         let (responses, sensors) = (self.errors.len(), self.degc.len());
-        let none = vec![FirstPass::new(sensors); responses];
+        let none = vec![SumsForMeans::new(sensors); responses];
         let (mut whole, mut by_span) = (none.clone(), vec![none; self.spans.len()]);
         self.walk(rows_at_once, &mut each, |span, response, row| {
             whole[response].see(row);
             by_span[span][response].see(row);
         })?;
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
-        let looks = |of: Vec<FirstPass>| of.into_iter().map(SecondPass::at).collect::<Vec<_>>();
+        let looks = |of: Vec<SumsForMeans>| of.into_iter().map(SpreadAndChange::at).collect::<Vec<_>>();
         let (mut whole, mut now) = (looks(whole), Vec::new());
         let mut scatters = vec![Scatter::default(); responses];
         let mut phases: Vec<Vec<Figures>> = vec![Vec::new(); responses];
         let head = self.head.clone();
-        let figures = |look: &SecondPass| look.figures(head.temperatures().map(|c| c.name.as_str()));
+        let figures = |look: &SpreadAndChange| look.figures(head.temperatures().map(|c| c.name.as_str()));
         let mut by_span = by_span.into_iter();
         let mut present = None;
-        let mut close = |looks: Vec<SecondPass>| {
+        let mut close = |looks: Vec<SpreadAndChange>| {
             phases.iter_mut().zip(&looks).for_each(|(phases, look)| phases.push(figures(look)));
         };
         self.walk(PIECE_ROWS, &mut |_: &Record| (), |span, response, row| {

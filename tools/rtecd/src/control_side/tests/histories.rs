@@ -35,7 +35,7 @@ use rtec_control::role::Role as Caller;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
-use rtec_rt::journal::{Journal, MachineStateRecord};
+use rtec_rt::journal::{HoldAndFaultsRecord, Journal};
 use rtec_rt::link::link;
 use rtec_rt::link_messages::{Fault, Faults};
 use rtec_rt::thread::SteppedLoop;

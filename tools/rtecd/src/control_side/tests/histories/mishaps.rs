@@ -262,7 +262,7 @@ impl Life {
             // A damaged record would be noticed, so a valid one is written.
             let (mut journal, _) = Journal::open(&m.state_file, &self.config.identity()).unwrap();
             journal.record_machine(
-                MachineStateRecord { held: None, hold_output: false, faults: Faults::NONE },
+                HoldAndFaultsRecord { held: None, hold_output: false, faults: Faults::NONE },
                 0,
             );
         }
