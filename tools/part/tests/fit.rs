@@ -190,10 +190,10 @@ fn points_that_give_no_shape_are_refused() {
 /// White noise has no bump: nearly no point is left out.
 #[test]
 fn sizes_of_white_noise_hold_their_rate() {
+    const SD_UM: f64 = 0.5;
     if !test_needs::long() {
         return;
     }
-    const SD_UM: f64 = 0.5;
     let mut rng = Rng::new(39);
     let (mut held, mut named, mut lost, mut files) = (0, 0, 0, 0);
     for (round, counts) in [(true, &[5, 12, 20, 40][..]), (false, &[6, 10, 20, 40, 100])] {

@@ -233,10 +233,10 @@ fn a_lag_earns_its_place_or_is_not_there() {
 /// The allowance for that exceeds the blocks' residuals. The interval still includes the gauge's own scatter.
 #[test]
 fn no_interval_is_narrower_than_the_gauges_scatter() {
+    const NOISE_UM: f64 = 0.15;
     if !test_needs::long() {
         return;
     }
-    const NOISE_UM: f64 = 0.15;
     for seed in repetitions(1..=6) {
         let (mut noise, n) = (Noise(0x9e37_79b9 * seed), 480);
         let loads: Vec<f64> = (0..16).map(|_| 12.0 * noise.uniform()).collect();

@@ -268,10 +268,10 @@ fn bidirectional(dice: &mut Dice, beside: impl Fn(f64) -> f64) -> Record {
 /// A step is told with its row and cycle, a drift of any shape as a drift, and noise as neither.
 #[test]
 fn positioning_tells_a_step_from_a_drift() {
+    type Beside = fn(f64) -> f64;
     if !test_needs::long() {
         return;
     }
-    type Beside = fn(f64) -> f64;
     let kinds: [(&str, Beside); 8] = [
         ("step", |t| if t < 50.0 { 0.0 } else { 2.0 }),
         ("step", |t| if t < 9.0 { 0.0 } else { -3.0 }),

@@ -60,10 +60,10 @@ fn bad_input_ends_with_2_says_where_and_leaves_no_file() {
 /// The difference is within the interpolator's hysteresis.
 #[test]
 fn a_real_axis_is_followed_to_the_count() {
+    const HYSTERESIS_COUNTS: f64 = 0.25;
     if !test_needs::long() {
         return;
     }
-    const HYSTERESIS_COUNTS: f64 = 0.25;
     let Some(record) = test_needs::shared("data/axis_dynamics/identification.csv") else { return };
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path().join("scale.csv");
