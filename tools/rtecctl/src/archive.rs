@@ -8,7 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use tempfile::TempPath;
 
 /// An archive that is being written.
-/// Without [`Archive::finish`] it is removed.
+/// Without [`ArchiveWriter::finish`] it is removed.
 pub(crate) struct ArchiveWriter {
     tar: tar::Builder<File>,
     path: TempPath,
