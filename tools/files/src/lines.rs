@@ -134,7 +134,7 @@ impl<R: Read> LineReader<R> {
         Ok(read > 0)
     }
 
-    /// As [`Lines::fill`], for input in UTF-16.
+    /// As [`LineReader::fill`], for input in UTF-16.
     fn fill_decoded(&mut self) -> Result<bool, InputError> {
         const CHUNK: usize = 8192;
         let line = self.line + 1;
@@ -214,7 +214,7 @@ impl<R: Read> LineReader<R> {
         Ok(Some(range))
     }
 
-    /// Puts back the line that [`Lines::line`] returned last.
+    /// Puts back the line that [`LineReader::line`] returned last.
     pub(crate) fn unread_line(&mut self) {
         self.start = self.line_start;
         self.line -= 1;

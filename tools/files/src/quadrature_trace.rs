@@ -543,7 +543,7 @@ impl<R: Read> RequestedTotalReader<R> {
         written(&self.rows)
     }
 
-    /// As [`TraceReader::said`].
+    /// As [`TraceReader::notes`].
     pub fn notes(&self) -> Option<String> {
         self.table.notes()
     }

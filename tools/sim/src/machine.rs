@@ -115,7 +115,7 @@ pub struct SimMachine {
     outputs: u64,
     inputs: u64,
     /// The next event of every axis within the step, and the first of all.
-    /// The first may be the probe's. Both are in the form of [`due`].
+    /// The first may be the probe's. Both are in the form of [`event_key`].
     axis_events: [u64; MAX_AXES],
     next_event: u64,
     surface: Option<Surface>,

@@ -23,7 +23,7 @@ impl RecordPieceSuspicions {
         self.rows += piece.rows();
     }
 
-    /// Reports the suspicions of all pieces as [`super::said`] does.
+    /// Reports the suspicions of all pieces as [`super::report_suspicions`] does.
     /// A suspicion of every piece as a whole is reported once, for the record.
     pub fn report_suspicions(self, say: &mut dyn FnMut(InputNotice)) -> Vec<Suspicion> {
         let alike = |a: &Suspicion, b: &Suspicion| {

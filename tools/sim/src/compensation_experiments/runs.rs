@@ -171,7 +171,7 @@ impl<'a> ExperimentRun<'a> {
         self.both_on(self.setting.spec, [0.0; AXES], name, run)
     }
 
-    /// As [`ExperimentRun::both`], on another machine from another place.
+    /// As [`ExperimentRun::run_pair`], on another machine from another place.
     pub(super) fn both_on(
         &self,
         spec: &MachineSpec,
