@@ -11,7 +11,7 @@ use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
 use crate::problem::{Baseline, EstimationProblem};
 use crate::search_limits::{MOST_MEMBERS, MOST_SHAPES};
-use rtec_least_squares::{QrFactor, add, dot};
+use rtec_least_squares::{QrFactor, add, dot, prior_terms};
 use rtec_model::effect::{Effect, TemperatureDifference};
 use screening::turns_back;
 use std::cell::{OnceCell, RefCell};
@@ -182,27 +182,7 @@ pub fn gain(along: &[f64], among: &[f64], left: f64, freedom: f64) -> PriorScale
     if p == 1 {
         return gain_of_one(among[0], along[0], left, freedom);
     }
-    let of = |t: f64| {
-        // Cholesky's triangle of I + t²S, row by row, and along it the solution of L z = h.
-        let mut triangle = vec![0.0; p * p];
-        let mut z = vec![0.0; p];
-        let (mut half_log_det, mut less) = (0.0, 0.0);
-        for i in 0..p {
-            let (above, own) = triangle.split_at_mut(i * p);
-            for j in 0..i {
-                let row = &above[j * p..=j * p + j];
-                own[j] = (t * among[i * p + j] - dot(&own[..j], &row[..j])) / row[j];
-            }
-            // A pivot of I plus a sum of squares is at least one, up to rounding.
-            let pivot = (1.0 + t * among[i * p + i] - dot(&own[..i], &own[..i])).max(1.0).sqrt();
-            z[i] = (along[i] - dot(&own[..i], &z[..i])) / pivot;
-            own[i] = pivot;
-            half_log_det += pivot.ln();
-            less += t * z[i] * z[i];
-        }
-        (half_log_det, less)
-    };
-    gain_of(of, left, freedom)
+    gain_of(|t| prior_terms(along, among, t), left, freedom)
 }
 
 impl<'p> HypothesisSearch<'p> {

@@ -7,6 +7,7 @@
 //! tells that temperature and noise were within half a step of it; there Laplace's approximation of the
 //! likelihood chooses smoothness and noise. A log that jumps stays unchanged.
 
+use rtec_least_squares::BandedFactor;
 use rtec_measure::gauge_resolution::step_of;
 use rtec_model::record::{Record, Role, median};
 use statrs::function::erf::erfc;
@@ -57,7 +58,7 @@ pub(crate) fn smoothed(record: &Record) -> (Record, SmoothingUncertainty) {
 
 /// Uncertainty of a record's smoothed temperatures.
 /// Per column: index, factor of the precision, and standard deviation of its unit.
-pub(crate) struct SmoothingUncertainty(Vec<(usize, Factor, f64)>);
+pub(crate) struct SmoothingUncertainty(Vec<(usize, BandedFactor, f64)>);
 
 impl SmoothingUncertainty {
     pub(crate) fn is_empty(&self) -> bool {
@@ -68,7 +69,8 @@ impl SmoothingUncertainty {
     pub(crate) fn draw(&self, smoothed: &Record, n: usize) -> Record {
         let mut drawn = smoothed.clone();
         for (at, factor, sd) in &self.0 {
-            let errors = factor.draw((n as u64) << 32 | *at as u64);
+            let mut seed = (n as u64) << 32 | *at as u64;
+            let errors = factor.with_this_precision(|| normal(&mut seed));
             drawn.columns[*at].data.iter_mut().zip(errors).for_each(|(x, e)| *x += sd * e);
         }
         drawn
@@ -79,7 +81,7 @@ impl SmoothingUncertainty {
 struct Smooth {
     x: Vec<f64>,
     /// Factor of the precision, in units of 1/sd².
-    factor: Factor,
+    factor: BandedFactor,
     sd: f64,
 }
 
@@ -147,7 +149,7 @@ impl Bends {
             let left: f64 = y.iter().zip(&x).map(|(y, x)| y * (y - x)).sum();
             let variance = (left / free).max(1e-18);
             // Minus twice the restricted log likelihood, up to a constant.
-            let criterion = free * variance.ln() + factor.log_size - free * penalty.ln();
+            let criterion = free * variance.ln() + factor.log_determinant() - free * penalty.ln();
             (criterion, Smooth { x, factor, sd: variance.sqrt() })
         });
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found)
@@ -174,7 +176,7 @@ impl Bends {
     /// Moves `x` to the most likely series of these readings, in steps of one.
     /// Returns its criterion and precision. The criterion is minus twice Laplace's log likelihood, up to a
     /// constant. Newton steps are halved until they improve it.
-    fn most_likely(&self, cells: &[f64], noise: f64, penalty: f64, x: &mut Vec<f64>) -> (f64, Factor) {
+    fn most_likely(&self, cells: &[f64], noise: f64, penalty: f64, x: &mut Vec<f64>) -> (f64, BandedFactor) {
         let loss = |x: &[f64]| {
             let rounded: f64 = cells
                 .iter()
@@ -197,7 +199,7 @@ impl Bends {
             let better = shares.map(part).find(|(next, _)| now - next > CLOSE);
             let Some((next, moved)) = better.filter(|_| left > 0) else {
                 let free = self.n as f64 - 2.0;
-                return (now + factor.log_size - free * penalty.ln(), factor);
+                return (now + factor.log_determinant() - free * penalty.ln(), factor);
             };
             (now, *x) = (next, moved);
         }
@@ -211,7 +213,7 @@ impl Bends {
     }
 
     /// Factors weight + penalty·DᵀD.
-    fn factor(&self, weight: &[f64], penalty: f64) -> Factor {
+    fn factor(&self, weight: &[f64], penalty: f64) -> BandedFactor {
         // Bands: the diagonal and two below it.
         let n = self.n;
         let (mut d, mut one, mut two) = (weight.to_vec(), vec![0.0; n], vec![0.0; n]);
@@ -223,65 +225,7 @@ impl Bends {
             one[i + 2] += penalty * b * c;
             two[i + 2] += penalty * a * c;
         }
-        let mut log_size = 0.0;
-        for i in 0..n {
-            if i >= 2 {
-                two[i] /= d[i - 2];
-                one[i] -= two[i] * one[i - 1] * d[i - 2];
-                d[i] -= two[i] * two[i] * d[i - 2];
-            }
-            if i >= 1 {
-                one[i] /= d[i - 1];
-                d[i] -= one[i] * one[i] * d[i - 1];
-            }
-            log_size += d[i].ln();
-        }
-        Factor { d, one, two, log_size }
-    }
-}
-
-/// `LDLᵀ` factor of a symmetric matrix with two bands beside the diagonal.
-struct Factor {
-    d: Vec<f64>,
-    one: Vec<f64>,
-    two: Vec<f64>,
-    /// The logarithm of its determinant.
-    log_size: f64,
-}
-
-impl Factor {
-    /// The solution for this right-hand side.
-    fn solve(&self, mut x: Vec<f64>) -> Vec<f64> {
-        for i in 0..x.len() {
-            if i >= 2 {
-                x[i] -= self.two[i] * x[i - 2];
-            }
-            if i >= 1 {
-                x[i] -= self.one[i] * x[i - 1];
-            }
-        }
-        x.iter_mut().zip(&self.d).for_each(|(x, d)| *x /= d);
-        self.back(x)
-    }
-
-    /// Solves for Lᵀ.
-    fn back(&self, mut x: Vec<f64>) -> Vec<f64> {
-        let n = x.len();
-        for i in (0..n).rev() {
-            if i + 1 < n {
-                x[i] -= self.one[i + 1] * x[i + 1];
-            }
-            if i + 2 < n {
-                x[i] -= self.two[i + 2] * x[i + 2];
-            }
-        }
-        x
-    }
-
-    /// Normal errors with this precision; one seed always gives the same errors.
-    fn draw(&self, mut seed: u64) -> Vec<f64> {
-        let white = self.d.iter().map(|d| normal(&mut seed) / d.sqrt()).collect();
-        self.back(white)
+        BandedFactor::new(d, one, two)
     }
 }
 
@@ -393,7 +337,9 @@ mod tests {
             let log: Vec<f64> = truth.iter().zip(noise(seed, 300)).map(|(t, e)| t + 0.2 * e).collect();
             let found = Smooth::of(&t, &log).unwrap();
             off.extend(found.x.iter().zip(&truth).map(|(a, b)| a - b));
-            drawn.extend(found.factor.draw(seed).into_iter().map(|e| found.sd * e));
+            let mut state = seed;
+            let errors = found.factor.with_this_precision(|| normal(&mut state));
+            drawn.extend(errors.into_iter().map(|e| found.sd * e));
         }
         let (off, drawn) = (rms(off.into_iter()), rms(drawn.into_iter()));
         assert!((0.7..1.5).contains(&(drawn / off)), "{drawn} K drawn, {off} K off");

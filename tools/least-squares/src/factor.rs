@@ -4,7 +4,7 @@
 //! row below the data: [X; I] = Q R with orthonormal Q. A free column has no such row. Gram–Schmidt is applied twice where the first pass leaves little; that is as stable
 //! as Householder's reflections (Giraud, Langou, Rozložník 2005). The Gram matrix of the data is never formed.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 use std::rc::Rc;
 
@@ -118,6 +118,32 @@ pub fn products_beside(orthonormal: &DMatrix<f64>, columns: &[Vec<f64>]) -> Vec<
         DMatrix::from_row_iterator(columns.len(), orthonormal.nrows(), columns.iter().flatten().copied());
     let shares = &own * orthonormal;
     (&own * own.transpose() - &shares * shares.transpose()).as_slice().to_vec()
+}
+
+/// ½ log |I + tS| and t hᵀ(I + tS)⁻¹h of columns whose products among each other (S, row by row) and with
+/// a residual (h) are known.
+/// These are what a prior of variance t adds to the evidence.
+#[must_use]
+pub fn prior_terms(along: &[f64], among: &[f64], t: f64) -> (f64, f64) {
+    let p = along.len();
+    // Cholesky's triangle of I + tS, row by row, and along it the solution of L z = h.
+    let mut triangle = vec![0.0; p * p];
+    let mut z = vec![0.0; p];
+    let (mut half_log_det, mut less) = (0.0, 0.0);
+    for i in 0..p {
+        let (above, own) = triangle.split_at_mut(i * p);
+        for j in 0..i {
+            let row = &above[j * p..=j * p + j];
+            own[j] = (t * among[i * p + j] - dot(&own[..j], &row[..j])) / row[j];
+        }
+        // A pivot of I plus a sum of squares is at least one, up to rounding.
+        let pivot = (1.0 + t * among[i * p + i] - dot(&own[..i], &own[..i])).max(1.0).sqrt();
+        z[i] = (along[i] - dot(&own[..i], &z[..i])) / pivot;
+        own[i] = pivot;
+        half_log_det += pivot.ln();
+        less += t * z[i] * z[i];
+    }
+    (half_log_det, less)
 }
 
 impl QrFactor {
@@ -274,6 +300,27 @@ impl QrFactor {
         share
     }
 
+    /// Sum of squares of the residual in these rows, if they are left out of the fit.
+    /// No second fit is needed: with Q the orthonormal columns in these rows and r the residual there, it is
+    /// |(I − QQᵀ)⁻¹ r|² (Cook, Weisberg 1982). `None` if without these rows less than the share `least` of a
+    /// column is its own.
+    pub fn left_out(&self, rows: &Range<usize>, least: f64) -> Option<f64> {
+        let (k, residual) = (self.len(), &self.residual[rows.clone()]);
+        let q: Vec<&[f64]> = self.upper.iter().map(|q| &q[rows.clone()]).collect();
+        // What the other rows keep of the columns: I − QᵀQ. Its eigenvalues are within 0 and 1.
+        let kept = DMatrix::from_fn(k, k, |i, j| f64::from(u8::from(i == j)) - dot(q[i], q[j]));
+        let triangle = kept.cholesky()?.unpack();
+        let own = |(i, r): (usize, &Vec<f64>)| triangle[(i, i)] * r[i] > least * dot(r, r).sqrt();
+        if !self.triangle.iter().enumerate().all(own) {
+            return None;
+        }
+        let along = DVector::from_iterator(k, q.iter().map(|q| dot(q, residual)));
+        let shift = triangle.tr_solve_lower_triangular(&triangle.solve_lower_triangular(&along)?)?;
+        let mut out = residual.to_vec();
+        q.iter().zip(&shift).for_each(|(q, z)| add(&mut out, *z, q));
+        Some(dot(&out, &out))
+    }
+
     /// Weight of each row in a coefficient's value: a row of the pseudo-inverse.
     pub fn weights(&self, coefficient: usize) -> Vec<f64> {
         let mut out = vec![0.0; self.residual.len()];
@@ -386,7 +433,6 @@ impl QrFactor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::DVector;
 
     /// Compares with the normal equations of another library, well-conditioned.
     #[test]
@@ -411,6 +457,48 @@ mod tests {
         assert!((2.0 * factor.half_log_det() - a.determinant().ln()).abs() < 1e-9);
         let left = dot(&y, &y) - b.dot(&beta);
         assert!((factor.left() - left).abs() < 1e-9 && factor.residual().len() == n);
+    }
+
+    /// Compares with fits to the other rows.
+    #[test]
+    fn rows_are_left_out_as_by_a_second_fit() {
+        let column = |j: u32, rows: &[u32]| {
+            rows.iter().map(|i| f64::from(i * (j + 1)).cos() + f64::from(j)).collect::<Vec<f64>>()
+        };
+        let fit = |rows: &[u32]| {
+            let y: Vec<f64> = rows.iter().map(|i| f64::from(*i).sin()).collect();
+            let mut factor = QrFactor::new(&y);
+            (0..4).for_each(|j| _ = factor.push_free(&column(j, rows)));
+            (factor, y)
+        };
+        let all: Vec<u32> = (0..30).collect();
+        for block in [0..7, 7..20, 20..30] {
+            let (own, others): (Vec<u32>, Vec<u32>) =
+                all.iter().partition(|i| block.contains(&(**i as usize)));
+            let mut left = fit(&own).1;
+            for (j, c) in fit(&others).0.solve().into_iter().enumerate() {
+                add(&mut left, -c, &column(j as u32, &own));
+            }
+            let at_once = fit(&all).0.left_out(&block, 1e-7).unwrap();
+            assert!((at_once / dot(&left, &left) - 1.0).abs() < 1e-9, "{block:?}");
+        }
+        let (mut factor, _) = fit(&all);
+        factor.push_free(&(0..30).map(|i| f64::from(u8::from(i == 3))).collect::<Vec<_>>());
+        assert!(factor.left_out(&(0..7), 1e-7).is_none() && factor.left_out(&(7..20), 1e-7).is_some());
+    }
+
+    #[test]
+    fn a_priors_terms_are_those_of_the_whole_matrix() {
+        let column = |j: u32| (0..30).map(|i| f64::from(i * (j + 1)).cos()).collect::<Vec<f64>>();
+        let columns: Vec<_> = (0..4).map(column).collect();
+        let y: Vec<f64> = (0..30).map(|i| f64::from(i).sin()).collect();
+        let along: Vec<f64> = columns.iter().map(|c| dot(c, &y)).collect();
+        let among: Vec<f64> = columns.iter().flat_map(|a| columns.iter().map(|b| dot(a, b))).collect();
+        let mut factor = QrFactor::new(&y);
+        columns.iter().for_each(|c| factor.push(&c.iter().map(|x| 1.7 * x).collect::<Vec<_>>()));
+        let (half_log_det, less) = prior_terms(&along, &among, 1.7 * 1.7);
+        assert!((half_log_det - factor.half_log_det()).abs() < 1e-9);
+        assert!((dot(&y, &y) - less - factor.left()).abs() < 1e-9);
     }
 
     #[test]

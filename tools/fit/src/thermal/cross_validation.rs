@@ -2,10 +2,11 @@
 
 use super::problem::Problem;
 use super::term::Term;
-use rtec_least_squares::dot;
+use rtec_least_squares::{QrFactor, add, dot};
 use rtec_measure::iso230::correlation;
 use rtec_model::record::span;
 use std::ops::Range;
+use std::rc::Rc;
 
 /// A structure with its cross-validation.
 #[derive(Debug, Clone)]
@@ -32,6 +33,9 @@ const BENT: f64 = 4.0;
 
 /// A square stays in the model above this: three standard errors.
 const CERTAIN: f64 = 9.0;
+
+/// Smallest share of a column that those before it must not explain.
+const OWN_SHARE: f64 = 3e-4;
 
 /// Largest movement of one term, relative to the response's whole movement.
 const CANCELLED: f64 = 2.0;
@@ -104,31 +108,21 @@ pub(super) fn independent(series: impl Iterator<Item = f64>) -> f64 {
     n * (1.0 - phi) / (1.0 + phi)
 }
 
-/// A column less its mean over the folds, scaled.
-/// With it the normal equations keep their digits.
-struct ScaledColumn {
-    mean: f64,
-    scale: f64,
-    values: Vec<f64>,
-    weighted: Vec<f64>,
-}
-
-/// Columns with their products for least squares on some folds.
-/// The response, the constant, then one column per term. Terms are added and removed at the end; the products
-/// of those that stay are kept.
-pub(super) struct GramColumns<'a> {
-    problem: &'a Problem,
-    folds: &'a [usize],
-    total: f64,
-    columns: Vec<ScaledColumn>,
-    /// Products of every column with those up to itself, row after row.
-    /// There is one set per fold, and one for all folds.
-    products: Vec<Vec<f64>>,
-    all: Vec<f64>,
-    /// Cached factors of least squares: without each fold, and on all.
-    /// Columns that stay are not factored again.
-    roots: Vec<CholeskyFactor>,
-    roots_of_all: CholeskyFactor,
+/// Constant and terms on some folds, by orthogonal factors.
+/// Rows are weighted; columns are less their means.
+#[derive(Clone)]
+pub(super) struct FoldLeastSquares {
+    factor: QrFactor,
+    /// Root of each bin's weight, fold after fold.
+    roots: Rc<[f64]>,
+    /// Each fold's bins, and the sum of their weights.
+    folds: Rc<[(Range<usize>, f64)]>,
+    /// The folds' bins in all rows of the search.
+    stretches: Rc<[Range<usize>]>,
+    /// Means of the response and of each term.
+    means: Vec<f64>,
+    /// Sum of squares of the response about its mean.
+    square: f64,
 }
 
 /// A least-squares solution on the folds.
@@ -148,217 +142,67 @@ impl CrossValidatedSolution {
     }
 }
 
-impl<'a> GramColumns<'a> {
+impl FoldLeastSquares {
     /// Response and constant on some folds; `None` if the response does not vary.
-    pub(super) fn new(problem: &'a Problem, folds: &'a [usize]) -> Option<Self> {
-        let total = folds.iter().flat_map(|f| &problem.weight[problem.stretches[*f].clone()]).sum();
-        let products = vec![Vec::new(); folds.len()];
-        let roots = folds.iter().map(|_| CholeskyFactor::default()).collect();
-        let (columns, all, roots_of_all) = (Vec::new(), Vec::new(), CholeskyFactor::default());
-        let mut beside = Self { problem, folds, total, columns, products, all, roots, roots_of_all };
-        beside.push(&problem.y)?;
-        let (values, weighted) = (vec![1.0; problem.y.len()], problem.weight.clone());
-        beside.enter(ScaledColumn { mean: 0.0, scale: 1.0, values, weighted });
-        Some(beside)
+    fn new(problem: &Problem, folds: &[usize]) -> Option<Self> {
+        let stretches: Rc<[Range<usize>]> = problem.stretches(folds).collect();
+        let roots = stretches.iter().flat_map(|s| &problem.weight[s.clone()]).map(|w| w.sqrt()).collect();
+        let mut from = 0;
+        let fold = |stretch: &Range<usize>| {
+            let own = from..from + stretch.len();
+            from = own.end;
+            (own, problem.weight[stretch.clone()].iter().sum())
+        };
+        let folds = stretches.iter().map(fold).collect();
+        let factor = QrFactor::new(&[]);
+        let empty = Self { factor, roots, folds, stretches, means: Vec::new(), square: 0.0 };
+        let (response, mean) = empty.rows(&problem.y)?;
+        let mut factor = QrFactor::new(&response);
+        factor.push_free(&empty.roots);
+        Some(Self { factor, means: vec![mean], square: dot(&response, &response), ..empty })
     }
 
-    /// Adds a column at the end; `None` if it does not vary.
-    pub(super) fn push(&mut self, column: &[f64]) -> Option<()> {
-        let ready = self.ready(column)?;
-        self.enter(ready);
-        Some(())
+    /// A column's weighted rows less their mean, and the mean; `None` if it does not vary.
+    fn rows(&self, column: &[f64]) -> Option<(Vec<f64>, f64)> {
+        let total = dot(&self.roots, &self.roots);
+        let mut rows = Vec::with_capacity(self.roots.len());
+        self.stretches.iter().for_each(|s| rows.extend_from_slice(&column[s.clone()]));
+        rows.iter_mut().zip(&*self.roots).for_each(|(v, root)| *v *= root);
+        let mean = dot(&rows, &self.roots) / total;
+        add(&mut rows, -mean, &self.roots);
+        (dot(&rows, &rows) > 1e-18 * total).then_some((rows, mean))
     }
 
-    /// Replaces the k-th term's column.
-    /// `None` if it does not vary; then the old one stays.
-    pub(super) fn replace(&mut self, k: usize, column: &[f64]) -> Option<()> {
-        // After response and constant.
-        let place = k + 2;
-        self.columns[place] = self.ready(column)?;
-        self.keep_roots(place - 1);
-        for other in 0..self.columns.len() {
-            let (later, earlier) = (place.max(other), place.min(other));
-            let at = row(later) + earlier;
-            let (later, earlier) = (&self.columns[later], &self.columns[earlier]);
-            self.all[at] = 0.0;
-            for (f, products) in self.folds.iter().zip(&mut self.products) {
-                let stretch = self.problem.stretches[*f].clone();
-                products[at] = dot(&later.weighted[stretch.clone()], &earlier.values[stretch]);
-                self.all[at] += products[at];
-            }
-        }
-        Some(())
-    }
-
-    fn ready(&self, column: &[f64]) -> Option<ScaledColumn> {
-        let weight = &self.problem.weight;
-        let stretches = || self.folds.iter().map(|f| self.problem.stretches[*f].clone());
-        let mean = stretches().map(|s| dot(&weight[s.clone()], &column[s])).sum::<f64>() / self.total;
-        let mut values: Vec<f64> = column.iter().map(|v| v - mean).collect();
-        let mut weighted: Vec<f64> = values.iter().zip(weight).map(|(v, w)| v * w).collect();
-        let variance = stretches().map(|s| dot(&weighted[s.clone()], &values[s])).sum::<f64>() / self.total;
-        if variance <= 1e-18 {
-            return None;
-        }
-        let scale = variance.sqrt();
-        values.iter_mut().chain(&mut weighted).for_each(|v| *v /= scale);
-        Some(ScaledColumn { mean, scale, values, weighted })
-    }
-
-    fn enter(&mut self, column: ScaledColumn) {
-        self.columns.push(column);
-        let new = &self.columns[self.columns.len() - 1];
-        let begin = self.all.len();
-        self.all.resize(begin + self.columns.len(), 0.0);
-        for (f, products) in self.folds.iter().zip(&mut self.products) {
-            let stretch = self.problem.stretches[*f].clone();
-            for (k, other) in self.columns.iter().enumerate() {
-                let product = dot(&new.weighted[stretch.clone()], &other.values[stretch.clone()]);
-                products.push(product);
-                self.all[begin + k] += product;
-            }
-        }
-    }
-
-    /// Removes the last column.
-    pub(super) fn pop(&mut self) {
-        let left = self.all.len() - self.columns.len();
-        self.columns.pop();
-        self.products.iter_mut().chain([&mut self.all]).for_each(|p| p.truncate(left));
-        self.keep_roots(self.columns.len() - 1);
-    }
-
-    /// Keeps the factors of the first `columns` of constant and terms.
-    fn keep_roots(&mut self, columns: usize) {
-        self.roots.iter_mut().chain([&mut self.roots_of_all]).for_each(|r| r.keep(columns));
+    /// The same with one more column; `None` if it does not vary, or depends on those before it.
+    pub(super) fn with(&self, column: &[f64]) -> Option<Self> {
+        let (rows, mean) = self.rows(column)?;
+        let mut more = self.clone();
+        more.means.push(mean);
+        (more.factor.push_free(&rows) > OWN_SHARE).then_some(more)
     }
 
     /// Least squares on all folds, judged by leaving out each in turn.
-    /// `None` if the columns are dependent.
-    pub(super) fn solve(&mut self) -> Option<CrossValidatedSolution> {
+    /// `None` if the columns are dependent without a fold.
+    pub(super) fn solve(&self) -> Option<CrossValidatedSolution> {
         rtec_files::cancellable_computation::step();
-        let response = &self.columns[0];
-        let fit = self.roots_of_all.least_squares(&self.all)?;
-        let left = left_over(&self.all, &fit) / self.total;
-        let mut mse = Vec::with_capacity(self.folds.len());
-        let mut others = vec![0.0; self.all.len()];
-        for (own, roots) in self.products.iter().zip(&mut self.roots) {
-            others.iter_mut().zip(self.all.iter().zip(own)).for_each(|(o, (all, own))| *o = all - own);
-            let c = roots.least_squares(&others)?;
-            mse.push(left_over(own, &c) * response.scale * response.scale / own[CONSTANT].max(1e-300));
-        }
-        let terms = &self.columns[2..];
-        let mut coefficients = vec![0.0];
-        coefficients.extend(fit[1..].iter().zip(terms).map(|(c, t)| c * response.scale / t.scale));
-        let means: f64 = coefficients[1..].iter().zip(terms).map(|(c, t)| c * t.mean).sum();
-        coefficients[0] = response.mean + fit[0] * response.scale - means;
-        Some(CrossValidatedSolution { mse, coefficients, left })
+        let fold =
+            |(bins, weight): &(Range<usize>, f64)| Some(self.factor.left_out(bins, OWN_SHARE)? / weight);
+        let mse = self.folds.iter().map(fold).collect::<Option<_>>()?;
+        let mut coefficients = self.factor.solve();
+        coefficients[0] += self.means[0] - dot(&coefficients[1..], &self.means[1..]);
+        let residual = self.factor.residual();
+        Some(CrossValidatedSolution { mse, coefficients, left: dot(residual, residual) / self.square })
     }
 
     /// Fits and judges these terms, whose columns are here.
     /// `None` if they are dependent.
-    pub(super) fn judge(&mut self, terms: &[Term]) -> Option<ValidatedStructure> {
-        let solved = self.solve()?;
-        let independent = independent(self.residuals(&solved).into_iter()).max(self.folds.len() as f64);
-        let CrossValidatedSolution { mse, coefficients, left } = solved;
+    pub(super) fn judge(&self, terms: &[Term]) -> Option<ValidatedStructure> {
+        let CrossValidatedSolution { mse, coefficients, left } = self.solve()?;
+        let residual = self.factor.residual().iter().zip(&*self.roots).map(|(r, root)| r / root);
+        let independent = independent(residual).max(self.folds.len() as f64);
         let r = (1.0 - left).max(0.0).sqrt();
         Some(ValidatedStructure { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
-
-    /// The residual of the response, one value per bin of the folds.
-    fn residuals(&self, solved: &CrossValidatedSolution) -> Vec<f64> {
-        let response = &self.columns[0];
-        let mut left: Vec<f64> = response.values.iter().map(|v| v * response.scale + response.mean).collect();
-        for v in &mut left {
-            *v -= solved.coefficients[0];
-        }
-        for (term, c) in self.columns[2..].iter().zip(&solved.coefficients[1..]) {
-            let (gain, zero) = (c * term.scale, c * term.mean);
-            left.iter_mut().zip(&term.values).for_each(|(l, v)| *l -= gain * v + zero);
-        }
-        self.folds.iter().flat_map(|f| &left[self.problem.stretches[*f].clone()]).copied().collect()
-    }
-}
-
-/// Index of the constant's product with itself.
-/// It follows the response's own product, and that of the constant with the response.
-const CONSTANT: usize = 2;
-
-/// Index at which the products of the k-th column begin.
-const fn row(k: usize) -> usize {
-    k * (k + 1) / 2
-}
-
-/// Least squares by products of columns (Cholesky).
-/// It holds the factor, row after row, and the response solved with it.
-#[derive(Default)]
-struct CholeskyFactor {
-    factor: Vec<f64>,
-    response: Vec<f64>,
-}
-
-impl CholeskyFactor {
-    /// Keeps the factors of the first `columns`.
-    fn keep(&mut self, columns: usize) {
-        self.response.truncate(columns);
-        self.factor.truncate(row(self.response.len()));
-    }
-
-    /// Coefficients of constant and terms from these products.
-    /// Factors of the columns kept are reused. `None` if columns are nearly equal.
-    fn least_squares(&mut self, products: &[f64]) -> Option<Vec<f64>> {
-        let mut begin = row(self.response.len() + 1);
-        while begin < products.len() {
-            let k = self.response.len();
-            if !self.enter(&products[begin..begin + k + 2], 1e-7 * products[CONSTANT]) {
-                self.keep(k);
-                return None;
-            }
-            begin += k + 2;
-        }
-        let roots = &self.factor;
-        let mut solution = self.response.clone();
-        for k in (0..solution.len()).rev() {
-            let known: f64 = (k + 1..solution.len()).map(|i| roots[row(i) + k] * solution[i]).sum();
-            solution[k] = (solution[k] - known) / roots[row(k) + k];
-        }
-        Some(solution)
-    }
-
-    /// Adds the next row of the factor and its forward substitution.
-    /// `false` if at most the share `linear_least_squares` of the column is independent of those before.
-    fn enter(&mut self, own: &[f64], least: f64) -> bool {
-        let (roots, k) = (&mut self.factor, self.response.len());
-        for j in 0..=k {
-            let (mine, theirs) = (row(k), row(j));
-            let inner: f64 = roots[mine..].iter().zip(&roots[theirs..theirs + j]).map(|(m, t)| m * t).sum();
-            let rest = own[j + 1] - inner;
-            if j < k {
-                roots.push(rest / roots[theirs + j]);
-            } else if rest > least {
-                roots.push(rest.sqrt());
-            } else {
-                return false;
-            }
-        }
-        let mine = &roots[row(k)..];
-        let known: f64 = self.response.iter().zip(mine).map(|(s, r)| s * r).sum();
-        self.response.push((own[0] - known) / mine[k]);
-        true
-    }
-}
-
-/// The residual sum of squares of these coefficients, from the products.
-/// The products are of the response, the constant and the terms.
-fn left_over(products: &[f64], coefficients: &[f64]) -> f64 {
-    let by = |k: usize| if k == 0 { -1.0 } else { coefficients[k - 1] };
-    let mut sum = 0.0;
-    for k in 0..=coefficients.len() {
-        let own = &products[row(k)..];
-        let beside: f64 = (0..k).map(|j| own[j] * by(j)).sum();
-        sum += by(k) * (2.0 * beside + by(k) * own[k]);
-    }
-    sum.max(0.0)
 }
 
 impl Problem {
@@ -369,12 +213,9 @@ impl Problem {
     }
 
     /// The columns of these terms on some folds; `None` if one does not vary.
-    pub(super) fn beside<'a>(&'a self, terms: &[Term], folds: &'a [usize]) -> Option<GramColumns<'a>> {
-        let mut beside = GramColumns::new(self, folds)?;
-        for term in terms {
-            beside.push(&self.column(*term))?;
-        }
-        Some(beside)
+    pub(super) fn beside(&self, terms: &[Term], folds: &[usize]) -> Option<FoldLeastSquares> {
+        let none = FoldLeastSquares::new(self, folds)?;
+        terms.iter().try_fold(none, |beside, term| beside.with(&self.column(*term)))
     }
 
     /// The bins of these folds.
@@ -500,50 +341,22 @@ mod tests {
         }
     }
 
-    /// A column that was added and removed leaves no trace.
-    /// One that does not vary, or is the double of another, is refused.
+    /// A column that does not vary, or is the double of another, is refused.
     #[test]
-    fn columns_come_and_go() {
+    fn a_column_without_news_is_refused() {
         let record = drift(3);
         let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
         let folds: Vec<usize> = (0..problem.folds).collect();
-        let mut beside = problem.beside(&[difference(0, 0)], &folds).unwrap();
-        let before = beside.solve().unwrap();
-        beside.push(&problem.column(difference(1, 7))).unwrap();
-        assert!(beside.solve().unwrap().rms() < before.rms());
-        beside.pop();
-        assert_eq!(beside.solve().unwrap().mse, before.mse);
-        assert!(beside.push(&vec![3.0; problem.y.len()]).is_none());
-        beside.push(&problem.column(difference(0, 0))).unwrap();
-        assert!(beside.solve().is_none());
-    }
-
-    /// Cached results equal fresh ones to the last bit.
-    /// This holds after replacing a column in any place, adding or removing one, or doubling one.
-    #[test]
-    fn columns_change_places() {
-        let record = drift(4);
-        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
-        let folds: Vec<usize> = (0..problem.folds).filter(|f| *f != 4).collect();
-        let mut terms = vec![difference(0, 0), difference(1, 7), difference(3, 20)];
-        let mut beside = problem.beside(&terms, &folds).unwrap();
-        let same = |beside: &mut GramColumns, terms: &[Term]| {
-            let (kept, anew) = (beside.judge(terms).unwrap(), problem.judge(terms, &folds).unwrap());
-            assert_eq!((kept.mse, kept.coefficients), (anew.mse, anew.coefficients));
-        };
-        same(&mut beside, &terms);
-        for (k, lag) in [(2, 30), (1, 9), (0, 3), (1, 0), (2, 5)] {
-            let Term::Thermal { sensor, .. } = terms[k] else { unreachable!() };
-            terms[k] = difference(sensor, lag);
-            beside.replace(k, &problem.column(terms[k])).unwrap();
-            same(&mut beside, &terms);
-            assert!(beside.replace(k, &vec![3.0; problem.y.len()]).is_none());
-            same(&mut beside, &terms);
-            beside.push(&problem.column(terms[0])).unwrap();
-            assert!(beside.solve().is_none());
-            beside.pop();
-            same(&mut beside, &terms);
-        }
+        let beside = problem.beside(&[difference(0, 0)], &folds).unwrap();
+        let more = beside.with(&problem.column(difference(1, 7))).unwrap();
+        assert!(more.solve().unwrap().rms() < beside.solve().unwrap().rms());
+        assert!(beside.with(&vec![3.0; problem.y.len()]).is_none());
+        assert!(beside.with(&problem.column(difference(0, 0))).is_none());
+        // One that varies within a single fold is dependent without it.
+        let stretch = problem.stretches[4].clone();
+        let once =
+            (0..problem.y.len()).map(|i| f64::from(u8::from(stretch.contains(&i)))).collect::<Vec<_>>();
+        assert!(beside.with(&once).unwrap().solve().is_none());
     }
 
     /// Reordered terms give the same residual up to rounding, so they are not better.

@@ -1,10 +1,10 @@
 //! Selects terms: CASC over the sensors, the refit by rounds, then exchanges.
 
-use super::cross_validation::{GramColumns, ValidatedStructure};
+use super::cross_validation::{FoldLeastSquares, ValidatedStructure};
 use super::problem::Problem;
 use super::report::{RankedSensor, RedundantSensor, Round};
 use super::term::{Pair, Term, pair_of, relagged, squared};
-use rtec_least_squares::dot;
+use rtec_least_squares::{QrFactor, dot};
 use rtec_measure::iso230::correlation;
 
 /// Correlation above which two sensors measure the same source of heat.
@@ -434,37 +434,21 @@ impl Problem {
 
     /// The candidates that explain most of these terms' residual, whatever their lag.
     fn screen(&self, terms: &[Term], candidates: &[Pair], folds: &[usize]) -> Vec<Pair> {
-        // An orthonormal basis of the constant and the terms, weighted, zero outside the folds; then the
-        // residual beside it.
-        let mut weight = vec![0.0; self.y.len()];
-        self.stretches(folds).for_each(|s| weight[s.clone()].copy_from_slice(&self.weight[s]));
-        let weighted = |v: &[f64]| v.iter().zip(&weight).map(|(v, w)| v * w).collect::<Vec<f64>>();
-        let mut basis: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
-        let beside = |basis: &[(Vec<f64>, Vec<f64>)], mut v: Vec<f64>| {
-            for (q, weighted) in basis {
-                let c = dot(weighted, &v);
-                v.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
-            }
-            v
-        };
-        let mut columns = vec![vec![1.0; self.y.len()]];
-        columns.extend(terms.iter().map(|t| self.column(*t)));
-        for c in columns {
-            let c = beside(&basis, c);
-            let norm = dot(&weighted(&c), &c).sqrt();
-            if norm > 0.0 {
-                let q: Vec<f64> = c.into_iter().map(|v| v / norm).collect();
-                let weighted = weighted(&q);
-                basis.push((q, weighted));
-            }
-        }
-        let left = weighted(&beside(&basis, self.y.clone()));
+        // The constant and the terms, weighted, zero outside the folds; then the residual beside them.
+        let mut roots = vec![0.0; self.y.len()];
+        self.stretches(folds).flatten().for_each(|i| roots[i] = self.weight[i].sqrt());
+        let weighted = |v: &[f64]| v.iter().zip(&roots).map(|(v, w)| v * w).collect::<Vec<f64>>();
+        let mut factor = QrFactor::new(&weighted(&self.y));
+        factor.push_free(&roots);
+        terms.iter().for_each(|t| _ = factor.push_free(&weighted(&self.column(*t))));
+        let basis: Vec<Vec<f64>> = factor.columns().iter().map(|q| weighted(q)).collect();
+        let left = weighted(factor.residual());
         let mut scores = vec![0.0; candidates.len()];
         for screened in &self.screened {
             // Each sensor's projections on the basis and on the residual. Those of a difference are the
             // differences.
             let of = |v: &Vec<f64>| {
-                let known: Vec<f64> = basis.iter().map(|(_, weighted)| dot(weighted, v)).collect();
+                let known: Vec<f64> = basis.iter().map(|q| dot(q, v)).collect();
                 (known, dot(&left, v))
             };
             let sensors: Vec<(Vec<f64>, f64)> = screened.centred.iter().map(of).collect();
@@ -496,31 +480,26 @@ impl Problem {
 
     /// Searches each lag again with the others held, now that all terms are known.
     fn retune(&self, mut now: ValidatedStructure, folds: &[usize]) -> ValidatedStructure {
-        let Some(mut beside) = self.beside(&now.terms, folds) else { return now };
-        // The terms whose columns are in place. A column that does not vary is refused, and the old one
-        // stays.
-        let mut standing = now.terms.clone();
         for k in 0..now.terms.len() {
             let Term::Thermal { lag: at @ 1.., square: false, .. } = now.terms[k] else { continue };
-            let terms = now.terms.clone();
-            let mut with = |beside: &mut GramColumns, lag: usize| {
-                let terms = relagged(&terms, k, lag);
-                for n in 0..terms.len() {
-                    if standing[n] != terms[n] {
-                        beside.replace(n, &self.column(terms[n]))?;
-                        standing[n] = terms[n];
-                    }
-                }
-                Some(terms)
-            };
+            // The square of a difference has its lag.
+            let others = relagged(&now.terms, k, 0);
+            let (moved, rest): (Vec<usize>, Vec<usize>) =
+                (0..others.len()).partition(|n| others[*n] != now.terms[*n]);
+            let of = |places: &[usize], terms: &[Term]| places.iter().map(|n| terms[*n]).collect::<Vec<_>>();
+            let rest = of(&rest, &now.terms);
+            let Some(beside) = self.beside(&rest, folds) else { return now };
             let mut other = |lag: usize| {
-                let terms = with(&mut beside, lag)?;
-                let solved = beside.solve()?;
+                let moved = of(&moved, &relagged(&now.terms, k, lag));
+                let with = |beside: FoldLeastSquares, term: &Term| beside.with(&self.column(*term));
+                let solved = moved.iter().try_fold(beside.clone(), with)?.solve()?;
+                let terms = [rest.as_slice(), &moved].concat();
                 self.physical(&terms, &solved.coefficients, folds).then(|| solved.rms())
             };
             let best = self.nearer((at, now.rms()), &mut other).0;
-            let found = with(&mut beside, best).filter(|_| best != at);
-            now = found.and_then(|terms| beside.judge(&terms)).unwrap_or(now);
+            if best != at {
+                now = self.judge(&relagged(&now.terms, k, best), folds).unwrap_or(now);
+            }
         }
         now
     }
@@ -532,46 +511,35 @@ impl Problem {
         pairs: &[Pair],
         folds: &[usize],
     ) -> Vec<ValidatedStructure> {
-        let Some(mut beside) = self.beside(terms, folds) else { return Vec::new() };
-        pairs.iter().filter_map(|(s, m)| self.best_lag(&mut beside, terms, *s, *m, folds)).collect()
+        let Some(beside) = self.beside(terms, folds) else { return Vec::new() };
+        pairs.iter().filter_map(|(s, m)| self.best_lag(&beside, terms, *s, *m, folds)).collect()
     }
 
     /// The best lag of a difference beside the given terms; none unless justified.
     /// The terms' columns are given.
     fn best_lag(
         &self,
-        beside: &mut GramColumns,
+        beside: &FoldLeastSquares,
         terms: &[Term],
         sensor: usize,
         minus: Option<usize>,
         folds: &[usize],
     ) -> Option<ValidatedStructure> {
         let with = |lag: usize| [terms, &[Term::Thermal { sensor, minus, lag, square: false }]].concat();
-        let judge = |beside: &mut GramColumns, lag: usize| {
+        let fit = |lag: usize| {
             let all = with(lag);
-            beside.push(&self.column(all[terms.len()]))?;
-            let judged = beside.judge(&all);
-            beside.pop();
-            judged
+            let fit = beside.with(&self.column(all[terms.len()]))?;
+            Some((fit, all))
         };
-        let at = |beside: &mut GramColumns, lag: usize| {
-            let all = with(lag);
-            let term = all[terms.len()];
-            if terms.contains(&term) {
-                return None;
-            }
-            beside.push(&self.column(term))?;
-            let solved = beside.solve();
-            beside.pop();
-            solved.filter(|s| self.physical(&all, &s.coefficients, folds)).map(|s| s.rms())
+        let judge = |lag: usize| fit(lag).and_then(|(fit, all)| fit.judge(&all));
+        let at = |lag: usize| {
+            let (fit, all) = fit(lag)?;
+            fit.solve().filter(|s| self.physical(&all, &s.coefficients, folds)).map(|s| s.rms())
         };
-        let without = at(beside, 0).and_then(|_| judge(beside, 0));
-        let coarse = (1..self.taus.len()).step_by(COARSE).filter_map(|lag| Some((lag, at(beside, lag)?)));
+        let without = at(0).and_then(|_| judge(0));
+        let coarse = (1..self.taus.len()).step_by(COARSE).filter_map(|lag| Some((lag, at(lag)?)));
         let coarse = coarse.min_by(|a, b| a.1.total_cmp(&b.1));
-        let lagged = coarse.and_then(|best| {
-            let best = self.nearer(best, &mut |lag| at(beside, lag)).0;
-            judge(beside, best)
-        });
+        let lagged = coarse.and_then(|best| judge(self.nearer(best, &mut |lag| at(lag)).0));
         match (without, lagged) {
             (Some(a), Some(b)) => Some(if b.earns(&a, LAG_CHOICES) { b } else { a }),
             (a, b) => a.or(b),
