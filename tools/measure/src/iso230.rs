@@ -26,8 +26,8 @@ pub use positioning::{
 };
 pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
 
-use positioning::dot;
 use rtec_files::InputError;
+use rtec_least_squares::dot;
 use rtec_model::record::{Axis, Record, Role, mean};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};

@@ -1,6 +1,7 @@
 //! Fits circles and lines to probed points.
 //! The fits are geometric least squares, the two-step fit of NISTIR 4854 and a robust one.
 
+use rtec_least_squares::{compress_rows, dot, solve};
 use rtec_model::record::mean;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -204,21 +205,22 @@ pub fn least_squares(
             Ok(FittedShape::Line { through: centroid, normal: if outward { normal } else { normal * -1.0 } })
         }
         FitShape::Circle => {
-            let det = zz * xx - zx * zx;
-            if det <= 1e-14 * spread * spread {
+            // The smaller of the two moments about the principal axes.
+            if 0.5 * (spread - (zz - xx).hypot(2.0 * zx)) <= 1e-14 * spread {
                 return Err(FitError::Degenerate);
             }
-            // Algebraic start (the chord equations about the centroid), then geometric distances.
-            let cubic_z = moment(|p| p.z * (p.z * p.z + p.x * p.x));
-            let cubic_x = moment(|p| p.x * (p.z * p.z + p.x * p.x));
-            let start = Zx::new(cubic_z * xx - cubic_x * zx, cubic_x * zz - cubic_z * zx) * (0.5 / det);
-            circle_from(&weighted, total, centroid, start)
+            // Start: the chord equations about the centroid, |p|² = 2 p·c + constant.
+            let column =
+                |f: fn(Zx) -> f64| weighted.iter().map(|(p, w)| w.sqrt() * f(*p - centroid)).collect();
+            let columns: [Vec<f64>; 3] = [column(|_| 1.0), column(|p| 2.0 * p.z), column(|p| 2.0 * p.x)];
+            let start = solve(&columns, &column(|p| p.dot(p))).map_err(|_| FitError::Degenerate)?;
+            circle_from(&weighted, total, centroid, Zx::new(start.values[1], start.values[2]))
         }
     }
 }
 
 /// Levenberg-Marquardt on the centre.
-/// The best radius for a centre is the mean distance, so the radius is eliminated.
+/// The best radius for a centre is the mean distance.
 fn circle_from(points: &[(Zx, f64)], total: f64, centroid: Zx, start: Zx) -> Result<FittedShape, FitError> {
     let radius_at = |c: Zx| points.iter().map(|(p, w)| w * (*p - centroid - c).norm()).sum::<f64>() / total;
     let cost_at = |c: Zx, r: f64| -> f64 {
@@ -229,24 +231,21 @@ fn circle_from(points: &[(Zx, f64)], total: f64, centroid: Zx, start: Zx) -> Res
     let mut damping = 1e-6;
     for _ in 0..MAX_ITERATIONS {
         let unit = |p: Zx| (p - centroid - c).unit().unwrap_or(Zx::new(0.0, 0.0));
-        let mean = points.iter().map(|(p, w)| unit(*p) * *w).sum::<Zx>() * (1.0 / total);
-        let (mut a, mut b, mut d, mut gz, mut gx) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for &(p, w) in points {
-            // d(distance - mean distance)/d(centre) = -(u - mean u)
-            let j = unit(p) - mean;
-            let residual = (p - centroid - c).norm() - r;
-            a += w * j.z * j.z;
-            b += w * j.z * j.x;
-            d += w * j.x * j.x;
-            gz += w * j.z * residual;
-            gx += w * j.x * residual;
+        // The change of each distance by the radius and the centre, and the rows that damp the latter.
+        let column =
+            |f: &dyn Fn(Zx) -> f64| points.iter().map(|(p, w)| w.sqrt() * f(*p)).collect::<Vec<f64>>();
+        let mut columns = [column(&|_| 1.0), column(&|p| unit(p).z), column(&|p| unit(p).x)];
+        let mut distances = column(&|p| (p - centroid - c).norm() - r);
+        for (k, own) in columns.iter_mut().enumerate() {
+            let size = dot(own, own);
+            own.extend([0.0; 2]);
+            if k > 0 {
+                own[points.len() + k - 1] = (damping * size).sqrt();
+            }
         }
-        let (da, dd) = (a * (1.0 + damping), d * (1.0 + damping));
-        let det = da * dd - b * b;
-        if !det.is_finite() || det <= 0.0 {
-            return Err(FitError::Degenerate);
-        }
-        let step = Zx::new(gz * dd - gx * b, gx * da - gz * b) * (1.0 / det);
+        distances.extend([0.0; 2]);
+        let step = solve(&columns, &distances).map_err(|_| FitError::Degenerate)?.values;
+        let step = Zx::new(step[1], step[2]);
         let next = c + step;
         let next_r = radius_at(next);
         let next_cost = cost_at(next, next_r);
@@ -299,13 +298,13 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     match *fitted {
         FittedShape::Circle { centre, .. } => {
             let units: Vec<Zx> = points.iter().filter_map(|p| (*p - centre).unit()).collect();
-            let (mean, [a, b, d], det) = spread_of(&units, n)?;
-            let (zz, zx, xx) = (d / det, -b / det, a / det);
-            // The radius is the mean distance, so it varies with the centre along the points' mean direction.
-            let size = 1.0 / n + mean.z * mean.z * zz + 2.0 * mean.z * mean.x * zx + mean.x * mean.x * xx;
+            let [size, z, x] = solve(&circle_columns(&units), &vec![0.0; units.len()]).ok()?.spread()[..]
+            else {
+                return None;
+            };
             Some(StandardErrors {
-                centre_um: [zz.sqrt() * sd_um, xx.sqrt() * sd_um],
-                size_um: size.sqrt() * sd_um,
+                centre_um: [z * sd_um, x * sd_um],
+                size_um: size * sd_um,
                 inclination_rad: None,
             })
         }
@@ -322,16 +321,10 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     }
 }
 
-/// The mean of the unit vectors of `n` points, their moments and their determinant.
-/// `None` if the points do not determine a circle.
-fn spread_of(units: &[Zx], n: f64) -> Option<(Zx, [f64; 3], f64)> {
-    let mean = units.iter().copied().sum::<Zx>() * (1.0 / n);
-    let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
-    for j in units.iter().map(|u| *u - mean) {
-        (a, b, d) = (a + j.z * j.z, b + j.z * j.x, d + j.x * j.x);
-    }
-    let det = a * d - b * b;
-    (det > 0.0 && det.is_finite()).then_some((mean, [a, b, d], det))
+/// How the distances change with the radius and the centre, from points' directions seen from the centre.
+fn circle_columns(units: &[Zx]) -> [Vec<f64>; 3] {
+    let column = |f: fn(&Zx) -> f64| units.iter().map(f).collect();
+    [column(|_| 1.0), column(|u| u.z), column(|u| u.x)]
 }
 
 /// How much a form error changes a circle's size, µm per µm of amplitude.
@@ -339,18 +332,15 @@ fn spread_of(units: &[Zx], n: f64) -> Option<(Zx, [f64; 3], f64)> {
 /// it is far larger, because such waves look like another radius there. `None` if the points do not determine
 /// a circle.
 pub fn form_in_size(angles_rad: &[f64]) -> Option<f64> {
-    let n = angles_rad.len() as f64;
-    let units: Vec<Zx> = angles_rad.iter().map(|a| Zx::at_angle(*a)).collect();
-    let (mean, [a, b, d], det) = spread_of(&units, n)?;
-    let centre = Zx::new((d * mean.z - b * mean.x) / det, (a * mean.x - b * mean.z) / det);
-    let weight = |u: Zx| 1.0 / n - centre.dot(u - mean);
+    let columns = circle_columns(&angles_rad.iter().map(|a| Zx::at_angle(*a)).collect::<Vec<_>>());
     let held = |waves: f64| {
-        let of = |wave: fn(f64) -> f64| -> f64 {
-            angles_rad.iter().zip(&units).map(|(a, u)| weight(*u) * wave(waves * a)).sum()
+        let size = |wave: fn(f64) -> f64| {
+            let form: Vec<f64> = angles_rad.iter().map(|a| wave(waves * a)).collect();
+            Some(solve(&columns, &form).ok()?.values[0])
         };
-        of(f64::cos).hypot(of(f64::sin))
+        Some(size(f64::cos)?.hypot(size(f64::sin)?))
     };
-    [2.0, 3.0, 4.0].map(held).into_iter().reduce(f64::max)
+    [2.0, 3.0, 4.0].map(held).into_iter().try_fold(0.0, |most: f64, of| Some(most.max(of?)))
 }
 
 /// A fit through all points, and a second one without some of them.
@@ -435,41 +425,27 @@ pub fn two_step(shape: FitShape, points: &[Zx]) -> Result<OutlierRejectionFit, F
 /// Probability per feature that a good point is left out.
 const CHANCE: f64 = 0.01;
 
-/// Sums over points, from which the residual squares of a linear fit follow.
-#[derive(Debug, Clone, Copy, Default)]
-struct Sums {
-    n: f64,
-    u: [f64; 2],
-    r: f64,
-    uu: [f64; 3],
-    ur: [f64; 2],
-    rr: f64,
+/// A linear fit that takes one row after another.
+/// It holds as many rows as columns, which have the solution of all rows so far.
+#[derive(Debug, Clone, Default)]
+struct GrowingFit {
+    columns: Vec<Vec<f64>>,
+    response: Vec<f64>,
+    residual_square_sum: f64,
 }
 
-impl Sums {
-    fn with(self, [a, b]: [f64; 2], r: f64) -> Self {
-        Self {
-            n: self.n + 1.0,
-            u: [self.u[0] + a, self.u[1] + b],
-            r: self.r + r,
-            uu: [self.uu[0] + a * a, self.uu[1] + a * b, self.uu[2] + b * b],
-            ur: [self.ur[0] + a * r, self.ur[1] + b * r],
-            rr: self.rr + r * r,
-        }
-    }
-
-    /// Residual sum of squares of a constant and both slopes.
-    fn residual_square_sum(&self) -> f64 {
-        let ([a, b], n) = (self.u, self.n);
-        let [aa, ab, bb] = [self.uu[0] - a * a / n, self.uu[1] - a * b / n, self.uu[2] - b * b / n];
-        let [ar, br] = [self.ur[0] - a * self.r / n, self.ur[1] - b * self.r / n];
-        let det = aa * bb - ab * ab;
-        let taken = if det > 1e-14 * (aa + bb).powi(2) {
-            (ar * ar * bb - 2.0 * ar * br * ab + br * br * aa) / det
-        } else {
-            (ar * ar + br * br) / (aa + bb).max(f64::MIN_POSITIVE)
-        };
-        (self.rr - self.r * self.r / n - taken).max(0.0)
+impl GrowingFit {
+    /// The fit with one more row.
+    fn with(&self, row: &[f64], response: f64) -> Self {
+        let mut columns = self.columns.clone();
+        columns.resize(row.len(), Vec::new());
+        columns.iter_mut().zip(row).for_each(|(c, v)| c.push(*v));
+        let mut responses = self.response.clone();
+        responses.push(response);
+        let square = dot(&responses, &responses);
+        let (columns, response) = compress_rows(&columns, &responses);
+        let residual_square_sum = self.residual_square_sum + (square - dot(&response, &response)).max(0.0);
+        Self { columns, response, residual_square_sum }
     }
 }
 
@@ -480,33 +456,32 @@ impl Sums {
 /// three of a hundred features. `least_um` is the smallest standard deviation of a point. The indices ascend.
 pub fn beyond_noise(robust: &FittedShape, points: &[Zx], least_um: f64) -> Vec<usize> {
     let (n, off_um) = (points.len(), deviations_um(robust, points));
-    let mean = points.iter().map(|p| robust.normal_at(*p)).sum::<Zx>() * (1.0 / n.max(1) as f64);
     // Change of the surface at each point per small change of the shape.
-    let (parameters, slopes): (usize, Vec<[f64; 2]>) = match *robust {
+    let slopes: Vec<Vec<f64>> = match *robust {
         FittedShape::Circle { .. } => {
-            let normal = |p: &Zx| robust.normal_at(*p) - mean;
-            (3, points.iter().map(|p| [normal(p).z, normal(p).x]).collect())
+            points.iter().map(|p| robust.normal_at(*p)).map(|n| vec![1.0, n.z, n.x]).collect()
         }
-        FittedShape::Line { .. } => (2, points.iter().map(|p| [robust.place(*p), 0.0]).collect()),
+        FittedShape::Line { .. } => points.iter().map(|p| vec![1.0, robust.place(*p)]).collect(),
     };
+    let parameters = slopes.first().map_or(0, Vec::len);
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|a, b| off_um[*a].abs().total_cmp(&off_um[*b].abs()));
     let core = n.midpoint(parameters + 1).min(n);
-    let joined = |sums: Sums, k: usize| sums.with(slopes[k], off_um[k]);
-    let mut sums = order[..core].iter().fold(Sums::default(), |sums, k| joined(sums, *k));
+    let joined = |fit: &GrowingFit, k: usize| fit.with(&slopes[k], off_um[k]);
+    let mut fit = order[..core].iter().fold(GrowingFit::default(), |fit, k| joined(&fit, *k));
     for m in core..n {
-        let next = joined(sums, order[m]);
+        let next = joined(&fit, order[m]);
         if let Ok(law) = StudentsT::new(0.0, 1.0, m.saturating_sub(parameters) as f64) {
             let variance =
-                (sums.residual_square_sum() / (m - parameters) as f64).max(least_um.max(1e-6).powi(2));
-            let off = ((next.residual_square_sum() - sums.residual_square_sum()).max(0.0) / variance).sqrt();
+                (fit.residual_square_sum / (m - parameters) as f64).max(least_um.max(1e-6).powi(2));
+            let off = ((next.residual_square_sum - fit.residual_square_sum) / variance).sqrt();
             if law.sf(off) < CHANCE / (2.0 * (m + 1) as f64) {
                 let mut out = order.split_off(m);
                 out.sort_unstable();
                 return out;
             }
         }
-        sums = next;
+        fit = next;
     }
     Vec::new()
 }

@@ -15,7 +15,6 @@ use std::collections::BTreeMap;
 
 mod drift_or_step;
 
-pub(super) use drift_or_step::dot;
 use drift_or_step::{DriftOrStep, UNCHANGED};
 pub use drift_or_step::{Step, Trend};
 

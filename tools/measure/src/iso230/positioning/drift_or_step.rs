@@ -5,12 +5,16 @@
 
 use super::{AxisRun, Target, largest, mean_of, repeatability, targets};
 use crate::iso230::{CHANCE, STEP_SIDE, is_alike};
+use rtec_least_squares::{dot, solve};
 use rtec_model::record::Role;
 use serde::{Serialize, Serializer};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Time constants of a warm-up that are tried, as shares of the run.
 const WARM_UPS: [f64; 6] = [0.05, 0.1, 0.2, 0.4, 0.8, 1.6];
+
+/// Smallest share of a column that the one before it must not explain.
+const LEAST_SHARE: f64 = 3e-5;
 
 /// Figures that are also given without a drift or a step.
 pub(super) const UNCHANGED: [&str; 5] = ["R", "R_up", "R_down", "B", "B_mean"];
@@ -86,8 +90,8 @@ struct Fitted {
     shape: ChangeModel,
     factors: Vec<f64>,
     left: f64,
-    /// Variance of the first factor for noise of variance 1.
-    unit_variance: f64,
+    /// Standard deviation of the first factor for noise of variance 1.
+    standard_deviation: f64,
     /// Whether neighbouring residuals are alike: then it is no step.
     is_alike: bool,
 }
@@ -128,10 +132,6 @@ fn residual(y: &[f64], columns: &[Vec<f64>], factors: &[f64]) -> Vec<f64> {
     y.iter().enumerate().map(|(row, v)| v - explained(row)).collect()
 }
 
-pub(in crate::iso230) fn dot(u: &[f64], v: &[f64]) -> f64 {
-    u.iter().zip(v).map(|(u, v)| u * v).sum()
-}
-
 /// Rows of one target and side, and values within them.
 struct Repeats {
     groups: Vec<Vec<usize>>,
@@ -155,27 +155,13 @@ impl Repeats {
     /// `None` if a column is zero or the columns are equal.
     fn fit(&self, shape: ChangeModel, y: &[f64]) -> Option<Fitted> {
         let columns: Vec<Vec<f64>> = shape.columns.iter().map(|c| self.within(c)).collect();
-        let square = |k: usize| dot(&columns[k], &columns[k]);
-        let (factors, unit_variance) = if columns.len() == 1 {
-            let aa = square(0);
-            if aa <= 0.0 {
-                return None;
-            }
-            (vec![dot(&columns[0], y) / aa], 1.0 / aa)
-        } else {
-            let (aa, bb, ab) = (square(0), square(1), dot(&columns[0], &columns[1]));
-            let determinant = aa * bb - ab * ab;
-            if determinant <= 1e-9 * aa * bb {
-                return None;
-            }
-            let (ay, by) = (dot(&columns[0], y), dot(&columns[1], y));
-            let factors = vec![(bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant];
-            (factors, bb / determinant)
-        };
-        let residual = residual(y, &columns, &factors);
-        let left: f64 = residual.iter().map(|r| r * r).sum();
-        let is_alike = self.is_alike(&residual);
-        Some(Fitted { shape, factors, left, unit_variance, is_alike })
+        let found = solve(&columns, y).ok()?;
+        if found.independent.iter().any(|share| *share <= LEAST_SHARE) {
+            return None;
+        }
+        let (left, is_alike) = (found.left(), self.is_alike(&found.residual));
+        let standard_deviation = found.spread()[0];
+        Some(Fitted { shape, factors: found.values, left, standard_deviation, is_alike })
     }
 
     /// Whether consecutive residuals are more alike than chance makes them.
@@ -296,7 +282,7 @@ impl AxisRun<'_> {
             }
             Some(at) => {
                 let (row, cycle) = (self.record.row_number(at), self.cycle(&repeats, at));
-                let standard_error = (variance * best.unit_variance).sqrt();
+                let standard_error = variance.sqrt() * best.standard_deviation;
                 if !without.is_empty() {
                     self.notes.push(format!(
                         "the approaches step by {size:+.2} ± {standard_error:.2} {unit} at row {row} (cycle {cycle}) and stay, and the \
