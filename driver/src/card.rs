@@ -75,7 +75,7 @@ impl MachineLines {
 
 /// One look at a card: the levels of all input lines, and their time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Sample {
+pub struct CardInputSample {
     /// Time at or after the moment the lines were read, ns.
     pub t_ns: u64,
     /// Levels of the input lines; active-low lines are already inverted.
@@ -100,7 +100,7 @@ pub struct Sample {
     pub waited_ns: u64,
 }
 
-impl Sample {
+impl CardInputSample {
     /// A look that reads every line, as a polled card does.
     #[inline]
     pub const fn level(t_ns: u64, inputs: u64) -> Self {
@@ -153,7 +153,7 @@ pub trait Card {
     ///
     /// # Errors
     /// When the lines cannot be read, or a recording has ended.
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError>;
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError>;
 
     /// Sets the output lines of `mask` to `value`, the others stay.
     /// Returns a time after which the change is certainly in effect, if the card knows it; otherwise the next look

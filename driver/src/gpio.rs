@@ -10,7 +10,7 @@
 //! ([`GpioCard::kept`]) and give it to the next daemon ([`GpioCard::open`]). When the last descriptor is closed, the
 //! lines may fall.
 
-use crate::card::{Card, CardError, CardFault, CardFaultKind, Sample};
+use crate::card::{Card, CardError, CardFault, CardFaultKind, CardInputSample};
 use crate::clock::Clock;
 use gpiocdev::Chip;
 pub use gpiocdev::line::{Bias, Drive};
@@ -45,14 +45,14 @@ const GIVE_WAY_NS: u64 = 50_000;
 
 /// A line as a person names it: by its name or its number on a chip.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub enum LineId {
+pub enum GpioLineId {
     /// The name that firmware or device tree gives it.
     Name(String),
     /// Its offset on the chip.
     Offset(u32),
 }
 
-impl fmt::Display for LineId {
+impl fmt::Display for GpioLineId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Name(name) => write!(f, "\"{name}\""),
@@ -63,12 +63,12 @@ impl fmt::Display for LineId {
 
 /// One line and how it is to be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GpioLine {
+pub struct GpioLineSettings {
     /// The chip: `gpiochip0`, a path, or its label.
     /// `None` looks for the line's name on every chip.
     pub chip: Option<String>,
     /// The line on its chip, by name or offset.
-    pub line: LineId,
+    pub line: GpioLineId,
     /// Active is low.
     pub active_low: bool,
     /// Bias; `None` leaves it as it is.
@@ -81,7 +81,7 @@ pub struct GpioLine {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioInputConfig {
     /// The line, and how it is requested.
-    pub line: GpioLine,
+    pub line: GpioLineSettings,
     /// Its bit in the input word.
     pub bit: u8,
     /// Lines of the same group are one request: their edges are numbered together.
@@ -94,14 +94,14 @@ pub struct GpioInputConfig {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpioOutputConfig {
     /// The line, and how it is requested.
-    pub line: GpioLine,
+    pub line: GpioLineSettings,
     /// Its bit in the output word.
     pub bit: u8,
 }
 
 /// All lines of a card.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GpioSetup {
+pub struct GpioCardConfig {
     /// Every input that the profile of the axes and the machine needs.
     pub inputs: Vec<GpioInputConfig>,
     /// Every output, inverters and feed hold.
@@ -117,15 +117,15 @@ pub enum GpioError {
     #[error("GPIO chip {chip}: {source}; found {found}")]
     Chip { chip: String, source: io::Error, found: String },
     #[error("there is no line {line} on {place}; `rtecctl card probe` lists what is there")]
-    NoLine { place: String, line: LineId },
+    NoLine { place: String, line: GpioLineId },
     #[error("line {line} is on {first} and on {second}: name the chip too")]
-    Ambiguous { line: LineId, first: String, second: String },
+    Ambiguous { line: GpioLineId, first: String, second: String },
     #[error("line {line} of {chip} is taken by \"{consumer}\": free it there, or use another line")]
-    Taken { chip: String, line: LineId, consumer: String },
+    Taken { chip: String, line: GpioLineId, consumer: String },
     #[error(
         "line {line} is on {chip}, the others of its axis are on {other}: A, B and their read-back need one chip"
     )]
-    Apart { line: LineId, chip: String, other: String },
+    Apart { line: GpioLineId, chip: String, other: String },
     #[error(
         "the kept line request holds {found}, the configuration wants {wanted}: start with the configuration it was \
          made for, or switch the MTC off and remove it from the service manager's store"
@@ -185,7 +185,7 @@ fn open_chip(named: &str) -> Result<Chip, GpioError> {
 ///
 /// # Errors
 /// When a line is not found, or a chip may not be opened.
-pub fn chip_names(setup: &GpioSetup) -> Result<BTreeSet<String>, GpioError> {
+pub fn chip_names(setup: &GpioCardConfig) -> Result<BTreeSet<String>, GpioError> {
     let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
     lines
         .map(|line| {
@@ -195,7 +195,7 @@ pub fn chip_names(setup: &GpioSetup) -> Result<BTreeSet<String>, GpioError> {
         .collect()
 }
 
-fn find(line: &GpioLine) -> Result<LocatedLine, GpioError> {
+fn find(line: &GpioLineSettings) -> Result<LocatedLine, GpioError> {
     let chips = if let Some(chip) = &line.chip {
         vec![open_chip(chip)?]
     } else {
@@ -205,11 +205,11 @@ fn find(line: &GpioLine) -> Result<LocatedLine, GpioError> {
     let mut found: Option<LocatedLine> = None;
     for chip in &chips {
         let offset = match &line.line {
-            LineId::Offset(offset) => {
+            GpioLineId::Offset(offset) => {
                 let lines = chip.info().map_or(0, |info| info.num_lines);
                 (*offset < lines).then_some(*offset)
             }
-            LineId::Name(name) => chip.find_line_info(name).map(|info| info.offset),
+            GpioLineId::Name(name) => chip.find_line_info(name).map(|info| info.offset),
         };
         let Some(offset) = offset else { continue };
         if let Some(first) = &found {
@@ -237,7 +237,7 @@ pub fn chips() -> Vec<(String, String, u32)> {
 ///
 /// # Errors
 /// When it is not there.
-pub fn look(line: &GpioLine) -> Result<String, GpioError> {
+pub fn look(line: &GpioLineSettings) -> Result<String, GpioError> {
     let found = find(line)?;
     let chip = open_chip(&found.chip.display().to_string())?;
     let info = chip.line_info(found.offset).map_err(|e| GpioError::Io {
@@ -254,7 +254,7 @@ pub fn look(line: &GpioLine) -> Result<String, GpioError> {
     Ok(format!("{} line {} \"{}\", {way} now, {holder}", chip.name(), info.offset, info.name))
 }
 
-fn flags(line: &GpioLine, output: bool, edges: bool) -> LineFlags {
+fn flags(line: &GpioLineSettings, output: bool, edges: bool) -> LineFlags {
     let mut flags = if output { LineFlags::OUTPUT } else { LineFlags::INPUT };
     flags.set(LineFlags::ACTIVE_LOW, line.active_low);
     flags.set(LineFlags::EDGE_RISING | LineFlags::EDGE_FALLING, edges);
@@ -299,7 +299,12 @@ const fn all(n: usize) -> u64 {
 
 /// Requests lines of one chip.
 /// If another process holds a line, the error names its holder.
-fn request(chip: &Chip, offsets: &[u32], names: &[LineId], config: LineConfig) -> Result<File, GpioError> {
+fn request(
+    chip: &Chip,
+    offsets: &[u32],
+    names: &[GpioLineId],
+    config: LineConfig,
+) -> Result<File, GpioError> {
     let io = |op, source| GpioError::Io { op, chip: path_of(chip), source };
     for (offset, name) in offsets.iter().zip(names) {
         let info = chip.line_info(*offset).map_err(|e| io("reading line information of", io_of(&e)))?;
@@ -361,7 +366,7 @@ impl EdgeSequenceNumbers {
 
 /// One input request.
 #[derive(Debug)]
-struct Inputs {
+struct InputLineRequest {
     chip: String,
     file: File,
     /// Offset and bit of each line, in the request's order.
@@ -384,7 +389,7 @@ struct Inputs {
     differs: Option<(u64, u64)>,
 }
 
-impl Inputs {
+impl InputLineRequest {
     /// The lines' levels in the input word.
     fn levels(&self) -> Result<u64, CardError> {
         let bits = read_levels(&self.file, self.lines.len())?;
@@ -427,7 +432,7 @@ impl Inputs {
 
 /// One output request.
 #[derive(Debug)]
-struct Outputs {
+struct OutputLineRequest {
     chip: String,
     file: File,
     bits: Box<[u8]>,
@@ -437,8 +442,8 @@ struct Outputs {
 /// A card of GPIO lines.
 #[derive(Debug)]
 pub struct GpioCard<K> {
-    inputs: Box<[Inputs]>,
-    outputs: Box<[Outputs]>,
+    inputs: Box<[InputLineRequest]>,
+    outputs: Box<[OutputLineRequest]>,
     /// The descriptors of `inputs`, in the same order; none in level mode.
     waits: Box<[libc::pollfd]>,
     /// The input word.
@@ -453,7 +458,7 @@ impl<K: Clock> GpioCard<K> {
     ///
     /// # Errors
     /// When a chip or line is not there, is taken, or a kept descriptor holds other lines than those wanted.
-    pub fn open(setup: &GpioSetup, kept: Vec<OwnedFd>, clock: K) -> Result<Self, GpioError> {
+    pub fn open(setup: &GpioCardConfig, kept: Vec<OwnedFd>, clock: K) -> Result<Self, GpioError> {
         let outputs = open_outputs(setup, kept)?;
         let inputs = open_inputs(setup)?;
         let mut levels = 0;
@@ -463,7 +468,8 @@ impl<K: Clock> GpioCard<K> {
                 GpioError::Io { op, chip: r.chip.clone(), source: io::Error::from_raw_os_error(errno) }
             })?;
         }
-        let wait = |r: &Inputs| libc::pollfd { fd: r.file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+        let wait =
+            |r: &InputLineRequest| libc::pollfd { fd: r.file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
         let waits = if setup.events { inputs.iter().map(wait).collect() } else { Box::default() };
         Ok(Self { inputs: inputs.into(), outputs: outputs.into(), waits, levels, clock })
     }
@@ -508,7 +514,7 @@ impl<K: Clock> GpioCard<K> {
 
     /// Look without an edge: takes the levels of requests that agree with their edges.
     /// A line that differs has an edge on its way. If it differs for long, the edge was missed.
-    fn levels_now(&mut self) -> Result<Sample, CardError> {
+    fn levels_now(&mut self) -> Result<CardInputSample, CardError> {
         let (mut fresh, mut more, mut trouble) = (0, false, None);
         for r in &mut self.inputs {
             let now = r.levels()?;
@@ -535,20 +541,26 @@ impl<K: Clock> GpioCard<K> {
             }
         }
         let t_ns = self.clock.now_ns();
-        Ok(Sample { complete: u64::MAX, more, fresh, trouble, ..Sample::level(t_ns, self.levels) })
+        Ok(CardInputSample {
+            complete: u64::MAX,
+            more,
+            fresh,
+            trouble,
+            ..CardInputSample::level(t_ns, self.levels)
+        })
     }
 }
 
 impl<K: Clock> Card for GpioCard<K> {
     const SLEEPS: bool = true;
 
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         if self.waits.is_empty() {
             let mut inputs = 0;
             for r in &self.inputs {
                 inputs |= r.levels()?;
             }
-            return Ok(Sample::level(self.clock.now_ns(), inputs));
+            return Ok(CardInputSample::level(self.clock.now_ns(), inputs));
         }
         if self.earliest().is_none() {
             let under_way = self.inputs.iter().any(|r| r.differs.is_some());
@@ -567,8 +579,8 @@ impl<K: Clock> Card for GpioCard<K> {
         };
         let trouble = trouble.map(|kind| CardFault { kind, lines: r.mask });
         let more = self.inputs.iter().any(|r| r.more || r.head().is_some());
-        let sample = Sample::stamped(self.clock.now_ns(), self.levels, edge_ns);
-        Ok(Sample { complete: u64::MAX, more, fresh: 0, trouble, ..sample })
+        let sample = CardInputSample::stamped(self.clock.now_ns(), self.levels, edge_ns);
+        Ok(CardInputSample { complete: u64::MAX, more, fresh: 0, trouble, ..sample })
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -594,17 +606,17 @@ impl<K: Clock> Card for GpioCard<K> {
 }
 
 /// The lines of one request, before it is made.
-struct PendingRequest<'a, L> {
+struct PendingLineRequest<'a, L> {
     chip: PathBuf,
     lines: Vec<(u32, &'a L)>,
 }
 
-fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
-    let mut wanted: Vec<(u8, PendingRequest<'_, GpioInputConfig>)> = Vec::new();
+fn open_inputs(setup: &GpioCardConfig) -> Result<Vec<InputLineRequest>, GpioError> {
+    let mut wanted: Vec<(u8, PendingLineRequest<'_, GpioInputConfig>)> = Vec::new();
     for input in &setup.inputs {
         let LocatedLine { chip, offset } = find(&input.line)?;
         // Levels are read chip by chip in one call, whichever axis a line belongs to.
-        let same = |g: u8, w: &PendingRequest<'_, GpioInputConfig>| {
+        let same = |g: u8, w: &PendingLineRequest<'_, GpioInputConfig>| {
             if setup.events { g == input.group } else { w.chip == chip }
         };
         match wanted.iter_mut().find(|(g, w)| same(*g, w)) {
@@ -616,21 +628,21 @@ fn open_inputs(setup: &GpioSetup) -> Result<Vec<Inputs>, GpioError> {
                     other: w.chip.display().to_string(),
                 });
             }
-            None => wanted.push((input.group, PendingRequest { chip, lines: vec![(offset, input)] })),
+            None => wanted.push((input.group, PendingLineRequest { chip, lines: vec![(offset, input)] })),
         }
     }
     let mut requests = Vec::new();
-    for (_, PendingRequest { chip, lines }) in wanted {
+    for (_, PendingLineRequest { chip, lines }) in wanted {
         let chip = open_chip(&chip.display().to_string())?;
         let offsets: Vec<u32> = lines.iter().map(|(offset, _)| *offset).collect();
-        let names: Vec<LineId> = lines.iter().map(|(_, input)| input.line.line.clone()).collect();
+        let names: Vec<GpioLineId> = lines.iter().map(|(_, input)| input.line.line.clone()).collect();
         let flags: Vec<_> =
             lines.iter().map(|(_, i)| flags(&i.line, false, setup.events && i.edges)).collect();
         let file = request(&chip, &offsets, &names, line_config(&flags, None))?;
         let mask = |edges: bool| {
             lines.iter().filter(|(_, i)| i.edges || !edges).fold(0, |mask, (_, i)| mask | 1 << i.bit)
         };
-        requests.push(Inputs {
+        requests.push(InputLineRequest {
             chip: chip.name(),
             file,
             mask: mask(false),
@@ -656,13 +668,13 @@ fn held(fd: BorrowedFd<'_>) -> io::Result<(String, Vec<u32>)> {
     Ok((chip.to_owned(), values("gpio-line:").filter_map(|n| n.parse().ok()).collect()))
 }
 
-fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, GpioError> {
-    let mut wanted: Vec<PendingRequest<'_, GpioOutputConfig>> = Vec::new();
+fn open_outputs(setup: &GpioCardConfig, kept: Vec<OwnedFd>) -> Result<Vec<OutputLineRequest>, GpioError> {
+    let mut wanted: Vec<PendingLineRequest<'_, GpioOutputConfig>> = Vec::new();
     for output in &setup.outputs {
         let LocatedLine { chip, offset } = find(&output.line)?;
         match wanted.iter_mut().find(|w| w.chip == chip) {
             Some(w) => w.lines.push((offset, output)),
-            None => wanted.push(PendingRequest { chip, lines: vec![(offset, output)] }),
+            None => wanted.push(PendingLineRequest { chip, lines: vec![(offset, output)] }),
         }
     }
     let mut store = Vec::new();
@@ -675,7 +687,7 @@ fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, G
     let found: Vec<String> = store.iter().map(|((chip, lines), _)| format!("{chip} {lines:?}")).collect();
     let (mut requests, mut wants) = (Vec::new(), Vec::new());
     let mut missing = false;
-    for PendingRequest { chip, lines } in wanted {
+    for PendingLineRequest { chip, lines } in wanted {
         let chip = open_chip(&chip.display().to_string())?;
         let offsets: Vec<u32> = lines.iter().map(|(offset, _)| *offset).collect();
         wants.push(format!("{} {offsets:?}", chip.name()));
@@ -690,7 +702,7 @@ fn open_outputs(setup: &GpioSetup, kept: Vec<OwnedFd>) -> Result<Vec<Outputs>, G
         };
         let bits: Box<[u8]> = lines.iter().map(|(_, output)| output.bit).collect();
         let mask = bits.iter().fold(0, |mask, bit| mask | 1 << bit);
-        requests.push(Outputs { chip: chip.name(), file, bits, mask });
+        requests.push(OutputLineRequest { chip: chip.name(), file, bits, mask });
     }
     if missing || !store.is_empty() {
         return Err(GpioError::Kept { found: found.join(", "), wanted: wants.join(", ") });
@@ -704,8 +716,9 @@ fn request_outputs(
     offsets: &[u32],
     lines: &[(u32, &GpioOutputConfig)],
 ) -> Result<File, GpioError> {
-    let names: Vec<LineId> = lines.iter().map(|(_, output)| output.line.line.clone()).collect();
-    let polarity = |l: &GpioLine| if l.active_low { LineFlags::ACTIVE_LOW } else { LineFlags::empty() };
+    let names: Vec<GpioLineId> = lines.iter().map(|(_, output)| output.line.line.clone()).collect();
+    let polarity =
+        |l: &GpioLineSettings| if l.active_low { LineFlags::ACTIVE_LOW } else { LineFlags::empty() };
     let as_is: Vec<_> = lines.iter().map(|(_, output)| polarity(&output.line)).collect();
     let file = request(chip, offsets, &names, line_config(&as_is, None))?;
     let failed =
@@ -726,7 +739,7 @@ mod tests {
     const B: u32 = 5;
 
     /// A request of A (bit 0) and B (bit 1) on a dummy file that is never read.
-    fn request_of(edges: &[(u32, bool, u32, u32)]) -> Inputs {
+    fn request_of(edges: &[(u32, bool, u32, u32)]) -> InputLineRequest {
         let mut queue = vec![0; BATCH * EDGE_WORDS];
         for (n, (offset, rising, all, line)) in edges.iter().enumerate() {
             let kind = if *rising { 1 } else { 2 };
@@ -735,7 +748,7 @@ mod tests {
             words[1] = kind | u64::from(*offset) << 32;
             words[2] = u64::from(*all) | u64::from(*line) << 32;
         }
-        Inputs {
+        InputLineRequest {
             chip: "test".into(),
             file: tempfile::tempfile().unwrap(),
             lines: [(A, 0), (B, 1)].into(),
@@ -808,15 +821,15 @@ mod tests {
 
     #[test]
     fn what_is_not_there_is_named() {
-        let line = GpioLine {
+        let line = GpioLineSettings {
             chip: Some("no-such-chip".into()),
-            line: LineId::Offset(3),
+            line: GpioLineId::Offset(3),
             active_low: false,
             bias: None,
             drive: None,
         };
         let setup =
-            GpioSetup { inputs: vec![], outputs: vec![GpioOutputConfig { line, bit: 0 }], events: true };
+            GpioCardConfig { inputs: vec![], outputs: vec![GpioOutputConfig { line, bit: 0 }], events: true };
         let error = GpioCard::open(&setup, Vec::new(), crate::clock::Monotonic).unwrap_err().to_string();
         assert!(error.starts_with("GPIO chip no-such-chip: "), "{error}");
     }
@@ -824,7 +837,7 @@ mod tests {
     #[test]
     fn a_kept_descriptor_that_is_no_line_request_is_refused() {
         let kept = vec![OwnedFd::from(tempfile::tempfile().unwrap())];
-        let setup = GpioSetup { inputs: vec![], outputs: vec![], events: true };
+        let setup = GpioCardConfig { inputs: vec![], outputs: vec![], events: true };
         let error = GpioCard::open(&setup, kept, crate::clock::Monotonic).unwrap_err().to_string();
         assert!(error.contains("no GPIO line request"), "{error}");
     }

@@ -6,7 +6,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::profile::AddressSpace;
+use crate::card_profile::AddressSpace;
 
 /// Directory in which the kernel lists the bus.
 const SYSFS: &str = "/sys/bus/pci/devices";
@@ -18,17 +18,17 @@ const FOR_PROGRAMS: [&str; 3] = ["pci-stub", "uio_pci_generic", "vfio-pci"];
 
 /// Identifies one PCI function.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum PciId {
+pub enum PciFunctionSelector {
     /// Vendor and device; exactly one such card must be present.
     Card(u16, u16),
     /// Its place on the bus, `0000:00:04.0`.
     Address(String),
 }
 
-impl PciId {
+impl PciFunctionSelector {
     /// `1af4:1110` or `0000:00:04.0`.
     pub fn parse(text: &str) -> Option<Self> {
-        if let Some((vendor, device)) = crate::profile::pci_id(text) {
+        if let Some((vendor, device)) = crate::card_profile::pci_id(text) {
             return Some(Self::Card(vendor, device));
         }
         let (bus, function) = text.rsplit_once('.')?;
@@ -41,7 +41,7 @@ impl PciId {
     }
 }
 
-impl fmt::Display for PciId {
+impl fmt::Display for PciFunctionSelector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Card(vendor, device) => write!(f, "{vendor:04x}:{device:04x}"),
@@ -55,9 +55,9 @@ impl fmt::Display for PciId {
 #[allow(missing_docs)] // the messages say what they are
 pub enum PciError {
     #[error("no PCI card {0}: `rtecctl card list` shows which cards are there")]
-    Absent(PciId),
+    Absent(PciFunctionSelector),
     #[error("{} PCI cards {id}, at {}: name one by its address", addresses.len(), addresses.join(" and "))]
-    Several { id: PciId, addresses: Vec<String> },
+    Several { id: PciFunctionSelector, addresses: Vec<String> },
     #[error("PCI card {address}, BAR {bar}: found {found}, expected {expected}")]
     Bar { address: String, bar: u8, found: String, expected: String },
     #[error(
@@ -125,7 +125,7 @@ fn functions_in(sysfs: &Path) -> Vec<PciFunction> {
 ///
 /// # Errors
 /// When it is not there, or there is more than one.
-pub fn find(which: &PciId) -> Result<PciFunction, PciError> {
+pub fn find(which: &PciFunctionSelector) -> Result<PciFunction, PciError> {
     find_in(Path::new(SYSFS), which)
 }
 
@@ -133,14 +133,14 @@ pub fn find(which: &PciId) -> Result<PciFunction, PciError> {
 ///
 /// # Errors
 /// As [`find`].
-pub fn find_in(sysfs: &Path, which: &PciId) -> Result<PciFunction, PciError> {
+pub fn find_in(sysfs: &Path, which: &PciFunctionSelector) -> Result<PciFunction, PciError> {
     choose(functions_in(sysfs), which)
 }
 
-fn choose(all: Vec<PciFunction>, which: &PciId) -> Result<PciFunction, PciError> {
+fn choose(all: Vec<PciFunction>, which: &PciFunctionSelector) -> Result<PciFunction, PciError> {
     let is = |f: &PciFunction| match which {
-        PciId::Card(vendor, device) => f.id == (*vendor, *device),
-        PciId::Address(address) => f.address == *address,
+        PciFunctionSelector::Card(vendor, device) => f.id == (*vendor, *device),
+        PciFunctionSelector::Address(address) => f.address == *address,
     };
     let mut found: Vec<_> = all.into_iter().filter(is).collect();
     if found.len() > 1 {
@@ -274,17 +274,20 @@ mod tests {
 
     #[test]
     fn identities_are_those_of_lspci() {
-        assert_eq!(PciId::parse("1af4:1110"), Some(PciId::Card(0x1af4, 0x1110)));
-        assert_eq!(PciId::parse("0000:00:1F.3"), Some(PciId::Address("0000:00:1f.3".into())));
+        assert_eq!(PciFunctionSelector::parse("1af4:1110"), Some(PciFunctionSelector::Card(0x1af4, 0x1110)));
+        assert_eq!(
+            PciFunctionSelector::parse("0000:00:1F.3"),
+            Some(PciFunctionSelector::Address("0000:00:1f.3".into()))
+        );
         for wrong in ["", "1af4", "1af4:11", "00:04.0", "0000:00:04.8", "0x1af4:0x1110", "1af4:1110:0"] {
-            assert_eq!(PciId::parse(wrong), None, "{wrong}");
+            assert_eq!(PciFunctionSelector::parse(wrong), None, "{wrong}");
         }
     }
 
     #[test]
     fn a_card_is_found_by_identity_or_address() {
         let sysfs = bus(2);
-        let find = |id: &str| choose(functions_in(sysfs.path()), &PciId::parse(id).unwrap());
+        let find = |id: &str| choose(functions_in(sysfs.path()), &PciFunctionSelector::parse(id).unwrap());
         assert_eq!(find("1af4:1000").unwrap().address, "0000:00:06.0");
         assert_eq!(find("0000:00:05.0").unwrap().id, (0x1af4, 0x1110));
         assert!(

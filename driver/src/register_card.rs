@@ -1,8 +1,10 @@
 //! A card of registers, reached by memory, port I/O or a driver's calls.
 
-use crate::card::{Card, CardError, CardFault, CardFaultKind, Sample};
+use crate::card::{Card, CardError, CardFault, CardFaultKind, CardInputSample};
+use crate::card_profile::{
+    CardProfile, Counter, Register, RegisterBit, RegisterPreset, RegisterWrite, Width,
+};
 use crate::clock::Clock;
-use crate::profile::{CardProfile, Counter, Register, RegisterBit, RegisterPreset, RegisterWrite, Width};
 
 /// Access to registers.
 /// An implementation that cannot fail costs nothing.
@@ -37,7 +39,7 @@ pub enum SetUpError {
 
 /// One register's part of the 64-bit word that the engine sees.
 #[derive(Debug, Clone, Copy)]
-struct WordSlice {
+struct RegisterInIoWord {
     offset: usize,
     width: Width,
     shift: u32,
@@ -121,8 +123,8 @@ impl CounterState {
 #[derive(Debug)]
 pub struct RegisterCard<B, K> {
     bus: B,
-    inputs: Box<[WordSlice]>,
-    outputs: Box<[WordSlice]>,
+    inputs: Box<[RegisterInIoWord]>,
+    outputs: Box<[RegisterInIoWord]>,
     counters: Box<[CounterState]>,
     input_invert: u64,
     output_invert: u64,
@@ -165,7 +167,7 @@ impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
             let mut shift = 0;
             let mut parts = Vec::new();
             for r in registers {
-                parts.push(WordSlice { offset: r.offset, width: r.width, shift });
+                parts.push(RegisterInIoWord { offset: r.offset, width: r.width, shift });
                 shift += r.width.bits();
             }
             parts.into_boxed_slice()
@@ -196,7 +198,7 @@ impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
     }
 
     #[inline]
-    fn gather(&self, parts: &[WordSlice]) -> Result<u64, CardError> {
+    fn gather(&self, parts: &[RegisterInIoWord]) -> Result<u64, CardError> {
         let mut word = 0;
         for p in parts {
             word |= u64::from(self.bus.read(p.offset, p.width)?) << p.shift;
@@ -226,7 +228,7 @@ impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
 
     /// A look at a card with counters, advancing each by at most one count.
     /// The engine then follows the card's count through every state.
-    fn sample_counted(&mut self) -> Result<Sample, CardError> {
+    fn sample_counted(&mut self) -> Result<CardInputSample, CardError> {
         let mut trouble = None;
         if self.counters.iter().all(|c| c.shown == c.target) {
             self.levels = self.levels_now()?;
@@ -249,19 +251,19 @@ impl<B: RegisterAccess, K: Clock> RegisterCard<B, K> {
             counted |= c.mask();
             more |= c.shown != c.target;
         }
-        let sample = Sample::level(self.clock.now_ns(), inputs);
-        Ok(Sample { complete: counted, more, trouble, ..sample })
+        let sample = CardInputSample::level(self.clock.now_ns(), inputs);
+        Ok(CardInputSample { complete: counted, more, trouble, ..sample })
     }
 }
 
 impl<B: RegisterAccess, K: Clock> Card for RegisterCard<B, K> {
     #[inline]
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         if !self.counters.is_empty() {
             return self.sample_counted();
         }
         let inputs = self.levels_now()?;
-        Ok(Sample::level(self.clock.now_ns(), inputs))
+        Ok(CardInputSample::level(self.clock.now_ns(), inputs))
     }
 
     #[inline]

@@ -9,15 +9,15 @@
 //! For comparison it prints the rate that the MTC's separations alone allow: three separations an insertion, and no
 //! late look.
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_driver::card_profile::CardProfile;
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_driver::mapped::MappedCard;
-use rtec_driver::profile::CardProfile;
+use rtec_driver::mapped_registers::MappedCard;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::{Event, Request};
-use rtec_rt::setup::{RtSettings, SystemRoot, apply};
+use rtec_rt::link_messages::{Event, RequestToRt};
+use rtec_rt::realtime_setup::{RtSettings, SystemRoot, apply};
 use std::time::Instant;
 
 const SEPARATIONS_NS: [u64; 3] = [500, 200, 100];
@@ -65,7 +65,7 @@ impl Steady<'_> {
 
 impl Card for Steady<'_> {
     #[inline]
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         // Skips most looks that neither see an edge nor reach the engine's wake time, because they change nothing.
         let worst_ns = u64::from(self.gaps[self.gaps.len() - 1]);
         let skip_to_ns = self.next_edge_ns.min(wake_ns).saturating_sub(2 * worst_ns);
@@ -84,7 +84,7 @@ impl Card for Steady<'_> {
             self.scale.update(self.scale.state().next(true));
             self.send();
         }
-        Ok(Sample::level(self.t_ns, u64::from(self.scale.state().bits())))
+        Ok(CardInputSample::level(self.t_ns, u64::from(self.scale.state().bits())))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -136,7 +136,7 @@ fn run(
         if engine.now_ns() >= next_ns {
             next_ns = engine.now_ns() + 1000 * period_ns;
             total_counts = 2 - total_counts;
-            engine.take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, &mut tell)?;
+            engine.take(RequestToRt::Correct { axis: 0, total_counts, large: true }, &mut card, &mut tell)?;
         }
         match engine.poll(&mut card, u64::MAX, &mut tell) {
             Ok(()) => {}

@@ -1,8 +1,8 @@
 //! One axis between two edges: insertion, ledger, belief, homing, probe capture.
 
-use crate::gate::{SpeedGate, SpeedGateConfig};
-use crate::link_messages::{AxisStatus, EventKind, Fault, Faults, InsertionStatus, ProbeCapture, Refusal};
-use rtec_driver::card::{AxisLines, Sample};
+use crate::link_messages::{AxisStatus, EventKind, Fault, FaultSet, InsertionStatus, ProbeCapture, Refusal};
+use crate::speed_gate::{SpeedGate, SpeedGateConfig};
+use rtec_driver::card::{AxisLines, CardInputSample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 
 /// Counts of one insertion: two inversions, each one count (NISTIR 4832, Design C).
@@ -10,7 +10,7 @@ pub const INCREMENT_COUNTS: i64 = 2;
 
 /// Insertion at rest, where no edge opens the gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum RestPolicy {
+pub enum InsertionAtRestPolicy {
     /// Wait for the next edge (NISTIR 4832).
     #[default]
     Wait,
@@ -44,7 +44,7 @@ pub struct AxisConfig {
     /// The scale's hysteresis on reversal, counts.
     pub hysteresis_counts: f64,
     /// Insertion at rest.
-    pub rest: RestPolicy,
+    pub rest: InsertionAtRestPolicy,
     /// The longest time from an edge until the engine acts on it, ns.
     /// It is measured on this machine (the tail of the self-test).
     pub detect_ns: u64,
@@ -70,7 +70,7 @@ impl Default for AxisConfig {
             min_separation_ns: 500,
             max_accel_counts_s2: 1e6,
             hysteresis_counts: 0.05,
-            rest: RestPolicy::Wait,
+            rest: InsertionAtRestPolicy::Wait,
             detect_ns: 0,
             write_ns: 0,
             guard_ns: 0,
@@ -134,7 +134,7 @@ impl AxisConfig {
 
 /// State of an insertion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Insertion {
+enum InsertionState {
     /// None under way; both inverters are equal.
     Idle,
     /// An edge has opened the gate.
@@ -174,7 +174,7 @@ enum NextAction {
 
 /// In which order a real edge and an inversion reached the XOR gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum EdgeVersusInversion {
+enum EdgeInversionOrder {
     InversionFirst,
     EdgeFirst,
     Unknown,
@@ -195,7 +195,7 @@ pub enum TotalRequestResult {
 
 /// What the mode of the machine allows an axis at this look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Permit {
+pub(crate) struct InsertionPermit {
     /// New insertions may begin.
     pub insert: bool,
     /// Nothing is written: shadow mode.
@@ -215,15 +215,15 @@ pub(crate) struct AxisSample {
     unseen: u64,
     fresh: u64,
     more: bool,
-    pub permit: Permit,
+    pub permit: InsertionPermit,
 }
 
 impl AxisSample {
     /// Prepares a look; `since_ns` is the earliest time of an edge without a timestamp.
     /// That is the time of the look before, or of the one before that if the look before came late.
     #[inline]
-    pub(crate) fn new(sample: &Sample, since_ns: u64, permit: Permit) -> Self {
-        let Sample { t_ns, inputs, edge_ns, complete, more, fresh, .. } = *sample;
+    pub(crate) fn new(sample: &CardInputSample, since_ns: u64, permit: InsertionPermit) -> Self {
+        let CardInputSample { t_ns, inputs, edge_ns, complete, more, fresh, .. } = *sample;
         Self {
             t_ns,
             inputs,
@@ -246,7 +246,7 @@ impl AxisSample {
 /// The inverters of an axis and the MTC's count.
 /// Shadow mode works on a copy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct MtcState {
+struct InvertersAndMtcCount {
     /// Inverters: bit 0 A, bit 1 B.
     inverters: u8,
     /// Levels of A' and B'.
@@ -257,7 +257,7 @@ struct MtcState {
     completed: i64,
 }
 
-impl MtcState {
+impl InvertersAndMtcCount {
     /// Passes a change of `signal` on to the MTC, which counts `step`.
     #[inline]
     fn pass_on(&mut self, signal: Signal, step: i8) {
@@ -278,11 +278,11 @@ pub(crate) struct AxisEngine {
     scale: Decoder,
     /// Position of the place where the counters were zeroed.
     home_counts: i64,
-    wire: MtcState,
+    wire: InvertersAndMtcCount,
     /// The real wire while shadow mode works on a copy.
-    real: Option<MtcState>,
+    real: Option<InvertersAndMtcCount>,
     requested: i64,
-    insertion: Insertion,
+    insertion: InsertionState,
     unsettled: Option<UnconfirmedInversion>,
     /// When the last inversion came into effect, ns, until A' and B' are read back.
     back_due: Option<u64>,
@@ -302,7 +302,7 @@ pub(crate) struct AxisEngine {
     homed: bool,
     /// The difference of the MTC's and the scale's counts is certain.
     mtc_known: bool,
-    faults: Faults,
+    faults: FaultSet,
     capture: Option<ProbeCapture>,
     /// Nothing to do before this time, ns, unless a line changes.
     wake_ns: u64,
@@ -372,7 +372,7 @@ impl AxisEngine {
         let half = matches!(found.inverters, 1 | 2);
         let add = found.completed < 0;
         let total = found.completed + if half { if add { 1 } else { -1 } } else { 0 };
-        let mut faults = Faults::NONE;
+        let mut faults = FaultSet::NONE;
         if half {
             faults.latch(Fault::Interrupted);
         }
@@ -384,7 +384,7 @@ impl AxisEngine {
             busy_ns: config.busy_ns(),
             scale: Decoder::new(found.scale),
             home_counts: 0,
-            wire: MtcState {
+            wire: InvertersAndMtcCount {
                 inverters: found.inverters,
                 mtc: found.scale.inverted(found.inverters),
                 mtc_count: found.completed,
@@ -395,9 +395,9 @@ impl AxisEngine {
             requested: total,
             insertion: if half {
                 let (effective_ns, seen_ns) = (Some(found.t_ns), found.t_ns);
-                Insertion::Half { add, effective_ns, edges: 0, seen_ns }
+                InsertionState::Half { add, effective_ns, edges: 0, seen_ns }
             } else {
-                Insertion::Idle
+                InsertionState::Idle
             },
             unsettled: None,
             back_due: None,
@@ -478,13 +478,13 @@ impl AxisEngine {
         (self.mtc_known, self.homed, self.homing) = (false, false, None);
     }
 
-    pub(crate) const fn faults(&self) -> Faults {
+    pub(crate) const fn faults(&self) -> FaultSet {
         self.faults
     }
 
     /// Both inverters are equal and no insertion is under way.
     pub(crate) fn idle(&self) -> bool {
-        matches!(self.insertion, Insertion::Idle | Insertion::Opened { .. })
+        matches!(self.insertion, InsertionState::Idle | InsertionState::Opened { .. })
     }
 
     /// Real inverters and the total in the MTC's count, for a restart.
@@ -525,7 +525,7 @@ impl AxisEngine {
     }
 
     pub(crate) fn clear(&mut self) {
-        self.faults = Faults::NONE;
+        self.faults = FaultSet::NONE;
         self.not_believed = 0;
     }
 
@@ -535,13 +535,13 @@ impl AxisEngine {
             (true, None) => self.real = Some(self.wire),
             (false, Some(real)) => {
                 // The real inverters stood still: the MTC counted what the scale counted.
-                self.wire = MtcState {
+                self.wire = InvertersAndMtcCount {
                     mtc: self.scale.state().inverted(real.inverters),
                     mtc_count: self.scale.count() + real.completed,
                     ..real
                 };
                 self.real = None;
-                self.insertion = Insertion::Idle;
+                self.insertion = InsertionState::Idle;
             }
             _ => {}
         }
@@ -611,7 +611,7 @@ impl AxisEngine {
     }
 
     fn settle(&mut self, at_ns: u64) {
-        if let Insertion::Half { effective_ns, .. } = &mut self.insertion
+        if let InsertionState::Half { effective_ns, .. } = &mut self.insertion
             && effective_ns.is_none()
         {
             *effective_ns = Some(at_ns);
@@ -768,7 +768,8 @@ impl AxisEngine {
             self.pass_on_beside_inversion(signal, look.edge_ns.1, report);
         }
         if self.wire.inverters == 0 || self.wire.inverters == 3 {
-            if self.wire.mtc_count - self.scale.count() != self.wire.completed && self.faults == Faults::NONE
+            if self.wire.mtc_count - self.scale.count() != self.wire.completed
+                && self.faults == FaultSet::NONE
             {
                 self.fault(Fault::LedgerImbalance, report);
             }
@@ -781,8 +782,8 @@ impl AxisEngine {
             report(EventKind::Trip(c));
         }
         match &mut self.insertion {
-            Insertion::Idle | Insertion::Opened { .. } => {
-                self.insertion = Insertion::Idle;
+            InsertionState::Idle | InsertionState::Opened { .. } => {
+                self.insertion = InsertionState::Idle;
                 if self.ready() && look.permit.insert {
                     if turned {
                         // Only edges of both channels show that the axis moves.
@@ -793,7 +794,7 @@ impl AxisEngine {
                     }
                 }
             }
-            Insertion::Half { edges, .. } => *edges += 1,
+            InsertionState::Half { edges, .. } => *edges += 1,
         }
     }
 
@@ -828,7 +829,7 @@ impl AxisEngine {
         }
         (self.last_step, self.expected_edge, self.alone) = (0, NOWHERE, SingleChannelEdges::default());
         self.wire.mtc = state.inverted(self.wire.inverters);
-        if let Insertion::Half { edges, .. } = &mut self.insertion {
+        if let InsertionState::Half { edges, .. } = &mut self.insertion {
             *edges += 1;
         }
         self.fault(Fault::IllegalTransition, report);
@@ -871,18 +872,18 @@ impl AxisEngine {
     /// The inversion is not confirmed yet. Edge and inversion are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
-            None => EdgeVersusInversion::InversionFirst,
+            None => EdgeInversionOrder::InversionFirst,
             // The same signal changed twice, so the MTC is where it was in either order.
-            Some(u) if u.signal == signal => EdgeVersusInversion::InversionFirst,
+            Some(u) if u.signal == signal => EdgeInversionOrder::InversionFirst,
             Some(u) => match (u.done_ns, edge_ns) {
-                (Some(done), e) if e > done => EdgeVersusInversion::InversionFirst,
-                (_, e) if e <= u.from_ns && u.done_ns.is_some() => EdgeVersusInversion::EdgeFirst,
-                _ => EdgeVersusInversion::Unknown,
+                (Some(done), e) if e > done => EdgeInversionOrder::InversionFirst,
+                (_, e) if e <= u.from_ns && u.done_ns.is_some() => EdgeInversionOrder::EdgeFirst,
+                _ => EdgeInversionOrder::Unknown,
             },
         };
         let w = &mut self.wire;
         match (order, self.unsettled) {
-            (EdgeVersusInversion::EdgeFirst, Some(u)) => {
+            (EdgeInversionOrder::EdgeFirst, Some(u)) => {
                 let undone = w.mtc.flipped(u.signal);
                 w.mtc_count -= i64::from(undone.step_of(u.signal));
                 w.mtc_count += i64::from(undone.step_of(signal));
@@ -891,9 +892,9 @@ impl AxisEngine {
             }
             _ => w.pass_on(signal, w.mtc.step_of(signal)),
         }
-        if order == EdgeVersusInversion::Unknown {
+        if order == EdgeInversionOrder::Unknown {
             self.fault(Fault::OrderUnknown, report);
-        } else if order == EdgeVersusInversion::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
+        } else if order == EdgeInversionOrder::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
             // The edge came before the second inversion after all. Only now is the effect of the pair known.
             w.completed = w.mtc_count - self.scale.count();
         }
@@ -921,7 +922,7 @@ impl AxisEngine {
             return;
         }
         self.waits_for = InsertionStatus::WaitingForEdge;
-        self.insertion = Insertion::Opened {
+        self.insertion = InsertionState::Opened {
             add: self.pending() > 0,
             from_ns: edge.1 + self.config.min_separation_ns,
             until_ns: edge.0 + quiet_ns - self.busy_ns,
@@ -932,18 +933,18 @@ impl AxisEngine {
     fn act(&mut self, look: &AxisSample, report: &mut impl FnMut(EventKind)) -> NextAction {
         let t_ns = look.t_ns;
         match self.insertion {
-            Insertion::Idle => {
+            InsertionState::Idle => {
                 let due_ns = self.due_at_rest_ns();
                 if t_ns < due_ns || !look.permit.insert {
                     return NextAction::At(due_ns);
                 }
                 self.invert_first(self.pending() > 0, t_ns, t_ns)
             }
-            Insertion::Opened { add, from_ns, until_ns } => {
+            InsertionState::Opened { add, from_ns, until_ns } => {
                 if t_ns < from_ns {
                     return NextAction::At(from_ns);
                 }
-                self.insertion = Insertion::Idle;
+                self.insertion = InsertionState::Idle;
                 let wanted = look.permit.insert && self.ready() && (self.pending() > 0) == add;
                 if wanted && t_ns <= until_ns {
                     return self.invert_first(add, t_ns, from_ns - self.config.min_separation_ns);
@@ -954,7 +955,7 @@ impl AxisEngine {
                 }
                 NextAction::At(self.due_at_rest_ns())
             }
-            Insertion::Half { add, effective_ns: Some(effective), edges, seen_ns } => {
+            InsertionState::Half { add, effective_ns: Some(effective), edges, seen_ns } => {
                 // Two real edges came inside: the axis is too fast to keep a separation, and the MTC counts mirrored.
                 let due_ns = self.apart_ns(effective);
                 if t_ns < due_ns && edges < 2 {
@@ -962,7 +963,7 @@ impl AxisEngine {
                 }
                 self.invert_second(add, edges > 0, t_ns, seen_ns, report)
             }
-            Insertion::Half { .. } => NextAction::At(0),
+            InsertionState::Half { .. } => NextAction::At(0),
         }
     }
 
@@ -970,7 +971,7 @@ impl AxisEngine {
     /// With A and B equal, A adds and B subtracts; with A and B different it is the other way round (NISTIR 4832,
     /// Design C). Both inverters are equal here, so A' and B' decide alike.
     fn invert_first(&mut self, add: bool, t_ns: u64, seen_ns: u64) -> NextAction {
-        self.insertion = Insertion::Half { add, effective_ns: None, edges: 0, seen_ns };
+        self.insertion = InsertionState::Half { add, effective_ns: None, edges: 0, seen_ns };
         self.touched |= self.real.is_none();
         let inverter = self.invert(self.wire.mtc.signal_towards(add), if add { 1 } else { -1 }, t_ns);
         NextAction::Now(InversionCommand { inverter, edge_to_done_ns: None })
@@ -1007,7 +1008,7 @@ impl AxisEngine {
                 self.fault(Fault::LedgerImbalance, report);
             }
         }
-        self.insertion = Insertion::Idle;
+        self.insertion = InsertionState::Idle;
         self.insertions += 1;
         self.next_allowed_ns = t_ns + self.min_interval_ns;
         NextAction::Now(InversionCommand { inverter, edge_to_done_ns: Some(t_ns - seen_ns) })
@@ -1034,17 +1035,17 @@ impl AxisEngine {
     /// Time when the insertion under way continues, or one begins at rest, ns.
     fn due_ns(&self) -> u64 {
         match self.insertion {
-            Insertion::Idle => self.due_at_rest_ns(),
-            Insertion::Opened { from_ns, .. } => from_ns,
-            Insertion::Half { effective_ns: Some(e), edges: 0..2, .. } => self.apart_ns(e),
-            Insertion::Half { .. } => 0,
+            InsertionState::Idle => self.due_at_rest_ns(),
+            InsertionState::Opened { from_ns, .. } => from_ns,
+            InsertionState::Half { effective_ns: Some(e), edges: 0..2, .. } => self.apart_ns(e),
+            InsertionState::Half { .. } => 0,
         }
     }
 
     /// Time when an insertion begins without an edge, ns.
     fn due_at_rest_ns(&self) -> u64 {
         match self.config.rest {
-            RestPolicy::Insert { after_ns } if self.ready() => {
+            InsertionAtRestPolicy::Insert { after_ns } if self.ready() => {
                 self.last_edge.map_or(0, |(_, t)| t).max(self.next_allowed_ns) + after_ns
             }
             _ => u64::MAX,
@@ -1088,11 +1089,11 @@ impl AxisEngine {
             InsertionStatus::NotHomed
         } else if let Some(blocked) = blocked {
             blocked
-        } else if self.insertion != Insertion::Idle {
+        } else if self.insertion != InsertionState::Idle {
             InsertionStatus::Inserting
         } else if !self.ready() {
             InsertionStatus::Done
-        } else if at_rest && self.config.rest == RestPolicy::Wait {
+        } else if at_rest && self.config.rest == InsertionAtRestPolicy::Wait {
             InsertionStatus::AtRest
         } else {
             self.waits_for
@@ -1161,8 +1162,10 @@ mod tests {
             let mut state = State::default();
             let mut edge = |t_ns: u64, since_ns: u64, careful: bool| {
                 state = state.next(true);
-                let sample = Sample { complete, ..Sample::level(t_ns, u64::from(state.bits())) };
-                let look = AxisSample::new(&sample, since_ns, Permit { insert: true, shadow: false });
+                let sample =
+                    CardInputSample { complete, ..CardInputSample::level(t_ns, u64::from(state.bits())) };
+                let look =
+                    AxisSample::new(&sample, since_ns, InsertionPermit { insert: true, shadow: false });
                 if careful {
                     axis.look(&look, true, &mut |_| {});
                     return true;
@@ -1216,11 +1219,11 @@ mod tests {
                 t_ns += gap_ns;
                 let inputs = u64::from(state.bits());
                 let sample = if stamped && state != before {
-                    Sample::stamped(t_ns, inputs, Some(t_ns - 50))
+                    CardInputSample::stamped(t_ns, inputs, Some(t_ns - 50))
                 } else {
-                    Sample::level(t_ns, inputs)
+                    CardInputSample::level(t_ns, inputs)
                 };
-                let look = AxisSample::new(&sample, since_ns, Permit { insert, shadow: false });
+                let look = AxisSample::new(&sample, since_ns, InsertionPermit { insert, shadow: false });
                 let [quick, careful] = &mut axes;
                 let mut told = [Vec::new(), Vec::new()];
                 let mut toggled = [None; 2];

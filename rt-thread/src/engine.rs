@@ -1,16 +1,17 @@
 //! All axes of one machine: looks at the card, lets each axis act, writes once.
 
 use crate::axis::{
-    AxisConfig, AxisEngine, AxisSample, InitialAxisState, InversionCommand, Permit, TotalRequestResult,
+    AxisConfig, AxisEngine, AxisSample, InitialAxisState, InsertionPermit, InversionCommand,
+    TotalRequestResult,
 };
-use crate::histogram::{Reader, Recorder, histogram};
 use crate::journal::{AxisStateRecord, HoldAndFaultsRecord, Journal};
+use crate::latency_histogram::{Reader, Recorder, histogram};
 use crate::link_messages::{
-    AxisStatus, DisableReason, Event, EventKind, Fault, Faults, FeedHoldSource, InsertionStatus, MAX_AXES,
-    Mode, Refusal, Request, Status,
+    AxisStatus, CorrectorMode, CorrectorStatus, DisableReason, Event, EventKind, Fault, FaultSet,
+    FeedHoldSource, InsertionStatus, MAX_AXES, Refusal, RequestToRt,
 };
 use crate::state_file_watch::StateFileWatch;
-use rtec_driver::card::{Card, CardError, CardFault, MachineLines, Sample};
+use rtec_driver::card::{Card, CardError, CardFault, CardInputSample, MachineLines};
 
 /// Configuration of the machine as a whole, fixed before the engine starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,11 +75,11 @@ pub struct Engine {
     mtc_ready: bool,
     hold_without_mtc: bool,
     hold_out: Option<bool>,
-    faults: Faults,
-    mode: Mode,
+    faults: FaultSet,
+    mode: CorrectorMode,
     journal: Option<Journal>,
     /// What the mode allows every axis.
-    permit: Permit,
+    permit: InsertionPermit,
     /// The mode must be computed again.
     /// It is set at the start, and after a fault that was found outside an axis's own look.
     mode_due: bool,
@@ -160,10 +161,10 @@ impl Engine {
             mtc_ready: true,
             hold_without_mtc: false,
             hold_out: None,
-            faults: Faults::NONE,
-            mode: Mode::Disabled,
+            faults: FaultSet::NONE,
+            mode: CorrectorMode::Disabled,
             journal: None,
-            permit: Permit { insert: false, shadow: false },
+            permit: InsertionPermit { insert: false, shadow: false },
             mode_due: true,
             probe_mask,
             disable_mask,
@@ -205,10 +206,10 @@ impl Engine {
     ) -> Result<(), CardError> {
         for n in 0..self.axes.len() {
             let (axis, position_counts) = (n as u8, position_counts(n));
-            self.take(Request::Home { axis, position_counts, controller_homed: true }, card, report)?;
-            self.take(Request::ConfirmHome { axis, position_counts }, card, report)?;
+            self.take(RequestToRt::Home { axis, position_counts, controller_homed: true }, card, report)?;
+            self.take(RequestToRt::ConfirmHome { axis, position_counts }, card, report)?;
         }
-        self.take(Request::Enable, card, report)
+        self.take(RequestToRt::Enable, card, report)
     }
 
     /// Starts to note every inversion in `journal` before it is made.
@@ -296,7 +297,7 @@ impl Engine {
     /// Corrections are switched off, and the state for a restart is noted.
     fn fail(&mut self, fault: Fault, report: &mut impl FnMut(Event) -> bool) {
         if self.faults.latch(fault) {
-            self.mode = Mode::Fault;
+            self.mode = CorrectorMode::Fault;
             self.switch_off(DisableReason::Fault);
             self.emit(None, EventKind::Fault(fault), report);
             self.note();
@@ -311,7 +312,7 @@ impl Engine {
         let _ = self.write_hold(card);
     }
 
-    /// Switches corrections off. Only [`Request::Enable`] switches them on again.
+    /// Switches corrections off. Only [`RequestToRt::Enable`] switches them on again.
     fn switch_off(&mut self, because: DisableReason) {
         if self.enabled {
             (self.enabled, self.off_because) = (false, because);
@@ -367,7 +368,7 @@ impl Engine {
     /// Counts the edges of a look at which every changed axis has a regular edge.
     /// Nothing must be due. Returns `false` where more has to be checked. Edges already counted are not counted again.
     #[inline]
-    fn count_regular_edges(&mut self, sample: &Sample, changed: u64, since_ns: u64) -> bool {
+    fn count_regular_edges(&mut self, sample: &CardInputSample, changed: u64, since_ns: u64) -> bool {
         if changed & self.own_mask != 0 || self.mode_due {
             return false;
         }
@@ -482,7 +483,7 @@ impl Engine {
             wake_ns = wake_ns.min(axis.wake_ns());
         }
         self.wake_ns = wake_ns;
-        if new_fault || self.mode_due || self.mode == Mode::Fault {
+        if new_fault || self.mode_due || self.mode == CorrectorMode::Fault {
             self.note();
         } else if mask != 0 && !look.permit.shadow {
             self.note_axes();
@@ -544,17 +545,17 @@ impl Engine {
             self.switch_off(DisableReason::Switch);
         }
         let mode = if faulted {
-            Mode::Fault
+            CorrectorMode::Fault
         } else if self.held.is_some() {
-            Mode::Hold
+            CorrectorMode::Hold
         } else if self.probing {
-            Mode::Probe
+            CorrectorMode::Probe
         } else if self.switch_off || !self.enabled && !self.shadow {
-            Mode::Disabled
+            CorrectorMode::Disabled
         } else if self.shadow {
-            Mode::Shadow
+            CorrectorMode::Shadow
         } else {
-            Mode::Run
+            CorrectorMode::Run
         };
         self.write_hold(card)?;
         if mode != self.mode {
@@ -583,8 +584,8 @@ impl Engine {
     }
 
     fn set_permit(&mut self) {
-        let insert = matches!(self.mode, Mode::Run | Mode::Shadow) && !self.stale;
-        self.permit = Permit { insert, shadow: self.shadow };
+        let insert = matches!(self.mode, CorrectorMode::Run | CorrectorMode::Shadow) && !self.stale;
+        self.permit = InsertionPermit { insert, shadow: self.shadow };
     }
 
     /// Wakes every axis, because a pending correction at rest has no edge to wake it.
@@ -603,19 +604,19 @@ impl Engine {
     /// When the hold line cannot be written.
     pub fn take<C: Card>(
         &mut self,
-        request: Request,
+        request: RequestToRt,
         card: &mut C,
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), CardError> {
         let (axis, total_counts) = match request {
-            Request::Correct { axis, total_counts, .. } => (Some(axis), total_counts),
-            Request::Home { axis, .. } | Request::ConfirmHome { axis, .. } => (Some(axis), 0),
+            RequestToRt::Correct { axis, total_counts, .. } => (Some(axis), total_counts),
+            RequestToRt::Home { axis, .. } | RequestToRt::ConfirmHome { axis, .. } => (Some(axis), 0),
             _ => (None, 0),
         };
         if let Err(why) = self.try_take(request, report) {
             self.emit(axis, EventKind::Refused { total_counts, why }, report);
         }
-        let only_a_total = matches!(request, Request::Correct { .. }) && !self.mode_due;
+        let only_a_total = matches!(request, RequestToRt::Correct { .. }) && !self.mode_due;
         if !only_a_total {
             self.axes.iter_mut().for_each(AxisEngine::take_care);
             self.note();
@@ -625,12 +626,16 @@ impl Engine {
         if only_a_total { Ok(()) } else { self.update_mode(card, report) }
     }
 
-    fn try_take(&mut self, request: Request, report: &mut impl FnMut(Event) -> bool) -> Result<(), Refusal> {
+    fn try_take(
+        &mut self,
+        request: RequestToRt,
+        report: &mut impl FnMut(Event) -> bool,
+    ) -> Result<(), Refusal> {
         match request {
-            Request::Correct { axis, total_counts, large } => {
+            RequestToRt::Correct { axis, total_counts, large } => {
                 self.correct(axis, total_counts, large, report)?;
             }
-            Request::Home { axis, position_counts, controller_homed } => {
+            RequestToRt::Home { axis, position_counts, controller_homed } => {
                 let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
                 if a.faults().any() {
                     return Err(Refusal::FaultLatched);
@@ -647,7 +652,7 @@ impl Engine {
                 a.home(position_counts, controller_homed);
                 self.emit(Some(axis), EventKind::HomeSet { position_counts }, report);
             }
-            Request::ConfirmHome { axis, position_counts } => {
+            RequestToRt::ConfirmHome { axis, position_counts } => {
                 let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
                 if !a.confirm_home(position_counts) {
                     return Err(Refusal::NotHomed);
@@ -655,8 +660,8 @@ impl Engine {
                 let kept_counts = a.in_effect().1;
                 self.emit(Some(axis), EventKind::Homed { kept_counts }, report);
             }
-            Request::Enable | Request::Shadow => {
-                let shadow = request == Request::Shadow;
+            RequestToRt::Enable | RequestToRt::Shadow => {
+                let shadow = request == RequestToRt::Shadow;
                 self.armable(shadow)?;
                 if self.axes.iter().any(|a| !a.idle()) {
                     return Err(Refusal::Busy);
@@ -667,7 +672,7 @@ impl Engine {
                 (self.enabled, self.shadow) = (!shadow, shadow);
                 self.axes.iter_mut().for_each(|a| a.set_shadow(shadow));
             }
-            Request::Disable => {
+            RequestToRt::Disable => {
                 if self.shadow && self.axes.iter().any(|a| !a.idle()) {
                     return Err(Refusal::Busy);
                 }
@@ -675,13 +680,13 @@ impl Engine {
                 self.switch_off(DisableReason::Asked);
                 self.axes.iter_mut().for_each(|a| a.set_shadow(false));
             }
-            Request::Probe(on) => self.probing = on,
+            RequestToRt::Probe(on) => self.probing = on,
             // The first user who asked holds the machine.
-            Request::Hold { on: true, by } => {
+            RequestToRt::Hold { on: true, by } => {
                 self.held.get_or_insert(FeedHoldSource::User(by));
             }
-            Request::Hold { on: false, .. } => self.held = None,
-            Request::StateFileLost => {
+            RequestToRt::Hold { on: false, .. } => self.held = None,
+            RequestToRt::StateFileLost => {
                 if let Some(journal) = &mut self.journal {
                     journal.note_again();
                 }
@@ -689,8 +694,8 @@ impl Engine {
                     self.emit(None, EventKind::Fault(Fault::StateFileLost), report);
                 }
             }
-            Request::Clear => {
-                self.faults = Faults::NONE;
+            RequestToRt::Clear => {
+                self.faults = FaultSet::NONE;
                 self.axes.iter_mut().for_each(AxisEngine::clear);
             }
         }
@@ -700,7 +705,7 @@ impl Engine {
     /// Whether corrections may be enabled, or why not.
     /// That takes no fault, no disable switch, every axis homed, and on a real card a verified set-up.
     fn armable(&self, shadow: bool) -> Result<(), Refusal> {
-        if self.mode == Mode::Fault {
+        if self.mode == CorrectorMode::Fault {
             Err(Refusal::FaultLatched)
         } else if self.held.is_some() {
             // Otherwise corrections would come on by themselves when feed hold ends.
@@ -728,7 +733,7 @@ impl Engine {
         report: &mut impl FnMut(Event) -> bool,
     ) -> Result<(), Refusal> {
         let a = self.axes.get_mut(usize::from(axis)).ok_or(Refusal::NoSuchAxis)?;
-        if self.mode == Mode::Fault {
+        if self.mode == CorrectorMode::Fault {
             return Err(Refusal::FaultLatched);
         }
         if !a.homed() {
@@ -806,7 +811,7 @@ impl Engine {
     }
 
     /// Mode of the engine.
-    pub const fn mode(&self) -> Mode {
+    pub const fn mode(&self) -> CorrectorMode {
         self.mode
     }
 
@@ -817,18 +822,22 @@ impl Engine {
     }
 
     /// Status of the whole corrector at this moment.
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> CorrectorStatus {
         let blocked = match self.mode {
-            Mode::Run | Mode::Shadow | Mode::Disabled if self.stale => Some(InsertionStatus::ControlStale),
-            Mode::Run | Mode::Shadow => None,
-            Mode::Fault => Some(InsertionStatus::Fault),
-            Mode::Disabled | Mode::Hold | Mode::Probe => Some(InsertionStatus::Off),
+            CorrectorMode::Run | CorrectorMode::Shadow | CorrectorMode::Disabled if self.stale => {
+                Some(InsertionStatus::ControlStale)
+            }
+            CorrectorMode::Run | CorrectorMode::Shadow => None,
+            CorrectorMode::Fault => Some(InsertionStatus::Fault),
+            CorrectorMode::Disabled | CorrectorMode::Hold | CorrectorMode::Probe => {
+                Some(InsertionStatus::Off)
+            }
         };
         let mut axes = [AxisStatus::default(); MAX_AXES];
         for (status, axis) in axes.iter_mut().zip(&self.axes) {
             *status = axis.status(self.look_ns, blocked);
         }
-        Status {
+        CorrectorStatus {
             t_ns: self.look_ns,
             mode: self.mode,
             control_stale: self.stale,

@@ -21,7 +21,7 @@
 //! start therefore writes a file without the name. It gives it the name once every record is in it
 //! ([`Journal::place`]).
 
-use crate::link_messages::{Fault, Faults, FeedHoldSource, MAX_AXES};
+use crate::link_messages::{Fault, FaultSet, FeedHoldSource, MAX_AXES};
 use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, Flock, FlockArg, OFlag, RenameFlags, posix_fallocate, renameat2};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
@@ -90,7 +90,7 @@ pub struct AxisStateRecord {
     /// It is the completed total, or an odd number halfway through an insertion.
     pub completed: i64,
     /// Latched faults, which a restart must not clear.
-    pub faults: Faults,
+    pub faults: FaultSet,
     /// The MTC has been homed, and nothing has put its count in doubt since.
     pub mtc_known: bool,
 }
@@ -103,7 +103,7 @@ impl AxisStateRecord {
 
     fn of([flags, completed]: [u64; 2]) -> Option<Self> {
         let inverters = (flags & 0xFF) as u8;
-        let faults = Faults::from_bits((flags >> 8) as u32)?;
+        let faults = FaultSet::from_bits((flags >> 8) as u32)?;
         let mtc_known = flags >> 40 == 1;
         let valid = inverters < 4 && flags >> 41 == 0;
         valid.then_some(Self { inverters, completed: completed as i64, faults, mtc_known })
@@ -118,7 +118,7 @@ pub struct HoldAndFaultsRecord {
     /// Feed hold is on, asked for by somebody or by a fault.
     pub hold_output: bool,
     /// The machine's own latched faults.
-    pub faults: Faults,
+    pub faults: FaultSet,
 }
 
 impl HoldAndFaultsRecord {
@@ -140,7 +140,7 @@ impl HoldAndFaultsRecord {
             2 => Some(FeedHoldSource::Controller),
             _ => Some(FeedHoldSource::FoundOn),
         };
-        let faults = Faults::from_bits(u32::try_from(flags >> 8).ok()?)?;
+        let faults = FaultSet::from_bits(u32::try_from(flags >> 8).ok()?)?;
         (flags & 0xF8 == 0).then_some(Self { held, hold_output: flags >> 2 & 1 == 1, faults })
     }
 }
@@ -321,7 +321,7 @@ pub struct Journal {
     last_machine: Option<HoldAndFaultsRecord>,
     /// Faults whose times are in the file, a set for each row.
     /// `timed_hold` is the same for feed hold.
-    timed: [Faults; ROWS],
+    timed: [FaultSet; ROWS],
     timed_hold: bool,
     /// The times as they are in the file.
     times: Box<[[u64; ROW_WORDS]; ROWS]>,
@@ -388,7 +388,7 @@ impl Journal {
             next: [1; ROWS],
             last: [None; MAX_AXES],
             last_machine: None,
-            timed: [Faults::NONE; ROWS],
+            timed: [FaultSet::NONE; ROWS],
             timed_hold: false,
             times: Box::new([[0; ROW_WORDS]; ROWS]),
             identity: identity.to_owned(),
@@ -402,7 +402,7 @@ impl Journal {
         before.damaged = std::array::from_fn(|axis| journal.damaged(axis, AxisStateRecord::of));
         for (axis, found) in before.records.iter_mut().enumerate() {
             *found = journal.newest_first(axis, AxisStateRecord::of);
-            journal.timed[axis] = found[0].map_or(Faults::NONE, |r| r.faults);
+            journal.timed[axis] = found[0].map_or(FaultSet::NONE, |r| r.faults);
         }
         before.other_boot = !first_start && journal.boot.is_some_and(|now| journal.boot() != Some(now));
         if older {
@@ -412,7 +412,7 @@ impl Journal {
             let damaged = journal.damaged(MACHINE, HoldAndFaultsRecord::of);
             before.machine = journal.newest_first(MACHINE, HoldAndFaultsRecord::of)[0];
             before.machine_damaged = !first_start && (damaged || before.machine.is_none());
-            journal.timed[MACHINE] = before.machine.map_or(Faults::NONE, |m| m.faults);
+            journal.timed[MACHINE] = before.machine.map_or(FaultSet::NONE, |m| m.faults);
             journal.timed_hold = before.machine.is_some_and(|m| m.held.is_some());
             before.times = journal.read_times();
             before.thread_lost = [0, PAGE_WORDS].iter().any(|page| journal.load(page + LOST_AT) == LOST);
@@ -622,7 +622,7 @@ impl Journal {
 
     /// Notes the time of every fault that is new.
     #[cold]
-    fn note_times(&mut self, row: usize, faults: Faults, t_ns: u64) {
+    fn note_times(&mut self, row: usize, faults: FaultSet, t_ns: u64) {
         for fault in faults.without(self.timed[row]).iter() {
             self.note_time(row, fault as usize, t_ns);
         }
@@ -760,7 +760,7 @@ mod tests {
     }
 
     fn record(inverters: u8, completed: i64) -> AxisStateRecord {
-        AxisStateRecord { inverters, completed, faults: Faults::NONE, mtc_known: true }
+        AxisStateRecord { inverters, completed, faults: FaultSet::NONE, mtc_known: true }
     }
 
     fn found(path: &Path) -> [Option<AxisStateRecord>; 2] {
@@ -792,7 +792,7 @@ mod tests {
     #[test]
     fn what_is_latched_is_found_and_what_nobody_knows_is_no_record() {
         let (_directory, path) = new();
-        let mut faults = Faults::NONE;
+        let mut faults = FaultSet::NONE;
         assert!(
             faults.latch(crate::link_messages::Fault::PollGap)
                 && faults.latch(crate::link_messages::Fault::OrderUnknown)
@@ -805,8 +805,8 @@ mod tests {
         assert_eq!(AxisStateRecord::of([4, 8]), None);
     }
 
-    fn set(faults: &[Fault]) -> Faults {
-        let mut set = Faults::NONE;
+    fn set(faults: &[Fault]) -> FaultSet {
+        let mut set = FaultSet::NONE;
         for fault in faults {
             assert!(set.latch(*fault));
         }
@@ -840,7 +840,7 @@ mod tests {
         let user = HoldAndFaultsRecord {
             held: Some(FeedHoldSource::User(7)),
             hold_output: true,
-            faults: Faults::NONE,
+            faults: FaultSet::NONE,
         };
         journal.record_machine(user, 11_000);
         drop(journal);
@@ -929,7 +929,7 @@ mod tests {
     #[test]
     fn a_file_of_another_boot_is_told_until_its_records_say_what_follows() {
         let (_directory, path) = new();
-        let machine = HoldAndFaultsRecord { held: None, hold_output: false, faults: Faults::NONE };
+        let machine = HoldAndFaultsRecord { held: None, hold_output: false, faults: FaultSet::NONE };
         let mut journal = begun(&path, OURS);
         journal.record(0, record(0, 4), 1000);
         journal.record_machine(machine, 1000);
@@ -959,7 +959,7 @@ mod tests {
     #[test]
     fn a_record_that_both_copies_have_lost_is_told() {
         let (_directory, path) = new();
-        let machine = HoldAndFaultsRecord { held: None, hold_output: false, faults: Faults::NONE };
+        let machine = HoldAndFaultsRecord { held: None, hold_output: false, faults: FaultSet::NONE };
         let held = HoldAndFaultsRecord { held: Some(FeedHoldSource::User(7)), hold_output: true, ..machine };
         let mut journal = begun(&path, OURS);
         journal.record(2, record(0, 2), 1000);

@@ -14,7 +14,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-use crate::link_messages::{Event, Request, Status};
+use crate::link_messages::{CorrectorStatus, Event, RequestToRt};
 use crate::triple_buffer::{SnapshotReader, SnapshotWriter, snapshot};
 use crossbeam_utils::CachePadded;
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
@@ -27,7 +27,7 @@ pub const EVENTS: usize = 4096;
 
 /// The words that both sides see, each on a cache line of its own.
 #[derive(Debug)]
-struct Shared {
+struct AliveAndStopFlags {
     /// Counter that rises while the control side is alive.
     /// Written by the control side, read by the real-time thread.
     beats: CachePadded<AtomicU64>,
@@ -42,18 +42,18 @@ struct Shared {
 /// The control side's end of the link.
 /// It is `Send` and not `Clone`: one thread at a time is the control side.
 pub struct ControlEnd {
-    requests: HeapProd<Request>,
+    requests: HeapProd<RequestToRt>,
     events: HeapCons<Event>,
-    status: SnapshotReader<Status>,
-    shared: Arc<Shared>,
+    status: SnapshotReader<CorrectorStatus>,
+    shared: Arc<AliveAndStopFlags>,
 }
 
 /// The real-time thread's end of the link.
 pub struct RtEnd {
-    requests: HeapCons<Request>,
+    requests: HeapCons<RequestToRt>,
     events: HeapProd<Event>,
-    status: SnapshotWriter<Status>,
-    shared: Arc<Shared>,
+    status: SnapshotWriter<CorrectorStatus>,
+    shared: Arc<AliveAndStopFlags>,
 }
 
 impl std::fmt::Debug for ControlEnd {
@@ -71,14 +71,14 @@ impl std::fmt::Debug for RtEnd {
 /// The request ring is full; the request is handed back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the request ring is full ({REQUESTS} requests): the real-time thread is not taking them")]
-pub struct RequestRingFull(pub Request);
+pub struct RequestRingFull(pub RequestToRt);
 
 /// A new link whose first status is `status`.
-pub fn link(status: Status) -> (ControlEnd, RtEnd) {
+pub fn link(status: CorrectorStatus) -> (ControlEnd, RtEnd) {
     let (request_in, request_out) = HeapRb::new(REQUESTS).split();
     let (event_in, event_out) = HeapRb::new(EVENTS).split();
     let (writer, reader) = snapshot(status);
-    let shared = Arc::new(Shared {
+    let shared = Arc::new(AliveAndStopFlags {
         beats: CachePadded::new(AtomicU64::new(0)),
         stop: CachePadded::new(AtomicBool::new(false)),
         ended: CachePadded::new(AtomicBool::new(false)),
@@ -94,7 +94,7 @@ impl ControlEnd {
     ///
     /// # Errors
     /// Hands the request back when the ring is full.
-    pub fn send(&mut self, request: Request) -> Result<(), RequestRingFull> {
+    pub fn send(&mut self, request: RequestToRt) -> Result<(), RequestRingFull> {
         self.requests.try_push(request).map_err(RequestRingFull)
     }
 
@@ -109,7 +109,7 @@ impl ControlEnd {
     }
 
     /// The latest status.
-    pub fn status(&mut self) -> Status {
+    pub fn status(&mut self) -> CorrectorStatus {
         self.status.read()
     }
 
@@ -135,7 +135,7 @@ impl ControlEnd {
 impl RtEnd {
     /// The next request.
     #[inline]
-    pub fn request(&mut self) -> Option<Request> {
+    pub fn request(&mut self) -> Option<RequestToRt> {
         self.requests.try_pop()
     }
 
@@ -153,7 +153,7 @@ impl RtEnd {
 
     /// Makes `status` the latest.
     #[inline]
-    pub fn publish(&mut self, status: Status) {
+    pub fn publish(&mut self, status: CorrectorStatus) {
         self.status.write(status);
     }
 
@@ -181,29 +181,29 @@ mod tests {
 
     #[test]
     fn a_full_ring_hands_the_request_back() {
-        let (mut control, mut rt) = link(Status::default());
+        let (mut control, mut rt) = link(CorrectorStatus::default());
         for _ in 0..REQUESTS {
-            control.send(Request::Enable).unwrap();
+            control.send(RequestToRt::Enable).unwrap();
         }
-        assert_eq!(control.send(Request::Disable), Err(RequestRingFull(Request::Disable)));
-        assert_eq!(rt.request(), Some(Request::Enable));
-        control.send(Request::Disable).unwrap();
+        assert_eq!(control.send(RequestToRt::Disable), Err(RequestRingFull(RequestToRt::Disable)));
+        assert_eq!(rt.request(), Some(RequestToRt::Enable));
+        control.send(RequestToRt::Disable).unwrap();
     }
 
     #[test]
     fn what_one_end_says_the_other_finds() {
-        let (mut control, mut rt) = link(Status { t_ns: 5, ..Status::default() });
+        let (mut control, mut rt) = link(CorrectorStatus { t_ns: 5, ..CorrectorStatus::default() });
         assert_eq!((control.status().t_ns, control.pending(), rt.all_taken()), (5, 0, true));
-        control.send(Request::Enable).unwrap();
-        control.send(Request::Clear).unwrap();
+        control.send(RequestToRt::Enable).unwrap();
+        control.send(RequestToRt::Clear).unwrap();
         assert_eq!((control.pending(), rt.all_taken()), (2, false));
-        assert_eq!((rt.request(), control.pending()), (Some(Request::Enable), 1));
+        assert_eq!((rt.request(), control.pending()), (Some(RequestToRt::Enable), 1));
         let before = rt.beats();
         for n in 1..=3 {
             control.beat();
             assert_eq!(rt.beats(), before + n);
         }
-        rt.publish(Status { t_ns: 7, ..Status::default() });
+        rt.publish(CorrectorStatus { t_ns: 7, ..CorrectorStatus::default() });
         assert_eq!((control.status().t_ns, control.ended(), rt.stopped()), (7, false, false));
         control.stop();
         rt.end();
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn events_beyond_the_ring_are_refused_not_overwritten() {
         use crate::link_messages::EventKind;
-        let (mut control, mut rt) = link(Status::default());
+        let (mut control, mut rt) = link(CorrectorStatus::default());
         let event = |t_ns| Event { t_ns, axis: None, kind: EventKind::Bounce };
         let kept = (0..5000).filter(|t| rt.report(event(*t))).count();
         assert_eq!(kept, EVENTS);
@@ -230,11 +230,11 @@ mod tests {
     #[test]
     fn the_last_status_is_there_when_the_end_is_seen() {
         loom::model(|| {
-            let (mut control, mut rt) = link(Status::default());
+            let (mut control, mut rt) = link(CorrectorStatus::default());
             control.beat();
             let thread = loom::thread::spawn(move || {
                 assert_eq!(rt.beats(), 1);
-                rt.publish(Status { t_ns: 7, ..Status::default() });
+                rt.publish(CorrectorStatus { t_ns: 7, ..CorrectorStatus::default() });
                 rt.end();
                 rt.stopped()
             });

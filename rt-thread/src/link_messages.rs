@@ -11,7 +11,7 @@ pub const MAX_AXES: usize = 6;
 /// Axes are numbered from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)] // of the fields
-pub enum Request {
+pub enum RequestToRt {
     /// The total correction of an axis in counts since homing.
     /// `large`: a change beyond the belief window is intended (a restart with a hot machine).
     Correct { axis: u8, total_counts: i64, large: bool },
@@ -19,7 +19,7 @@ pub enum Request {
     /// `controller_homed`: the MTC has been homed there too, so its earlier count is forgotten. Otherwise the total
     /// in effect is kept.
     Home { axis: u8, position_counts: i64, controller_homed: bool },
-    /// Confirms the position that was read back after [`Request::Home`].
+    /// Confirms the position that was read back after [`RequestToRt::Home`].
     /// The control side sends it. Only the same value completes homing.
     ConfirmHome { axis: u8, position_counts: i64 },
     /// Enables corrections.
@@ -135,9 +135,9 @@ impl Fault {
 
 /// A set of faults.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Faults(u32);
+pub struct FaultSet(u32);
 
-impl Faults {
+impl FaultSet {
     /// The empty set.
     pub const NONE: Self = Self(0);
 
@@ -278,7 +278,7 @@ pub enum EventKind {
     /// An insertion was given up because the process looked too late.
     Late,
     /// The mode is now this one.
-    Mode(Mode),
+    Mode(CorrectorMode),
     /// The control side is silent for too long (`true`), or is back (`false`).
     /// Corrections freeze while it is silent.
     ControlStale(bool),
@@ -323,7 +323,7 @@ impl ProbeCapture {
 /// Mode of the corrector as a whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Mode {
+pub enum CorrectorMode {
     /// Corrections are off, frozen where they are.
     #[default]
     Disabled,
@@ -395,7 +395,7 @@ pub struct AxisStatus {
     /// Scale edges per second now.
     pub edge_rate_hz: f64,
     /// The axis's latched faults.
-    pub faults: Faults,
+    pub faults: FaultSet,
     /// Insertions made since the start.
     pub insertions: u64,
     /// Edges at which a correction was pending and the gate was shut.
@@ -413,11 +413,11 @@ pub struct AxisStatus {
 /// The whole corrector at one moment.
 #[allow(clippy::struct_excessive_bools)] // Each is a lamp of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Status {
+pub struct CorrectorStatus {
     /// When, on the card's clock, ns.
     pub t_ns: u64,
     /// Its mode.
-    pub mode: Mode,
+    pub mode: CorrectorMode,
     /// The control side is silent.
     pub control_stale: bool,
     /// The disable switch is on.
@@ -438,14 +438,14 @@ pub struct Status {
     /// Events that found the ring full.
     pub events_lost: u64,
     /// The machine's own latched faults.
-    pub faults: Faults,
+    pub faults: FaultSet,
     /// Axes in use.
     pub axes_used: u8,
     /// Every axis that the engine can hold; only the first `axes_used` are valid.
     pub axes: [AxisStatus; MAX_AXES],
 }
 
-impl Status {
+impl CorrectorStatus {
     /// The axes in use, in the order of the configuration.
     pub fn axes(&self) -> &[AxisStatus] {
         &self.axes[..usize::from(self.axes_used)]
@@ -464,18 +464,18 @@ mod tests {
 
     #[test]
     fn of_all_faults_three_leave_the_count_certain() {
-        let mut all = Faults::NONE;
+        let mut all = FaultSet::NONE;
         for (n, fault) in Fault::ALL.into_iter().enumerate() {
             assert!(all.latch(fault) && !all.latch(fault));
             assert_eq!((all.bits(), all.iter().count()), (u32::MAX >> (31 - n), n + 1));
-            assert_eq!(Faults::from_bits(all.bits()), Some(all));
-            let mut one = Faults::NONE;
+            assert_eq!(FaultSet::from_bits(all.bits()), Some(all));
+            let mut one = FaultSet::NONE;
             one.latch(fault);
             let certain = matches!(fault, Fault::StillNotBelieved | Fault::ErrorLimit | Fault::StateFileLost);
             assert_eq!(fault.loses_home(), !certain, "{fault:?}");
             assert!(one.has(fault) && all.without(one).iter().count() == n);
         }
-        assert_eq!(Faults::from_bits(all.bits() + 1), None, "one that this version does not know");
+        assert_eq!(FaultSet::from_bits(all.bits() + 1), None, "one that this version does not know");
     }
 
     #[test]
@@ -506,7 +506,7 @@ mod tests {
     fn a_ledger_balances_when_every_axis_in_use_does() {
         let axis = AxisStatus { mtc_minus_scale: 4, in_effect: 4, ..AxisStatus::default() };
         let off = AxisStatus { mtc_minus_scale: 3, ..axis };
-        let mut status = Status { axes_used: 2, ..Status::default() };
+        let mut status = CorrectorStatus { axes_used: 2, ..CorrectorStatus::default() };
         status.axes[..3].copy_from_slice(&[axis, axis, off]);
         assert_eq!(status.axes(), [axis, axis]);
         assert!(status.balanced(), "the third is not in use");

@@ -198,7 +198,7 @@ extern "C" fn on_bus_error(_signal: libc::c_int, info: *mut libc::siginfo_t, _co
 mod tests {
     use super::*;
     use crate::journal::{AxisStateRecord, HoldAndFaultsRecord};
-    use crate::link_messages::{Faults, FeedHoldSource};
+    use crate::link_messages::{FaultSet, FeedHoldSource};
 
     type Deed<'a> = (StateFileLoss, Box<dyn Fn() + 'a>);
 
@@ -209,11 +209,11 @@ mod tests {
         let at = |name: &str| folder.path().join(name);
         let path = at("state");
         let axis =
-            |completed| AxisStateRecord { inverters: 0, completed, faults: Faults::NONE, mtc_known: true };
+            |completed| AxisStateRecord { inverters: 0, completed, faults: FaultSet::NONE, mtc_known: true };
         let held = HoldAndFaultsRecord {
             held: Some(FeedHoldSource::User(7)),
             hold_output: true,
-            faults: Faults::NONE,
+            faults: FaultSet::NONE,
         };
         let open = || Journal::open(&path, "lost").unwrap();
         let (mut journal, _) = open();

@@ -42,7 +42,7 @@ const FRESH: u8 = 4;
 const SLOT: u8 = 3;
 
 #[derive(Debug)]
-struct Shared<T> {
+struct SharedSlots<T> {
     /// Each slot is touched only by the side that owns it at the moment.
     slots: [CachePadded<UnsafeCell<T>>; 3],
     /// Index of the slot between the two sides, and [`FRESH`].
@@ -52,27 +52,29 @@ struct Shared<T> {
 
 // SAFETY: a slot's index is held by the writer, the reader or `between`, never by two of them. Ownership passes by an
 // acquire-release swap. So no slot is ever touched from two threads at once.
-unsafe impl<T: Send> Sync for Shared<T> {}
+unsafe impl<T: Send> Sync for SharedSlots<T> {}
 
 /// The side that writes.
 #[derive(Debug)]
 pub struct SnapshotWriter<T> {
-    shared: Arc<Shared<T>>,
+    shared: Arc<SharedSlots<T>>,
     own: u8,
 }
 
 /// The side that reads.
 #[derive(Debug)]
 pub struct SnapshotReader<T> {
-    shared: Arc<Shared<T>>,
+    shared: Arc<SharedSlots<T>>,
     own: u8,
 }
 
 /// A snapshot that begins as `value`, split into its two sides.
 pub fn snapshot<T: Copy + Send>(value: T) -> (SnapshotWriter<T>, SnapshotReader<T>) {
     let slot = || CachePadded::new(UnsafeCell::new(value));
-    let shared =
-        Arc::new(Shared { slots: [slot(), slot(), slot()], between: CachePadded::new(AtomicU8::new(1)) });
+    let shared = Arc::new(SharedSlots {
+        slots: [slot(), slot(), slot()],
+        between: CachePadded::new(AtomicU8::new(1)),
+    });
     (SnapshotWriter { shared: Arc::clone(&shared), own: 0 }, SnapshotReader { shared, own: 2 })
 }
 

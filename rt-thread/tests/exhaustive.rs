@@ -16,10 +16,10 @@
 
 #![allow(clippy::unwrap_used)]
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, InsertionAtRestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::Request;
+use rtec_rt::link_messages::RequestToRt;
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -268,7 +268,7 @@ impl World<'_> {
 }
 
 impl Card for World<'_> {
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         let mut slots = LOOK;
         if self.choices && self.left.1 > 0 && self.tape.choose(2) == 1 {
             self.left.1 -= 1;
@@ -284,7 +284,7 @@ impl Card for World<'_> {
         self.land();
         let between = std::mem::take(&mut self.between);
         self.hidden |= between.edges > 1 && (between.ours || between.mirrored);
-        Ok(Sample::level(self.slot * SLOT_NS, self.levels()))
+        Ok(CardInputSample::level(self.slot * SLOT_NS, self.levels()))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -324,7 +324,7 @@ fn config(case: &Case) -> AxisConfig {
     let look_ns = LOOK * SLOT_NS;
     AxisConfig {
         lines: AxisLines::standard(0, false),
-        rest: RestPolicy::Wait,
+        rest: InsertionAtRestPolicy::Wait,
         min_separation_ns: SEPARATION_NS,
         max_accel_counts_s2: accel_counts_ns2() * 1e18,
         hysteresis_counts: HYSTERESIS,
@@ -368,7 +368,7 @@ fn history(tape: &mut Tape, case: Case, tally: &mut Tally) -> Result<(), String>
     let quiet = &mut |_| true;
     let mut engine = Engine::new(&mut world, &[told], machine, &[]).unwrap();
     engine.start_homed(&mut world, quiet).unwrap();
-    let ask = Request::Correct { axis: 0, total_counts: case.asked, large: true };
+    let ask = RequestToRt::Correct { axis: 0, total_counts: case.asked, large: true };
     engine.take(ask, &mut world, quiet).unwrap();
     while world.slot + LOOK <= second {
         engine.poll(&mut world, u64::MAX, quiet).unwrap();

@@ -18,10 +18,10 @@
 
 #![allow(clippy::unwrap_used)]
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_rt::axis::{AxisConfig, InsertionAtRestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::{Event, EventKind, Fault, Request};
+use rtec_rt::link_messages::{Event, EventKind, Fault, RequestToRt};
 use std::collections::BTreeMap;
 use test_needs::asked;
 use test_needs::dice::Dice;
@@ -200,7 +200,7 @@ impl Rig {
 }
 
 impl Card for Rig {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         let gap = match self.next_gap.take() {
             Some(gap) => gap,
             None => self.gap_ns(),
@@ -220,7 +220,7 @@ impl Card for Rig {
         self.edges_between = 0;
         self.ours_between = false;
         self.mirrored = false;
-        Ok(Sample::level(t, self.levels()))
+        Ok(CardInputSample::level(t, self.levels()))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -262,7 +262,7 @@ struct Tally {
 /// The difference of MTC and scale is zero from here on.
 fn arm(engine: &mut Engine, rig: &mut Rig) {
     let mut quiet = |_: Event| true;
-    engine.take(Request::Clear, rig, &mut quiet).unwrap();
+    engine.take(RequestToRt::Clear, rig, &mut quiet).unwrap();
     engine.start_homed(rig, &mut quiet).unwrap();
 }
 
@@ -274,9 +274,9 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
     let hysteresis = 0.1;
     let max_gap_ns = if class == Class::Random { dice.within(21, 1200) } else { dice.within(40, 400) };
     let rest = if dice.one_in(3) {
-        RestPolicy::Insert { after_ns: dice.within(2, 200) * 1000 }
+        InsertionAtRestPolicy::Insert { after_ns: dice.within(2, 200) * 1000 }
     } else {
-        RestPolicy::Wait
+        InsertionAtRestPolicy::Wait
     };
     let told = AxisConfig {
         lines: AxisLines::standard(0, false),
@@ -333,7 +333,7 @@ fn campaign(class: Class, seed: u64, edges: u64, tally: &mut Tally) {
         if rig.t_ns >= ask_ns {
             ask_ns = rig.t_ns + dice.within(1000, 400_000);
             let total_counts = dice.within(0, 80) as i64 - 40;
-            let ask = Request::Correct { axis: 0, total_counts, large: true };
+            let ask = RequestToRt::Correct { axis: 0, total_counts, large: true };
             engine.take(ask, &mut rig, &mut |_| true).unwrap();
         }
     }

@@ -2,13 +2,13 @@
 
 #![allow(clippy::unwrap_used)]
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_rt::axis::{AxisConfig, InsertionAtRestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::journal::Journal;
 use rtec_rt::link::{ControlEnd, REQUESTS, RtEnd, link};
-use rtec_rt::link_messages::{EventKind, Fault, Mode, Refusal, Request};
-use rtec_rt::thread::{SteppedLoop, ThreadOptions, run, spawn};
+use rtec_rt::link_messages::{CorrectorMode, EventKind, Fault, Refusal, RequestToRt};
+use rtec_rt::pinned_rt_thread::{SteppedLoop, ThreadOptions, run, spawn};
 use std::ops::ControlFlow;
 
 /// An access of the loop to the card.
@@ -32,14 +32,14 @@ struct Diary {
 }
 
 impl Card for Diary {
-    fn sample(&mut self, wait_until_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wait_until_ns: u64) -> Result<CardInputSample, CardError> {
         if let Some(error) = self.ends {
             return Err(error);
         }
         assert_ne!(self.panics_at, Some(self.did.len()), "planted");
         self.did.push(Did::Look { at_ns: self.t_ns, wait_until_ns });
         self.t_ns += 1000;
-        Ok(Sample::level(self.t_ns, 0))
+        Ok(CardInputSample::level(self.t_ns, 0))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -55,7 +55,7 @@ impl Card for Diary {
 
 fn start() -> (Engine, Diary, ControlEnd, RtEnd) {
     let mut card = Diary::default();
-    let rest = RestPolicy::Insert { after_ns: 997_000 };
+    let rest = InsertionAtRestPolicy::Insert { after_ns: 997_000 };
     let axis = AxisConfig { lines: AxisLines::standard(0, false), rest, ..AxisConfig::default() };
     let machine = MachineConfig { lines: MachineLines::standard(), may_arm: true };
     let engine = Engine::new(&mut card, &[axis], machine, &[]).unwrap();
@@ -69,9 +69,9 @@ fn a_full_ring_is_taken_one_request_a_look() {
     let (engine, card, mut control, rt) = start();
     for n in 0..REQUESTS {
         // Each of them writes the hold line.
-        control.send(Request::Hold { on: n % 2 == 0, by: 0 }).unwrap();
+        control.send(RequestToRt::Hold { on: n % 2 == 0, by: 0 }).unwrap();
     }
-    assert!(control.send(Request::Clear).is_err(), "the ring is full");
+    assert!(control.send(RequestToRt::Clear).is_err(), "the ring is full");
     control.stop();
     let ended = run(engine, card, rt, u64::MAX);
     let between_looks = ended.card.did.split(|d| matches!(d, Did::Look { .. }));
@@ -91,7 +91,7 @@ fn a_panic_is_a_fault_and_holds_the_machine() {
     engine.keep_journal(open().0).unwrap();
     let ended = run(engine, Diary { panics_at: Some(20), ..card }, rt, u64::MAX);
     assert!(control.ended() && ended.status.faults.has(Fault::ThreadLost));
-    assert_eq!((control.status().mode, ended.status.hold_output), (Mode::Fault, true));
+    assert_eq!((control.status().mode, ended.status.hold_output), (CorrectorMode::Fault, true));
     assert_eq!((ended.card.outputs & 1 << 28, ended.card.did.last()), (1 << 28, Some(&Did::Write)));
     let events: Vec<_> = std::iter::from_fn(|| control.event()).map(|e| e.kind).collect();
     assert!(events.contains(&EventKind::Fault(Fault::ThreadLost)), "{events:?}");
@@ -104,7 +104,7 @@ fn a_panic_is_a_fault_and_holds_the_machine() {
 fn requests_sent_before_the_stop_are_taken_and_answered() {
     let (engine, card, mut control, rt) = start();
     for _ in 0..REQUESTS {
-        control.send(Request::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
+        control.send(RequestToRt::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
     }
     control.stop();
     run(engine, card, rt, u64::MAX);
@@ -120,7 +120,7 @@ fn no_look_waits_while_requests_may_be_there() {
     let (engine, card, mut control, rt) = start();
     for _ in 0..REQUESTS {
         // A refused request, so that nothing else wakes the engine.
-        control.send(Request::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
+        control.send(RequestToRt::Home { axis: 5, position_counts: 0, controller_homed: true }).unwrap();
     }
     control.stop();
     let ended = run(engine, card, rt, u64::MAX);
@@ -178,7 +178,7 @@ fn the_end_waits_for_the_insertion_under_way_and_for_the_requests_sent_before() 
     engine.start_homed(&mut card, &mut |_| true).unwrap();
     let mut turns = SteppedLoop::new(engine, card, rt, u64::MAX);
     // 1000 µs at rest, then two inversions at least 1 µs apart, the first in the turn that publishes a status.
-    control.send(Request::Correct { axis: 0, total_counts: 2, large: false }).unwrap();
+    control.send(RequestToRt::Correct { axis: 0, total_counts: 2, large: false }).unwrap();
     while turns.engine().at_rest() {
         assert_eq!(turns.turn(), ControlFlow::Continue(()));
     }
@@ -205,15 +205,15 @@ fn a_card_that_fails_is_the_reason_of_the_end_and_one_that_has_ended_is_none() {
 /// In an ordinary thread a mock may be armed, a real card may not.
 #[test]
 fn a_real_card_is_armed_by_nothing_less_than_a_verified_set_up() {
-    for (real, mode) in [(false, Mode::Run), (true, Mode::Disabled)] {
+    for (real, mode) in [(false, CorrectorMode::Run), (true, CorrectorMode::Disabled)] {
         let (engine, card, ..) = start();
         let options = ThreadOptions { wanted: None, real, stale_after_ns: u64::MAX };
         let mut running = spawn(engine, card, options).unwrap();
         assert!(running.report.is_none());
         for request in [
-            Request::Home { axis: 0, position_counts: 0, controller_homed: true },
-            Request::ConfirmHome { axis: 0, position_counts: 0 },
-            Request::Enable,
+            RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true },
+            RequestToRt::ConfirmHome { axis: 0, position_counts: 0 },
+            RequestToRt::Enable,
         ] {
             running.control.send(request).unwrap();
         }

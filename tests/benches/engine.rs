@@ -5,9 +5,9 @@
 
 use rtec_driver::card::CardError;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{RequestedTotal, TracePoint};
+use rtec_driver::trace_replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::replay::replay;
+use rtec_sim::engine_replay::replay;
 use rtec_tests::judge::LinuxCnc;
 use rtec_tests::workload::{Motion, Workload};
 use std::time::Instant;

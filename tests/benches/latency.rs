@@ -5,9 +5,9 @@
 //! it where they are installed.
 
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_platform::latency_test::{SelftestOptions, SimulatedBackend, run};
-use rtec_rt::histogram::{HistogramSnapshot, histogram};
-use rtec_rt::setup::{RtSettings, SystemRoot, apply};
+use rtec_platform::latency_test::{SelftestOptions, SimulatedCardKind, run};
+use rtec_rt::latency_histogram::{HistogramSnapshot, histogram};
+use rtec_rt::realtime_setup::{RtSettings, SystemRoot, apply};
 use std::process::Command;
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ fn main() -> anyhow::Result<()> {
     let priority = 80;
     let options = SelftestOptions { cpu, priority, run: Duration::from_secs(3 * seconds), seed: 1 };
     let measured =
-        run(options, SimulatedBackend::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
+        run(options, SimulatedCardKind::Mapped, |what, left_s| eprintln!("{what}, {left_s} s left"))?;
     eprintln!("floor, oslat and cyclictest, {seconds} s each");
     let separations_ns = measured.separations_ns();
     let (floor, windows) =

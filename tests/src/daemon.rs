@@ -1,8 +1,8 @@
 //! A real `rtecd`, a user with `rtecctl`, and a machine on a shared-memory card.
 
 use rtec_driver::card::AxisLines;
-use rtec_driver::mapped::Registers;
-use rtec_driver::profile::Width;
+use rtec_driver::card_profile::Width;
+use rtec_driver::mapped_registers::MappedRegisterFile;
 use rtec_driver::quadrature::{Decoder, State};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
@@ -235,7 +235,7 @@ pub trait Lines: Send {
 }
 
 /// Shared memory with the registers of the profile `shared-memory`.
-impl Lines for Registers {
+impl Lines for MappedRegisterFile {
     fn outputs(&mut self) -> u64 {
         u64::from(self.read(4, Width::Bits32))
     }
@@ -495,6 +495,6 @@ impl Bench {
 }
 
 /// The registers of a shared-memory card, from the machine's side.
-pub fn shared_memory(file: &Path) -> Registers {
-    Registers::open(file, 8, "machine").unwrap_or_else(|e| panic!("{e}"))
+pub fn shared_memory(file: &Path) -> MappedRegisterFile {
+    MappedRegisterFile::open(file, 8, "machine").unwrap_or_else(|e| panic!("{e}"))
 }

@@ -3,7 +3,7 @@
 use crate::root;
 use anyhow::{Context, ensure};
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::quadrature_trace::AtomicTraceFile;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};

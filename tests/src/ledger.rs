@@ -2,7 +2,7 @@
 //! It is derived without counting the corrected trace itself.
 
 use anyhow::{Context, bail};
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::InputError;
 
 /// Sums over a corrected trace.

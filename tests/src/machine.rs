@@ -3,13 +3,13 @@
 //! runs one servo period at a time, in step with the controller.
 
 use anyhow::{Context, ensure};
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_driver::mapped::Registers;
-use rtec_driver::profile::Width;
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_driver::card_profile::Width;
+use rtec_driver::mapped_registers::MappedRegisterFile;
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::{Event, Request};
+use rtec_rt::link_messages::{Event, RequestToRt};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::process::{Command, Stdio};
@@ -193,7 +193,7 @@ impl MachineCard {
 }
 
 impl Card for MachineCard {
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         let mut edge_ns = None;
         if let Some(edge) = self.edges.front().copied().filter(|edge| edge.t_ns <= wake_ns) {
             self.edges.pop_front();
@@ -209,7 +209,7 @@ impl Card for MachineCard {
         }
         let scales: u64 = self.scale.iter().enumerate().map(|(n, s)| u64::from(s.bits()) << (4 * n)).sum();
         let inputs = scales | u64::from(self.probe) << PROBE;
-        Ok(Sample::stamped(self.now_ns, inputs, edge_ns))
+        Ok(CardInputSample::stamped(self.now_ns, inputs, edge_ns))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -243,7 +243,7 @@ pub fn run(program: &str, error: [AxisError; AXES], job: Job) -> anyhow::Result<
     let card_file = directory.path().join("card");
     std::fs::write(directory.path().join("part.ngc"), program)?;
     std::fs::write(&card_file, [0; place::BYTES])?;
-    let words = Registers::open(&card_file, place::BYTES, "LinuxCNC's machine")?;
+    let words = MappedRegisterFile::open(&card_file, place::BYTES, "LinuxCNC's machine")?;
     let mut linuxcnc = Command::new(crate::root().join("tests/linuxcnc/run-linuxcnc"))
         .arg(directory.path())
         .stdin(Stdio::null())
@@ -279,7 +279,7 @@ fn probe_log(text: &str) -> anyhow::Result<Vec<[f64; AXES]>> {
 }
 
 /// Waits for the controller's next period; `None` when it has ended.
-fn asked(words: &Registers, linuxcnc: &mut std::process::Child) -> anyhow::Result<Option<u32>> {
+fn asked(words: &MappedRegisterFile, linuxcnc: &mut std::process::Child) -> anyhow::Result<Option<u32>> {
     let answered = words.read(place::ANSWERED, Width::Bits32);
     for n in 0_u32.. {
         let asked = words.read(place::ASKED, Width::Bits32);
@@ -333,12 +333,12 @@ impl Machine {
         let mut engine = Engine::new(&mut card, &[axis(0), axis(1)], lines, &[])?;
         engine.start_homed(&mut card, &mut |_| true)?;
         if matches!(job, Job::Probe(_)) {
-            engine.take(Request::Probe(true), &mut card, &mut |_| true)?;
+            engine.take(RequestToRt::Probe(true), &mut card, &mut |_| true)?;
         }
         Ok(Self { axes: Default::default(), error, job, probe_out: false, card, engine, run: Run::default() })
     }
 
-    fn period(&mut self, words: &Registers) -> anyhow::Result<()> {
+    fn period(&mut self, words: &MappedRegisterFile) -> anyhow::Result<()> {
         let word = |place, n| words.read(place + 4 * n, Width::Bits32) as i32;
         let start_ns = self.run.periods * SERVO_PERIOD_NS;
         let end_ns = start_ns + SERVO_PERIOD_NS;
@@ -368,7 +368,7 @@ impl Machine {
                 // The control side knows the error and the scale's position, and requests the nearest whole insertion.
                 let p_mm = self.engine.status().axes[n].position_counts as f64 * COUNT_UM / 1000.0;
                 let total_counts = 2 * (error.at(p_mm) / COUNT_UM / 2.0).round() as i64;
-                let request = Request::Correct { axis: n as u8, total_counts, large: false };
+                let request = RequestToRt::Correct { axis: n as u8, total_counts, large: false };
                 self.engine.take(request, &mut self.card, &mut report)?;
             }
         }

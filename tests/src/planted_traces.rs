@@ -2,7 +2,7 @@
 //! They test the judges.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use test_needs::dice::Dice;
 
 /// The mistake in a planted trace.

@@ -14,8 +14,8 @@ use nix::sys::socket::{
 use nix::unistd::Pid;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
-use rtec_control::client::Client;
-use rtec_control::protocol::{ClientRequest, DaemonStatus, Response};
+use rtec_control::daemon_client::DaemonConnection;
+use rtec_control::protocol::{ClientRequest, DaemonResponse, DaemonStatus};
 use std::fs::File;
 use std::io::{IoSliceMut, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
@@ -269,20 +269,20 @@ pub struct Tally {
 }
 
 impl Trial {
-    fn ask(&self, request: &ClientRequest) -> anyhow::Result<Response> {
-        Ok(Client::connect(&self.socket)?.ask(request)?)
+    fn ask(&self, request: &ClientRequest) -> anyhow::Result<DaemonResponse> {
+        Ok(DaemonConnection::connect(&self.socket)?.ask(request)?)
     }
 
     fn status(&self) -> anyhow::Result<DaemonStatus> {
         match self.ask(&ClientRequest::Status {})? {
-            Response::Status(status) => Ok(*status),
+            DaemonResponse::Status(status) => Ok(*status),
             other => bail!("found {other:?}, expected a status"),
         }
     }
 
     fn done(&self, request: &ClientRequest) -> anyhow::Result<()> {
         match self.ask(request)? {
-            Response::Done { .. } => Ok(()),
+            DaemonResponse::Done { .. } => Ok(()),
             other => bail!("{request:?}: found {other:?}, expected it done"),
         }
     }

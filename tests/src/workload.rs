@@ -1,10 +1,10 @@
 //! Three axes, or another number, on a card in memory.
 //! Benchmarks time this work, and count its instructions.
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::link_messages::{Request, Status};
+use rtec_rt::link_messages::{CorrectorStatus, RequestToRt};
 
 /// Axes of the workload, as many as LinuxCNC's counter is measured with.
 pub const AXES: u8 = 3;
@@ -57,7 +57,7 @@ struct Wires {
 
 impl Card for Wires {
     #[inline]
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         self.t_ns += self.step_ns;
         self.looks += 1;
         if self.looks == self.looks_per_edge {
@@ -67,7 +67,7 @@ impl Card for Wires {
             let edge = if (self.inputs ^ self.inputs >> 1) & 1 == 0 { 0x11_1111 } else { 0x22_2222 };
             self.inputs ^= edge & self.wired;
         }
-        Ok(Sample::level(self.t_ns, self.inputs))
+        Ok(CardInputSample::level(self.t_ns, self.inputs))
     }
 
     #[inline]
@@ -111,7 +111,7 @@ impl Workload {
         engine.start_homed(&mut wires, report)?;
         if motion == Motion::Correcting {
             for axis in 0..axes {
-                let request = Request::Correct { axis, total_counts: i64::MAX / 2, large: true };
+                let request = RequestToRt::Correct { axis, total_counts: i64::MAX / 2, large: true };
                 engine.take(request, &mut wires, report)?;
             }
         }
@@ -131,7 +131,7 @@ impl Workload {
     }
 
     /// The engine's status.
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> CorrectorStatus {
         self.engine.status()
     }
 }

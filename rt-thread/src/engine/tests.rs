@@ -2,7 +2,7 @@
 //! It also tests what a kill leaves in the state file.
 
 use super::*;
-use crate::axis::RestPolicy;
+use crate::axis::InsertionAtRestPolicy;
 use crate::journal::STORES;
 use proptest::prelude::*;
 use rtec_driver::card::AxisLines;
@@ -17,8 +17,8 @@ struct Lines {
 }
 
 impl Card for Lines {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
-        Ok(Sample::level(self.t_ns, self.inputs))
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
+        Ok(CardInputSample::level(self.t_ns, self.inputs))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -39,25 +39,25 @@ enum Before {
     Disable,
     Stale(bool),
     Latch,
-    Request(Request),
+    Request(RequestToRt),
 }
 
-fn request() -> impl Strategy<Value = Request> {
+fn request() -> impl Strategy<Value = RequestToRt> {
     let axis = 0..2_u8;
     prop_oneof![
         8 => (axis.clone(), -7..=7_i64, any::<bool>())
-            .prop_map(|(axis, total_counts, large)| Request::Correct { axis, total_counts, large }),
+            .prop_map(|(axis, total_counts, large)| RequestToRt::Correct { axis, total_counts, large }),
         1 => (axis.clone(), 0..2_i64, any::<bool>()).prop_map(|(axis, position_counts, controller_homed)| {
-            Request::Home { axis, position_counts, controller_homed }
+            RequestToRt::Home { axis, position_counts, controller_homed }
         }),
         2 => (axis, 0..2_i64)
-            .prop_map(|(axis, position_counts)| Request::ConfirmHome { axis, position_counts }),
-        3 => Just(Request::Enable),
-        1 => Just(Request::Disable),
-        1 => Just(Request::Shadow),
-        1 => any::<bool>().prop_map(Request::Probe),
-        1 => any::<bool>().prop_map(|on| Request::Hold { on, by: 0 }),
-        2 => Just(Request::Clear),
+            .prop_map(|(axis, position_counts)| RequestToRt::ConfirmHome { axis, position_counts }),
+        3 => Just(RequestToRt::Enable),
+        1 => Just(RequestToRt::Disable),
+        1 => Just(RequestToRt::Shadow),
+        1 => any::<bool>().prop_map(RequestToRt::Probe),
+        1 => any::<bool>().prop_map(|on| RequestToRt::Hold { on, by: 0 }),
+        2 => Just(RequestToRt::Clear),
     ]
 }
 
@@ -92,7 +92,7 @@ struct One {
 }
 
 impl One {
-    fn new(tells: bool, rest: RestPolicy, careful: bool) -> Self {
+    fn new(tells: bool, rest: InsertionAtRestPolicy, careful: bool) -> Self {
         let axis = |n| AxisConfig {
             lines: AxisLines::standard(n, false),
             max_accel_counts_s2: 1e9,
@@ -162,7 +162,7 @@ proptest! {
     fn calm_edges_change_nothing_whatever_is_asked(
         looks in prop::collection::vec((before(), 100_u64..2000), 1..400),
         tells in any::<bool>(),
-        rest in prop_oneof![Just(RestPolicy::Wait), (500..5000_u64).prop_map(|after_ns| RestPolicy::Insert { after_ns })],
+        rest in prop_oneof![Just(InsertionAtRestPolicy::Wait), (500..5000_u64).prop_map(|after_ns| InsertionAtRestPolicy::Insert { after_ns })],
     ) {
         let [mut calm, mut careful] = [false, true].map(|careful| One::new(tells, rest, careful));
         for (before, gap_ns) in looks {
@@ -177,14 +177,14 @@ proptest! {
 }
 
 fn kept() -> impl Strategy<Value = Before> {
-    let home = |(axis, controller_homed)| Request::Home { axis, position_counts: 0, controller_homed };
+    let home = |(axis, controller_homed)| RequestToRt::Home { axis, position_counts: 0, controller_homed };
     prop_oneof![
-        2 => any::<bool>().prop_map(|on| Before::Request(Request::Hold { on, by: 7 })),
-        2 => Just(Before::Request(Request::Clear)),
+        2 => any::<bool>().prop_map(|on| Before::Request(RequestToRt::Hold { on, by: 7 })),
+        2 => Just(Before::Request(RequestToRt::Clear)),
         2 => Just(Before::Latch),
         1 => (0..2_u8, any::<bool>()).prop_map(home).prop_map(Before::Request),
         1 => (0..2_u8, -8..=8_i64)
-            .prop_map(|(axis, total_counts)| Request::Correct { axis, total_counts, large: true })
+            .prop_map(|(axis, total_counts)| RequestToRt::Correct { axis, total_counts, large: true })
             .prop_map(Before::Request),
         1 => Just(Before::Steps(2, 0)),
         3 => Just(Before::Steps(1, 1)),
@@ -201,7 +201,7 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let [file, copy] = ["state", "copy"].map(|name| folder.path().join(name));
         let open = |file| Journal::open(file, "kills").unwrap();
-        let mut one = One::new(true, RestPolicy::Insert { after_ns: 100 }, false);
+        let mut one = One::new(true, InsertionAtRestPolicy::Insert { after_ns: 100 }, false);
         one.engine.keep_journal(open(&file).0).unwrap();
         let mut found = None;
         for (what, gap_ns) in steps.into_iter().flat_map(|(what, ns)| [(Some(what), 0), (None, ns)]) {

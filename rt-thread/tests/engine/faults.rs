@@ -5,18 +5,18 @@ use super::*;
 #[test]
 fn shadow_mode_counts_everything_and_writes_nothing() {
     let mut rig = Rig::with(windowed(), true);
-    rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
-    rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
-    rig.take(Request::Shadow);
+    rig.take(RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true });
+    rig.take(RequestToRt::ConfirmHome { axis: 0, position_counts: 0 });
+    rig.take(RequestToRt::Shadow);
     rig.looks(1);
     let writes = rig.card.writes;
-    rig.take(Request::Correct { axis: 0, total_counts: 6, large: true });
+    rig.take(RequestToRt::Correct { axis: 0, total_counts: 6, large: true });
     rig.step(20);
     let axis = rig.status().axes[0];
     assert_eq!((axis.completed, axis.in_effect, axis.mtc_minus_scale), (6, 0, 0));
     assert_eq!(rig.card.writes, writes);
     // After enabling, the axis jumps by the requested total minus the total in effect.
-    rig.take(Request::Enable);
+    rig.take(RequestToRt::Enable);
     let axis = rig.status().axes[0];
     assert_eq!((axis.requested, axis.completed, axis.in_effect), (6, 0, 0));
     rig.step(20);
@@ -30,10 +30,10 @@ fn shadow_mode_counts_everything_and_writes_nothing() {
 fn shadow_mode_may_end_at_any_count() {
     for shadowed in 20..24 {
         let mut rig = Rig::running(windowed());
-        rig.take(Request::Shadow);
+        rig.take(RequestToRt::Shadow);
         rig.correct(2);
         rig.step(shadowed);
-        rig.take(Request::Enable);
+        rig.take(RequestToRt::Enable);
         rig.step(3);
         rig.correct(4);
         rig.step(30);
@@ -65,7 +65,7 @@ fn a_silent_control_side_freezes_corrections_and_is_said() {
     assert_eq!(rig.status().events_lost, 1);
     rig.step(10);
     assert_eq!((rig.status().axes[0].completed, rig.status().axes[0].gate), (0, InsertionStatus::Off));
-    rig.take(Request::Enable);
+    rig.take(RequestToRt::Enable);
     rig.step(10);
     assert_eq!(rig.status().axes[0].completed, 2);
 }
@@ -77,7 +77,7 @@ fn an_illegal_transition_holds_the_machine_and_needs_homing() {
     rig.card.inputs ^= 3;
     rig.looks(2);
     assert_eq!((rig.faults(), rig.card.outputs & HOLD), (vec![Fault::IllegalTransition], HOLD));
-    rig.take(Request::Clear);
+    rig.take(RequestToRt::Clear);
     rig.correct(2);
     assert_eq!((rig.refusals(), rig.status().axes[0].homed), (vec![Refusal::NotHomed], false));
     assert_eq!(rig.status().axes[0].gate, InsertionStatus::NotHomed);
@@ -89,15 +89,15 @@ fn a_card_that_fails_latches_and_says_so() {
     rig.card.broken = true;
     let error = rig.engine.poll(&mut rig.card, u64::MAX, &mut |_| true).unwrap_err();
     rig.engine.card_failed(error, &mut |_| true);
-    assert_eq!(rig.status().mode, Mode::Fault);
+    assert_eq!(rig.status().mode, CorrectorMode::Fault);
     assert_eq!(rig.status().faults.iter().collect::<Vec<_>>(), [Fault::Card]);
 }
 
 #[test]
 fn read_back_that_does_not_follow_is_latched() {
-    let config = AxisConfig { rest: RestPolicy::Insert { after_ns: 0 }, ..AxisConfig::default() };
+    let config = AxisConfig { rest: InsertionAtRestPolicy::Insert { after_ns: 0 }, ..AxisConfig::default() };
     let mut rig = Rig::wired_back(Bench::default(), config);
-    rig.take(Request::Correct { axis: 0, total_counts: 2, large: true });
+    rig.take(RequestToRt::Correct { axis: 0, total_counts: 2, large: true });
     rig.looks(40);
     assert_eq!(rig.faults(), [Fault::ReadBackMismatch]);
     assert!(rig.engine.at_rest(), "the pair is finished all the same: the MTC must not count mirrored");
@@ -154,7 +154,7 @@ fn an_insertion_cut_in_two_is_finished_by_the_next_engine_and_latched() {
         }
         let status = engine.status();
         assert!(engine.at_rest() && lines.inverters(card.outputs).is_multiple_of(3));
-        assert_eq!((status.mode, card.outputs & HOLD), (Mode::Fault, HOLD));
+        assert_eq!((status.mode, card.outputs & HOLD), (CorrectorMode::Fault, HOLD));
         assert_eq!(status.axes[0].faults.iter().collect::<Vec<_>>(), [Fault::Interrupted]);
         let offset = total + mtc.count() - (card.count - scale);
         assert_eq!((mtc.illegal(), offset), (0, status.axes[0].completed), "{start} {sign} {before}");
@@ -179,8 +179,9 @@ fn inverters_left_on_are_taken_over_and_the_next_insertion_turns_them_off() {
 
 #[test]
 fn what_the_card_finds_is_latched_where_it_belongs() {
-    let trouble =
-        |kind, lines| Some(Sample { trouble: Some(CardFault { kind, lines }), ..Sample::level(0, 0) });
+    let trouble = |kind, lines| {
+        Some(CardInputSample { trouble: Some(CardFault { kind, lines }), ..CardInputSample::level(0, 0) })
+    };
     for (kind, fault) in [
         (CardFaultKind::SequenceGap, Fault::SequenceGap),
         (CardFaultKind::QueueOverflow, Fault::QueueOverflow),
@@ -192,7 +193,7 @@ fn what_the_card_finds_is_latched_where_it_belongs() {
         rig.card.says = trouble(kind, 0b11);
         rig.looks(2);
         let status = rig.status();
-        assert_eq!((status.mode, status.axes[0].homed), (Mode::Fault, false), "{fault:?}");
+        assert_eq!((status.mode, status.axes[0].homed), (CorrectorMode::Fault, false), "{fault:?}");
         assert_eq!(status.axes[0].faults.iter().collect::<Vec<_>>(), [fault]);
         assert_eq!((rig.faults(), rig.card.outputs & HOLD), (vec![fault], HOLD));
         // On a line of no axis the fault is the machine's.
@@ -200,7 +201,7 @@ fn what_the_card_finds_is_latched_where_it_belongs() {
         rig.card.says = trouble(kind, PROBE);
         rig.looks(2);
         assert_eq!(rig.status().faults.iter().collect::<Vec<_>>(), [fault]);
-        assert_eq!((rig.status().axes[0].faults.any(), rig.status().mode), (false, Mode::Fault));
+        assert_eq!((rig.status().axes[0].faults.any(), rig.status().mode), (false, CorrectorMode::Fault));
     }
 }
 
@@ -229,7 +230,7 @@ fn latches_a_channel_that_does_not_take_its_turn() {
                 assert!(rig.faults().contains(&Fault::ChannelDead), "{channel} {counts} {:?}", rig.faults());
                 rig.alone(channel, 283, 250);
                 let (after, status) = (rig.status().axes[0], rig.status());
-                assert_eq!((status.mode, after.homed), (Mode::Fault, false));
+                assert_eq!((status.mode, after.homed), (CorrectorMode::Fault, false));
                 assert_eq!(after.completed, before.completed, "nothing is inserted beside a dead channel");
                 assert!(status.balanced());
                 assert_eq!(rig.card.outputs & HOLD, HOLD);

@@ -6,9 +6,9 @@ use super::*;
 fn the_probe_captures_between_two_edges_and_corrections_stand_still() {
     let mut rig = Rig::running(windowed());
     rig.step(10);
-    rig.take(Request::Probe(true));
+    rig.take(RequestToRt::Probe(true));
     rig.correct(2);
-    assert_eq!((rig.refusals(), rig.status().mode), (vec![Refusal::Probing], Mode::Probe));
+    assert_eq!((rig.refusals(), rig.status().mode), (vec![Refusal::Probing], CorrectorMode::Probe));
     // Looks are 100 ns and counts 10 µs apart. The probe trips after a quarter of a count.
     rig.card.count += 1;
     rig.card.inputs = rig.card.inputs & !3 | [0, 1, 3, 2][rig.card.count.rem_euclid(4) as usize];
@@ -33,7 +33,7 @@ fn the_probe_captures_between_two_edges_and_corrections_stand_still() {
 fn a_trip_before_the_axis_stops_is_reported_as_that() {
     let mut rig = Rig::running(windowed());
     rig.step(-3);
-    rig.take(Request::Probe(true));
+    rig.take(RequestToRt::Probe(true));
     rig.card.inputs |= PROBE;
     rig.looks(2);
     rig.card.t_ns += 200_000_000;
@@ -50,7 +50,7 @@ fn a_trip_seen_right_after_a_late_look_may_be_as_old_as_the_look_before_it() {
     for (late_ns, early_ns) in [(0, 100), (10_000_000, 10_000_200)] {
         let mut rig = Rig::running(windowed());
         rig.step(3);
-        rig.take(Request::Probe(true));
+        rig.take(RequestToRt::Probe(true));
         rig.looks(1000);
         rig.card.t_ns += late_ns;
         rig.looks(1);
@@ -74,7 +74,7 @@ fn an_axis_on_its_way_that_shows_no_change_after_a_late_look_may_have_gone_round
         rig.card.t_ns += late_ns;
         rig.looks(1);
         assert_eq!(rig.faults().contains(&Fault::PollGap), latched, "{late_ns} ns late");
-        assert_eq!(rig.status().mode == Mode::Fault, latched, "{late_ns} ns late");
+        assert_eq!(rig.status().mode == CorrectorMode::Fault, latched, "{late_ns} ns late");
     }
     // An axis that came to rest latches no fault.
     let mut rig = Rig::running(windowed());
@@ -93,7 +93,7 @@ struct Sleeper(Bench);
 impl Card for Sleeper {
     const SLEEPS: bool = true;
 
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         self.0.sample(wake_ns)
     }
 
@@ -121,11 +121,11 @@ fn a_polled_cards_latency_is_the_time_between_two_looks() {
     assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no look was before it");
     rig.looks(10);
     assert_eq!(found(&rig), (10, 100, 100));
-    rig.card.says = Some(Sample { waited_ns: 7000, ..Sample::level(0, 0) });
+    rig.card.says = Some(CardInputSample { waited_ns: 7000, ..CardInputSample::level(0, 0) });
     rig.looks(1);
     assert_eq!(found(&rig), (11, 100, 7100));
     // The age of a timestamped edge is another figure.
-    rig.card.says = Some(Sample::stamped(0, 0, Some(1)));
+    rig.card.says = Some(CardInputSample::stamped(0, 0, Some(1)));
     rig.looks(3);
     assert_eq!(found(&rig), (11, 100, 7100));
 }
@@ -141,7 +141,7 @@ fn a_sleeping_cards_latency_is_the_age_of_an_edge() {
     rig.looks(5);
     assert_eq!(rig.engine.timing().poll_gap_ns.snapshot().samples(), 0, "no edge, no age");
     let seen_ns = rig.card.0.t_ns + 100;
-    rig.card.0.says = Some(Sample::stamped(0, 0, Some(seen_ns - 42)));
+    rig.card.0.says = Some(CardInputSample::stamped(0, 0, Some(seen_ns - 42)));
     rig.looks(1);
     let gaps = rig.engine.timing().poll_gap_ns.snapshot();
     assert_eq!((gaps.samples(), gaps.min(), gaps.max()), (1, 42, 42));
@@ -171,7 +171,7 @@ fn nothing_is_written_while_a_further_change_is_known() {
     rig.step(3);
     let before = rig.card.writes;
     rig.correct(2);
-    rig.card.says = Some(Sample { more: true, ..Sample::level(0, 0) });
+    rig.card.says = Some(CardInputSample { more: true, ..CardInputSample::level(0, 0) });
     rig.step(1);
     assert_eq!(rig.card.writes, before);
     // The last queued change shows where the axis is. From then on the engine may act.
@@ -185,7 +185,7 @@ fn nothing_is_written_while_a_further_change_is_known() {
 fn a_card_that_counts_for_itself_may_be_looked_at_late() {
     let mut rig = Rig::running(windowed());
     rig.step(3);
-    rig.card.says = Some(Sample { complete: 0b11, ..Sample::level(0, 0) });
+    rig.card.says = Some(CardInputSample { complete: 0b11, ..CardInputSample::level(0, 0) });
     rig.card.t_ns += 1_000_000_000;
     rig.step(3);
     assert!(rig.faults().is_empty() && rig.status().balanced());
@@ -195,7 +195,7 @@ fn a_card_that_counts_for_itself_may_be_looked_at_late() {
 fn the_read_back_waits_for_levels_of_this_very_moment() {
     let mut rig = Rig::wired_back(Bench::default(), windowed());
     // A' and B' stay as they were, because the gate does not follow. That is unknown until they are read.
-    rig.card.says = Some(Sample { fresh: 0, ..Sample::level(0, 0) });
+    rig.card.says = Some(CardInputSample { fresh: 0, ..CardInputSample::level(0, 0) });
     rig.step(3);
     rig.correct(2);
     rig.step(2);
@@ -213,14 +213,14 @@ struct Following {
 }
 
 impl Card for Following {
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         let sample = self.bench.sample(wake_ns)?;
         let now = (self.bench.inputs ^ self.bench.outputs) & 0b11;
         if self.was.last().is_none_or(|(_, back)| *back != now) {
             self.was.push((sample.t_ns, now));
         }
         let back = self.was.iter().rev().find(|(t_ns, _)| t_ns + self.behind_ns <= sample.t_ns);
-        Ok(Sample { inputs: sample.inputs | back.map_or(0, |(_, back)| back << 2), ..sample })
+        Ok(CardInputSample { inputs: sample.inputs | back.map_or(0, |(_, back)| back << 2), ..sample })
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -241,7 +241,7 @@ fn a_read_back_that_follows_within_the_mtcs_separation_is_no_fault() {
         let mut rig = Rig::wired_back(card, AxisConfig::default());
         for n in 0..200_u64 {
             let total_counts = if n % 40 < 20 { 6 } else { -6 };
-            rig.take(Request::Correct { axis: 0, total_counts, large: true });
+            rig.take(RequestToRt::Correct { axis: 0, total_counts, large: true });
             rig.card.bench.inputs = [0, 1, 3, 2][n as usize % 4];
             // An edge every 5 µs, and ten looks a microsecond.
             rig.looks(50);
@@ -264,6 +264,6 @@ fn a_switch_is_seen_though_the_probe_trips_with_it() {
         rig.step(4);
         rig.card.inputs |= lines;
         rig.looks(1);
-        assert_eq!(rig.status().mode, Mode::Disabled, "{lines:#x}");
+        assert_eq!(rig.status().mode, CorrectorMode::Disabled, "{lines:#x}");
     }
 }

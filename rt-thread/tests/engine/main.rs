@@ -7,12 +7,15 @@ mod faults;
 mod looks;
 mod requests;
 
-use rtec_driver::card::{AxisLines, Card, CardError, CardFault, CardFaultKind, MachineLines, Sample};
+use rtec_driver::card::{
+    AxisLines, Card, CardError, CardFault, CardFaultKind, CardInputSample, MachineLines,
+};
 use rtec_driver::quadrature::Decoder;
-use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::axis::{AxisConfig, InsertionAtRestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
 use rtec_rt::link_messages::{
-    DisableReason, Event, EventKind, Fault, FeedHoldSource, InsertionStatus, Mode, Refusal, Request, Status,
+    CorrectorMode, CorrectorStatus, DisableReason, Event, EventKind, Fault, FeedHoldSource, InsertionStatus,
+    Refusal, RequestToRt,
 };
 
 const PROBE: u64 = 1 << 28;
@@ -31,17 +34,17 @@ struct Bench {
     count: i64,
     /// Sample that the next looks return, apart from the levels.
     /// Without it the `fresh` lines do not count.
-    says: Option<Sample>,
+    says: Option<CardInputSample>,
 }
 
 impl Card for Bench {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         self.t_ns += 100;
         if self.broken {
             return Err(CardError::Io { op: "reading the lines", errno: 19 });
         }
-        let level = Sample::level(self.t_ns, self.inputs);
-        Ok(self.says.map_or(level, |s| Sample { t_ns: self.t_ns, inputs: self.inputs, ..s }))
+        let level = CardInputSample::level(self.t_ns, self.inputs);
+        Ok(self.says.map_or(level, |s| CardInputSample { t_ns: self.t_ns, inputs: self.inputs, ..s }))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -76,7 +79,7 @@ impl<C: Card> Rig<C> {
         rig
     }
 
-    fn take(&mut self, request: Request) {
+    fn take(&mut self, request: RequestToRt) {
         let events = &mut self.events;
         let tell = &mut |e| {
             events.push(e);
@@ -86,7 +89,7 @@ impl<C: Card> Rig<C> {
     }
 
     fn correct(&mut self, total_counts: i64) {
-        self.take(Request::Correct { axis: 0, total_counts, large: false });
+        self.take(RequestToRt::Correct { axis: 0, total_counts, large: false });
     }
 
     fn looks(&mut self, n: usize) {
@@ -100,7 +103,7 @@ impl<C: Card> Rig<C> {
         }
     }
 
-    fn status(&self) -> Status {
+    fn status(&self) -> CorrectorStatus {
         self.engine.status()
     }
 
@@ -123,10 +126,10 @@ impl Rig {
     /// An axis homed and enabled.
     fn running(config: AxisConfig) -> Self {
         let mut rig = Self::with(config, true);
-        rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
-        rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
-        rig.take(Request::Enable);
-        assert_eq!(rig.status().mode, Mode::Run);
+        rig.take(RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true });
+        rig.take(RequestToRt::ConfirmHome { axis: 0, position_counts: 0 });
+        rig.take(RequestToRt::Enable);
+        assert_eq!(rig.status().mode, CorrectorMode::Run);
         rig.events.clear();
         rig
     }
@@ -160,7 +163,7 @@ impl Rig {
     fn moved(counts: i64, keeps_edges: bool) -> Self {
         let mut rig = Self::running(AxisConfig::default());
         if keeps_edges {
-            rig.card.says = Some(Sample { complete: 0b11, ..Sample::level(0, 0) });
+            rig.card.says = Some(CardInputSample { complete: 0b11, ..CardInputSample::level(0, 0) });
         }
         rig.step(counts);
         rig

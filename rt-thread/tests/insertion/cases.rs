@@ -6,7 +6,12 @@ use super::*;
 /// It covers 4 states, 2 directions, both signs of the insertion and both directions of the edge. Regular edges come at
 /// 100 and 200 µs. The total is requested at `ask_ns`, so that the insertion begins at `begin_ns`. Returns the overlaps
 /// that were worked out and the faults that were latched.
-fn an_edge_at_every_point(stamps: bool, rest: RestPolicy, ask_ns: u64, begin_ns: u64) -> (u64, Vec<Fault>) {
+fn an_edge_at_every_point(
+    stamps: bool,
+    rest: InsertionAtRestPolicy,
+    ask_ns: u64,
+    begin_ns: u64,
+) -> (u64, Vec<Fault>) {
     let mut worked_out = 0;
     let mut latched = Vec::new();
     for start in 0..4_i64 {
@@ -51,10 +56,10 @@ fn an_edge_at_every_point(stamps: bool, rest: RestPolicy, ask_ns: u64, begin_ns:
 
 #[test]
 fn a_real_edge_at_every_point_of_an_insertion_is_worked_out_where_its_order_is_certain() {
-    let (worked_out, latched) = an_edge_at_every_point(true, RestPolicy::Wait, 150_000, 200_500);
+    let (worked_out, latched) = an_edge_at_every_point(true, InsertionAtRestPolicy::Wait, 150_000, 200_500);
     assert!(worked_out > 500 && latched.is_empty(), "{worked_out} overlaps worked out");
     // Polled, from rest and within the axis's limits, two looks tell the order unless an inversion lies between them.
-    let rest = RestPolicy::Insert { after_ns: 400_000 };
+    let rest = InsertionAtRestPolicy::Insert { after_ns: 400_000 };
     let (worked_out, latched) = an_edge_at_every_point(false, rest, 250_000, 600_000);
     assert!(worked_out > 500, "{worked_out} overlaps worked out");
     assert!(
@@ -67,7 +72,7 @@ fn a_real_edge_at_every_point_of_an_insertion_is_worked_out_where_its_order_is_c
 /// Polled, an edge beyond the limits is latched, because it may hide two more.
 #[test]
 fn an_edge_inside_an_insertion_that_the_limits_forbid_is_latched() {
-    let (worked_out, latched) = an_edge_at_every_point(false, RestPolicy::Wait, 150_000, 200_500);
+    let (worked_out, latched) = an_edge_at_every_point(false, InsertionAtRestPolicy::Wait, 150_000, 200_500);
     assert_eq!(worked_out, 0);
     assert!(latched.contains(&Fault::BeyondLimits) && latched.len() > 1000, "{} latched", latched.len());
 }
@@ -100,7 +105,9 @@ fn a_remainder_smaller_than_one_increment_stays() {
 
 #[test]
 fn at_rest_the_policy_decides() {
-    for (rest, served) in [(RestPolicy::Wait, 0), (RestPolicy::Insert { after_ns: 10_000 }, 6)] {
+    for (rest, served) in
+        [(InsertionAtRestPolicy::Wait, 0), (InsertionAtRestPolicy::Insert { after_ns: 10_000 }, 6)]
+    {
         let config = AxisConfig { rest, ..AxisConfig::default() };
         let rig = Rig::new(vec![(10_000, 1)], 0, Steady(30), false);
         let (seen, status, _) = run(config, rig, &[(20_000, 6)]);

@@ -7,10 +7,10 @@
 mod cases;
 
 use proptest::prelude::*;
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
-use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_rt::axis::{AxisConfig, InsertionAtRestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::{Event, EventKind, Fault, Request, Status};
+use rtec_rt::link_messages::{CorrectorStatus, Event, EventKind, Fault, RequestToRt};
 use std::collections::VecDeque;
 use test_needs::motion::Motion;
 
@@ -92,7 +92,7 @@ impl<P: Computer> Rig<P> {
 }
 
 impl<P: Computer> Card for Rig<P> {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         // The recording ends between two insertions, some time after the last edge.
         let equal = self.flying.is_none() && matches!(self.outputs & 3, 0 | 3);
         if equal
@@ -112,13 +112,13 @@ impl<P: Computer> Card for Rig<P> {
             let edge = self.untold.pop_front();
             self.told = edge.map_or(self.told, |e| e.1);
             let (a, b) = state_at(self.told);
-            return Ok(Sample::stamped(self.t_ns, u64::from(a | b << 1), edge.map(|e| e.0)));
+            return Ok(CardInputSample::stamped(self.t_ns, u64::from(a | b << 1), edge.map(|e| e.0)));
         }
         // The lines are read some time before the end of the look.
         self.run_to(t - gap / 4);
         let (a, b) = state_at(self.scale);
         self.t_ns = t;
-        Ok(Sample::level(t, u64::from(a | b << 1)))
+        Ok(CardInputSample::level(t, u64::from(a | b << 1)))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -186,7 +186,7 @@ fn run<P: Computer>(
     config: AxisConfig,
     mut rig: Rig<P>,
     totals: &[(u64, i64)],
-) -> (Seen, Status, Vec<EventKind>) {
+) -> (Seen, CorrectorStatus, Vec<EventKind>) {
     let mut events = Vec::new();
     let mut tell = |e: Event| {
         events.push(e.kind);
@@ -201,7 +201,7 @@ fn run<P: Computer>(
         while let Some(&&(_, total_counts)) = totals.peek().filter(|t| t.0 <= engine.now_ns()) {
             totals.next();
             engine
-                .take(Request::Correct { axis: 0, total_counts, large: true }, &mut rig, &mut tell)
+                .take(RequestToRt::Correct { axis: 0, total_counts, large: true }, &mut rig, &mut tell)
                 .unwrap();
         }
     }
@@ -273,7 +273,7 @@ fn totals() -> impl Strategy<Value = Vec<(u64, i64)>> {
 }
 
 /// Checks ledger, legality and separation, which hold whenever the gate is right.
-fn assert_kept(seen: &Seen, status: &Status, separation_ns: u64) {
+fn assert_kept(seen: &Seen, status: &CorrectorStatus, separation_ns: u64) {
     let axis = &status.axes[0];
     assert!(!axis.faults.any(), "{axis:?}");
     assert_eq!(seen.illegal, 0);
@@ -319,7 +319,7 @@ proptest! {
     ) {
         let mut t = 1000;
         let edges: Vec<_> = times.iter().map(|&(dt, up)| { t += dt; (t, if up { 1 } else { -1 }) }).collect();
-        let rest = if insert_at_rest { RestPolicy::Insert { after_ns: 2000 } } else { RestPolicy::Wait };
+        let rest = if insert_at_rest { InsertionAtRestPolicy::Insert { after_ns: 2000 } } else { InsertionAtRestPolicy::Wait };
         let config = AxisConfig { rest, ..AxisConfig::default() };
         let totals: Vec<_> = totals.iter().map(|&(t, n)| (t / 100, n)).collect();
         let rig = Rig::new(edges, 0, Jittery { choices, at: 0, max_gap_ns }, stamps);

@@ -134,9 +134,9 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
     }
     assert!(!rig.engine.at_rest());
     for request in [
-        Request::Home { axis: 0, position_counts: 7, controller_homed: true },
-        Request::Enable,
-        Request::Shadow,
+        RequestToRt::Home { axis: 0, position_counts: 7, controller_homed: true },
+        RequestToRt::Enable,
+        RequestToRt::Shadow,
     ] {
         rig.take(request);
     }
@@ -144,9 +144,9 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
     assert_eq!(rig.events.iter().map(|e| e.axis).collect::<Vec<_>>(), [Some(0), None, None]);
     rig.looks(20_000);
     assert!(rig.engine.at_rest());
-    rig.take(Request::Home { axis: 0, position_counts: 7, controller_homed: true });
+    rig.take(RequestToRt::Home { axis: 0, position_counts: 7, controller_homed: true });
     assert_eq!(rig.engine.status().axes[0].position_counts, 7);
-    rig.take(Request::ConfirmHome { axis: 0, position_counts: 8 });
+    rig.take(RequestToRt::ConfirmHome { axis: 0, position_counts: 8 });
     assert_eq!((rig.refusals()[3], rig.events.last().unwrap().axis), (Refusal::NotHomed, Some(0)));
 }
 
@@ -154,18 +154,18 @@ fn in_the_middle_of_an_insertion_nothing_is_homed_or_armed() {
 /// Only shadow mode refuses while its copy is in the middle of an insertion.
 #[test]
 fn corrections_are_switched_off_at_any_moment_but_for_the_middle_of_a_shadowed_insertion() {
-    for (mode, refused) in [(Request::Enable, vec![]), (Request::Shadow, vec![Refusal::Busy])] {
+    for (mode, refused) in [(RequestToRt::Enable, vec![]), (RequestToRt::Shadow, vec![Refusal::Busy])] {
         let mut rig = Rig::new(&[one(resting(5000))], Hand::default());
         rig.take(mode);
         rig.correct(2);
         while rig.engine.at_rest() {
             rig.look(rig.card.t_ns + 10);
         }
-        rig.take(Request::Disable);
+        rig.take(RequestToRt::Disable);
         assert_eq!(rig.refusals(), refused, "{mode:?}");
         rig.looks(20_000);
-        rig.take(Request::Disable);
-        assert_eq!((rig.refusals(), rig.engine.mode()), (refused, Mode::Disabled));
+        rig.take(RequestToRt::Disable);
+        assert_eq!((rig.refusals(), rig.engine.mode()), (refused, CorrectorMode::Disabled));
         assert!(rig.engine.at_rest() && rig.engine.status().balanced());
     }
 }

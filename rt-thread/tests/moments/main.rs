@@ -9,12 +9,14 @@ mod inside;
 mod states;
 mod times;
 
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
 use rtec_driver::quadrature::{Decoder, Signal, State};
-use rtec_rt::axis::{AxisConfig, RestPolicy};
+use rtec_rt::axis::{AxisConfig, InsertionAtRestPolicy};
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::journal::{AxisStateRecord, Journal};
-use rtec_rt::link_messages::{Event, EventKind, Fault, Faults, InsertionStatus, Mode, Refusal, Request};
+use rtec_rt::link_messages::{
+    CorrectorMode, Event, EventKind, Fault, FaultSet, InsertionStatus, Refusal, RequestToRt,
+};
 use std::path::PathBuf;
 
 const PROBE: u64 = 1 << 28;
@@ -41,12 +43,12 @@ struct Hand {
 }
 
 impl Card for Hand {
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         self.wake_ns = wake_ns;
-        Ok(Sample {
+        Ok(CardInputSample {
             edge_ns: self.stamp.take(),
             complete: self.complete,
-            ..Sample::level(self.t_ns, self.inputs)
+            ..CardInputSample::level(self.t_ns, self.inputs)
         })
     }
 
@@ -87,7 +89,7 @@ impl Rig {
         Self::new(&[AxisConfig { max_accel_counts_s2: 0.0, ..one(config) }], card)
     }
 
-    fn take(&mut self, request: Request) {
+    fn take(&mut self, request: RequestToRt) {
         let Self { engine, card, events, keep } = self;
         let report = &mut |e| {
             events.push(e);
@@ -97,7 +99,7 @@ impl Rig {
     }
 
     fn correct(&mut self, total_counts: i64) {
-        self.take(Request::Correct { axis: 0, total_counts, large: false });
+        self.take(RequestToRt::Correct { axis: 0, total_counts, large: false });
     }
 
     fn look(&mut self, t_ns: u64) {
@@ -163,5 +165,5 @@ fn stamping() -> Hand {
 }
 
 fn resting(after_ns: u64) -> AxisConfig {
-    AxisConfig { rest: RestPolicy::Insert { after_ns }, ..AxisConfig::default() }
+    AxisConfig { rest: InsertionAtRestPolicy::Insert { after_ns }, ..AxisConfig::default() }
 }

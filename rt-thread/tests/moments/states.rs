@@ -76,7 +76,7 @@ fn what_is_found_outside_the_loop_is_latched_for_its_axis_or_for_the_machine() {
         }
         let status = rig.engine.status();
         let faults = if axis.is_some() { status.axes[0].faults } else { status.faults };
-        assert_eq!((status.mode, rig.faults()), (Mode::Fault, vec![Fault::RecordLost]), "told once");
+        assert_eq!((status.mode, rig.faults()), (CorrectorMode::Fault, vec![Fault::RecordLost]), "told once");
         assert_eq!(faults.iter().collect::<Vec<_>>(), [Fault::RecordLost]);
         assert_eq!((rig.events[0].axis, status.axes[0].homed), (axis, axis.is_none()));
     }
@@ -106,7 +106,7 @@ fn shadow_mode_leaves_what_is_in_effect_as_it_was() {
     edges(&mut rig, 5);
     assert_eq!(rig.engine.status().axes[0].completed, 4);
     let writes = rig.card.writes.len();
-    rig.take(Request::Shadow);
+    rig.take(RequestToRt::Shadow);
     rig.correct(6);
     for n in 1..=5 {
         edges(&mut rig, 1);
@@ -114,7 +114,7 @@ fn shadow_mode_leaves_what_is_in_effect_as_it_was() {
         assert_eq!((axis.in_effect, axis.mtc_minus_scale), (4, 4), "after {n} edges: {axis:?}");
     }
     assert_eq!((rig.engine.status().axes[0].completed, rig.card.writes.len()), (6, writes));
-    rig.take(Request::Enable);
+    rig.take(RequestToRt::Enable);
     let axis = rig.engine.status().axes[0];
     assert_eq!((axis.completed, axis.mtc_minus_scale, axis.requested), (4, 4, 6));
     edges(&mut rig, 3);
@@ -147,9 +147,9 @@ fn a_cleared_axis_corrects_at_its_next_edge() {
         rig.stamped(true, 10_000 * n);
         rig.looks(10_000 * n + 2000);
     }
-    rig.take(Request::Clear);
-    rig.take(Request::Enable);
-    assert_eq!((rig.card.writes.len(), rig.engine.mode()), (0, Mode::Run));
+    rig.take(RequestToRt::Clear);
+    rig.take(RequestToRt::Enable);
+    assert_eq!((rig.card.writes.len(), rig.engine.mode()), (0, CorrectorMode::Run));
     rig.stamped(true, 50_000);
     rig.looks(52_000);
     assert_eq!(rig.written(50_000), [500, 1020]);
@@ -175,7 +175,7 @@ fn every_axis_is_told_of_its_own_writes_alone() {
     let mut rig =
         Rig::new(&[config(0, 5000), config(1, 5300)], Hand { tells_ns: Some(20), ..Hand::default() });
     for axis in [0, 1] {
-        rig.take(Request::Correct { axis, total_counts: 2, large: false });
+        rig.take(RequestToRt::Correct { axis, total_counts: 2, large: false });
     }
     rig.looks(9000);
     let (a, b) = (6000, 6300);
@@ -187,7 +187,7 @@ fn every_axis_is_told_of_its_own_writes_alone() {
     // the last.
     let mut rig = Rig::new(&[config(0, 5000), config(1, 5010)], stamping());
     for axis in [0, 1] {
-        rig.take(Request::Correct { axis, total_counts: 2, large: false });
+        rig.take(RequestToRt::Correct { axis, total_counts: 2, large: false });
     }
     rig.looks(6020);
     assert_eq!(rig.written(0), [6000, 6010]);
@@ -197,7 +197,7 @@ fn every_axis_is_told_of_its_own_writes_alone() {
     // Two axes due at once get one write.
     let mut rig = Rig::new(&[config(0, 5000), config(1, 5000)], Hand::default());
     for axis in [0, 1] {
-        rig.take(Request::Correct { axis, total_counts: -2, large: false });
+        rig.take(RequestToRt::Correct { axis, total_counts: -2, large: false });
     }
     rig.looks(9000);
     assert_eq!(rig.card.writes, [(a, 0b1010), (a + 510, 0b1111)]);
@@ -224,10 +224,10 @@ fn arming_waits_for_the_real_time_set_up() {
     let machine = MachineConfig { lines: MachineLines::standard(), may_arm: false };
     let mut engine = Engine::new(&mut card, &[one(AxisConfig::default())], machine, &[]).unwrap();
     engine.start_homed(&mut card, &mut |_| true).unwrap();
-    assert_eq!(engine.mode(), Mode::Disabled);
+    assert_eq!(engine.mode(), CorrectorMode::Disabled);
     engine.set_may_arm(true);
-    engine.take(Request::Enable, &mut card, &mut |_| true).unwrap();
-    assert_eq!(engine.mode(), Mode::Run);
+    engine.take(RequestToRt::Enable, &mut card, &mut |_| true).unwrap();
+    assert_eq!(engine.mode(), CorrectorMode::Run);
 }
 
 /// The state file at each write holds the state after that write.
@@ -246,7 +246,7 @@ fn everything_is_noted_before_it_is_made() {
         Journal::open(&copy, "moments").unwrap().1.records[0][0]
     };
     let record = |inverters, completed, fault: Option<Fault>| {
-        let mut faults = Faults::NONE;
+        let mut faults = FaultSet::NONE;
         fault.map(|f| faults.latch(f));
         Some(AxisStateRecord { inverters, completed, faults, mtc_known: fault.is_none() })
     };
@@ -257,9 +257,9 @@ fn everything_is_noted_before_it_is_made() {
     let noted: Vec<_> = rig.card.noted.iter().map(|bytes| found(bytes)).collect();
     assert_eq!(noted, [record(1, 1, None), record(3, 2, None)]);
     // After homing, the total in effect is zero.
-    rig.take(Request::Home { axis: 0, position_counts: 0, controller_homed: true });
+    rig.take(RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true });
     assert_eq!(now(), record(3, 0, None));
-    rig.take(Request::ConfirmHome { axis: 0, position_counts: 0 });
+    rig.take(RequestToRt::ConfirmHome { axis: 0, position_counts: 0 });
     // A look so late that counts may have passed.
     for n in 1..=3 {
         rig.looks(10_000 + 10_000 * n - 10);

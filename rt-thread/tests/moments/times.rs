@@ -29,10 +29,10 @@ fn an_insertion_begins_within_the_promise_of_its_gate_and_at_no_other_time() {
 #[test]
 fn what_an_opened_insertion_was_for_may_be_taken_back() {
     for (instead, written) in [
-        (Request::Correct { axis: 0, total_counts: 4, large: false }, 1),
-        (Request::Correct { axis: 0, total_counts: -2, large: false }, 0),
-        (Request::Correct { axis: 0, total_counts: 0, large: false }, 0),
-        (Request::Disable, 0),
+        (RequestToRt::Correct { axis: 0, total_counts: 4, large: false }, 1),
+        (RequestToRt::Correct { axis: 0, total_counts: -2, large: false }, 0),
+        (RequestToRt::Correct { axis: 0, total_counts: 0, large: false }, 0),
+        (RequestToRt::Disable, 0),
     ] {
         let mut rig = Rig::steady(AxisConfig::default(), stamping());
         rig.stamped(true, 10_000);
@@ -178,7 +178,7 @@ fn a_look_after_an_inversion_that_is_late_enough_for_a_turn_is_latched() {
 #[test]
 fn a_capture_that_finds_no_edge_is_complete_a_tenth_of_a_second_after_the_trip() {
     let mut rig = Rig::new(&[one(AxisConfig::default())], Hand::default());
-    rig.take(Request::Probe(true));
+    rig.take(RequestToRt::Probe(true));
     rig.events.clear();
     rig.card.inputs |= PROBE;
     rig.look(5000);
@@ -242,7 +242,7 @@ fn at_rest_an_insertion_begins_after_the_quiet_time_where_one_is_asked_for() {
     rig.engine.set_control_stale(false, &mut |_| true);
     rig.look(20_010);
     assert_eq!(rig.card.writes.len(), 0);
-    rig.take(Request::Enable);
+    rig.take(RequestToRt::Enable);
     rig.look(20_020);
     assert_eq!(rig.card.writes.len(), 1);
 }

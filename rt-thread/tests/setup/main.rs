@@ -4,7 +4,9 @@
 mod applied;
 mod cases;
 
-use rtec_rt::setup::{OsError, RtSettings, SetupFinding, SetupReport, SystemRoot, apply, move_off_cpu};
+use rtec_rt::realtime_setup::{
+    OsError, RtSettings, SetupFinding, SetupReport, SystemRoot, apply, move_off_cpu,
+};
 use std::fs;
 use std::path::Path;
 

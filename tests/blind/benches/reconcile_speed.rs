@@ -8,7 +8,7 @@ use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_blind::baseline;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, reconcile};
+use rtec_reconcile::{ReconciliationOptions, reconcile};
 use std::path::Path;
 use std::time::Instant;
 
@@ -96,7 +96,7 @@ fn main() -> anyhow::Result<()> {
     let machine = Machine::ideal("bench");
     let channels = record.columns.len() - 1;
     let (answer, ours, our_cpu) =
-        timed(|| reconcile(std::slice::from_ref(&record), &[], &machine, &Options::default()))?;
+        timed(|| reconcile(std::slice::from_ref(&record), &[], &machine, &ReconciliationOptions::default()))?;
     let answer = answer?;
     let names: Vec<String> = answer.effects.iter().map(|(f, _)| f.effect.name()).collect();
     println!("{rows} rows, {channels} channels: {} {names:?}", answer.verdict);

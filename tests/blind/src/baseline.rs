@@ -4,7 +4,7 @@
 //! same dictionary and a grid of non-linear parameters, and refit the parameters of the model.
 
 use crate::linear::{Basis, dot, length};
-use rtec_model::effect::{Dictionary, Effect, ParameterSearch, ThermalDependence};
+use rtec_model::effect::{Dictionary, Effect, ParameterFitMethod, ThermalDependence};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 
@@ -81,7 +81,7 @@ fn grid(records: &[Record], effect: &Effect) -> Vec<Effect> {
 fn searched_by(effect: &Effect) -> Vec<&str> {
     let parameters = effect.description().parameters.iter();
     parameters
-        .filter(|p| matches!(p.search, ParameterSearch::Smooth | ParameterSearch::Chosen))
+        .filter(|p| matches!(p.search, ParameterFitMethod::Smooth | ParameterFitMethod::Chosen))
         .map(|p| p.name.as_str())
         .collect()
 }

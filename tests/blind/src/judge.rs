@@ -27,7 +27,7 @@ pub struct Verdict {
 }
 
 fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Record>> {
-    Ok(paths.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?)
+    Ok(paths.iter().map(|p| rtec_measure::run_record_files::read(p)).collect::<Result<Vec<_>, _>>()?)
 }
 
 fn text(v: &Value) -> String {
@@ -52,7 +52,12 @@ pub fn judge(case: &Case) -> anyhow::Result<Verdict> {
     let (train, holdout) = (read(&case.train)?, read(&case.holdout)?);
     let machine = Machine::read(&case.model)?;
     let start = cpu_s();
-    let r = rtec_reconcile::reconcile(&train, &holdout, &machine, &rtec_reconcile::Options::default())?;
+    let r = rtec_reconcile::reconcile(
+        &train,
+        &holdout,
+        &machine,
+        &rtec_reconcile::ReconciliationOptions::default(),
+    )?;
     let (document, text_of_model) = (r.to_json(), r.model.to_text());
     let cpu_s = cpu_s() - start;
     let effects = list(&document["effects"])

@@ -79,8 +79,11 @@ pub fn outcome(class: Class, seed: u64, manner: Manner, baselines: bool) -> anyh
         counts[0] = count(s, told, &v.reply);
     }
     if baselines && refused.is_none() {
-        let train =
-            case.train.iter().map(|p| rtec_measure::record::read(p)).collect::<Result<Vec<_>, _>>()?;
+        let train = case
+            .train
+            .iter()
+            .map(|p| rtec_measure::run_record_files::read(p))
+            .collect::<Result<Vec<_>, _>>()?;
         let machine = Machine::read(&case.model)?;
         for (k, way) in [baseline::forward_bic, baseline::lasso].iter().enumerate() {
             let names = way(&train, &machine);

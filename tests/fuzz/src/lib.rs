@@ -58,7 +58,7 @@ pub fn text(data: &[u8]) -> Option<String> {
         plant(data, kind);
         return None;
     }
-    checked(rtec_files::text::decode(Path::new(NAME), data))
+    checked(rtec_files::text_file::decode(Path::new(NAME), data))
 }
 
 /// An input of several files, separated by lines of `%%`; missing ones are empty.

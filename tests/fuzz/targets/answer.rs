@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_control::client::read_answer;
+use rtec_control::daemon_client::read_answer;
 
 fuzz_target!(|data: &[u8]| {
     let Some(_) = rtec_fuzz::text(data) else { return };

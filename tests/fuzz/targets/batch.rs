@@ -6,7 +6,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use rtec_files::{CsvTable, csv};
-use rtec_part::batch::{BatchEvaluation, SignificanceLimits, evaluate_text};
+use rtec_part::batch_evaluation::{BatchEvaluation, SignificanceLimits, evaluate_text};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -34,7 +34,7 @@ fuzz_target!(|data: &[u8]| {
     });
     assert_eq!(format!("{same:?}"), format!("{batch:?}"));
     let means = |batch: &BatchEvaluation, sign: f64| -> Vec<_> {
-        let of = |p: &rtec_part::batch::PlaceStatistics| {
+        let of = |p: &rtec_part::batch_evaluation::PlaceStatistics| {
             let of_sign = |[low, high]: [f64; 2]| if sign < 0.0 { [-high, -low] } else { [low, high] };
             let interval = p.interval_um.map(of_sign);
             (

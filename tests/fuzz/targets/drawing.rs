@@ -2,11 +2,12 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_part::drawing::{self, DxfOptions};
+use rtec_part::contour_from_dxf::{self, DxfOptions};
 
 fuzz_target!(|data: &[u8]| {
     let file = rtec_fuzz::put("a.dxf", data);
-    let Some((contour, unit)) = rtec_fuzz::checked(drawing::read(&file, &DxfOptions::default())) else {
+    let Some((contour, unit)) = rtec_fuzz::checked(contour_from_dxf::read(&file, &DxfOptions::default()))
+    else {
         return;
     };
     assert!(unit.0 > 0.0 && unit.0.is_finite());

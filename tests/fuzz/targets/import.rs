@@ -2,9 +2,9 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_measure::export::linuxcnc::Unit;
+use rtec_measure::compensation_export::linuxcnc::LinuxcncLinearUnit;
 use rtec_measure::import::{self, ImportColumn, Sampling, TableSyntax, UserTableFormat};
-use rtec_measure::record;
+use rtec_measure::run_record_files;
 use rtec_model::record::{Axis, RunKind};
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fuzz_target!(|data: &[u8]| {
         b"etalon\n" => import::etalon(file, &text, &axis, to),
         b"ecmc\n" => import::ecmc_dat(file, &text, &axis, to),
         b"cmm\n" => import::cmm_plate(file, &text, to),
-        b"linuxcnc\n" => import::linuxcnc_comp(file, &text, &axis, false, Unit::Mm, to),
+        b"linuxcnc\n" => import::linuxcnc_comp(file, &text, &axis, false, LinuxcncLinearUnit::Mm, to),
         b"halsampler\n" => {
             let sampling = Sampling { period_s: 0.001, numbered: true };
             let wanted = wanted(&["1=position.x", "2=error.x:mm"]);
@@ -53,8 +53,8 @@ fuzz_target!(|data: &[u8]| {
     let Some(mut read) = rtec_fuzz::checked(read) else { return };
     let path = rtec_fuzz::put("to.run.toml", b"");
     (read.path, read.file) = (path, "to.csv".to_owned());
-    record::write(&mut read).expect("the folder can be written to");
-    let again = record::read_log(&read.path).expect("what is written is read");
+    run_record_files::write(&mut read).expect("the folder can be written to");
+    let again = run_record_files::read_log(&read.path).expect("what is written is read");
     assert_eq!(again.columns, read.columns);
     assert_eq!((again.note, again.kind), (read.note, read.kind));
 });

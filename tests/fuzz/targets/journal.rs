@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use rtec_rt::journal::{AxisStateRecord, Journal, HoldAndFaultsRecord};
-use rtec_rt::link_messages::{Faults, FeedHoldSource, MAX_AXES};
+use rtec_rt::journal::{AxisStateRecord, HoldAndFaultsRecord, Journal};
+use rtec_rt::link_messages::{FaultSet, FeedHoldSource, MAX_AXES};
 
 const OURS: &str = "machine \"fuzz\"";
 
@@ -24,12 +24,15 @@ fuzz_target!(|data: &[u8]| {
     let noted = [(1, 4), (3, 6)].map(|(inverters, completed)| AxisStateRecord {
         inverters,
         completed,
-        faults: Faults::NONE,
+        faults: FaultSet::NONE,
         mtc_known: completed > 4,
     });
     noted.iter().for_each(|record| journal.record(2, *record, 1000));
-    let machine =
-        HoldAndFaultsRecord { held: Some(FeedHoldSource::User(1)), hold_output: true, faults: Faults::NONE };
+    let machine = HoldAndFaultsRecord {
+        held: Some(FeedHoldSource::User(1)),
+        hold_output: true,
+        faults: FaultSet::NONE,
+    };
     journal.record_machine(machine, 1000);
     journal.place().expect("it is there already");
     drop(journal);

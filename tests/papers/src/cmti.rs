@@ -4,10 +4,10 @@ use crate::ecc_board::{Board, Order, run as run_board};
 use crate::rows::Agreement::{Share, Within};
 use crate::rows::{Rows, shown};
 use crate::{PaperError, Progress};
-use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::ecc::{MAX_PULSES, PllLimits};
+use rtec_sim::error_correction_circuit::{MAX_PULSES, PllFrequencyLimits};
+use rtec_sim::insertion_design_bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use serde::Deserialize;
 
 /// The machine as its file describes it.
@@ -19,7 +19,7 @@ struct Circuit {
     fastest_m_min: f64,
     shown_pulses: u8,
     shown_encoder_hz: f64,
-    pll: PllLimits,
+    pll: PllFrequencyLimits,
 }
 
 impl Circuit {

@@ -2,12 +2,14 @@
 //! X/Z selects the axis, S1 and S0 give the operation, and four bits give its number. A short acknowledgement
 //! ends it (CMTI 2014, section 2).
 
-use rtec_driver::card::{AxisLines, Card, CardError, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample};
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_sim::bench::Edge;
 use rtec_sim::corrected_axis::{CorrectedAxis, MtcDecoder};
-use rtec_sim::ecc::{BeyondFourBits, ControlLines, Ecc, PllLimits};
-use rtec_sim::insertion_designs::trace;
+use rtec_sim::error_correction_circuit::{
+    EccControlLines, ErrorCorrectionCircuitAxis, PllFrequencyLimits, PulseCountTooLarge,
+};
+use rtec_sim::insertion_design_bench::Edge;
+use rtec_sim::insertion_design_comparison::trace;
 use std::fmt::Write as _;
 
 /// A compensation that the embedded controller requests, one after another.
@@ -71,7 +73,7 @@ impl Wires<'_> {
 }
 
 impl Card for Wires<'_> {
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         let edge = self.edges.get(self.next).copied().filter(|e| e.0 <= wake_ns);
         let mut edge_ns = None;
         if let Some((t_ns, step)) = edge {
@@ -84,7 +86,7 @@ impl Card for Wires<'_> {
         } else {
             self.t_ns = self.t_ns.max(wake_ns);
         }
-        Ok(Sample::stamped(self.t_ns, u64::from(self.scale.state().bits()), edge_ns))
+        Ok(CardInputSample::stamped(self.t_ns, u64::from(self.scale.state().bits()), edge_ns))
     }
 
     fn write(&mut self, _mask: u64, value: u64) -> Result<Option<u64>, CardError> {
@@ -110,7 +112,7 @@ pub enum BoardError {
     Card(#[from] CardError),
     /// An order has too large a value.
     #[error(transparent)]
-    Order(#[from] BeyondFourBits),
+    Order(#[from] PulseCountTooLarge),
 }
 
 /// Time between two steps of the controller's program, ns.
@@ -122,7 +124,7 @@ const STEP_NS: u64 = 1000;
 /// # Errors
 /// An order of more than four bits; these wires never fail.
 pub fn run(
-    pll: PllLimits,
+    pll: PllFrequencyLimits,
     edges: [&[Edge]; 2],
     orders: &[Order],
     (from_ns, idle_ns): (u64, u64),
@@ -139,7 +141,8 @@ pub fn run(
         changes: Vec::new(),
     });
     let [x, z] = &mut wires;
-    let mut circuits = [Ecc::new(pll, seed, x)?, Ecc::new(pll, seed + 1, z)?];
+    let mut circuits =
+        [ErrorCorrectionCircuitAxis::new(pll, seed, x)?, ErrorCorrectionCircuitAxis::new(pll, seed + 1, z)?];
     for circuit in &mut circuits {
         circuit.set_lines(false, false, 0)?;
     }
@@ -186,7 +189,7 @@ pub fn run(
         board.worst_phase_mdeg = board.worst_phase_mdeg.max((circuit.worst_phase_deg() * 1e3) as u64);
         board.changes.append(&mut wires.changes);
         // One set of lines: to the selected axis, and its answer.
-        let mut was = ControlLines::default();
+        let mut was = EccControlLines::default();
         for (t_ns, is) in circuit.lines_log() {
             for (name, was, is) in [("s1", was.s1, is.s1), ("s0", was.s0, is.s0), ("ack", was.ack, is.ack)] {
                 if was != is {

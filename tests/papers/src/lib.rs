@@ -29,10 +29,10 @@ pub use spread::Spread;
 use rows::Rows;
 use rtec_files::InputError;
 use rtec_sim::compensation_experiments::ExperimentError;
+use rtec_sim::corrected_machine_sim::SimError;
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::replay::ReplayError;
-use rtec_sim::sim::SimError;
-use rtec_sim::turning::TurningError;
+use rtec_sim::engine_replay::ReplayError;
+use rtec_sim::turning_experiment::TurningExperimentError;
 use serde::Serialize;
 
 /// A source.
@@ -85,7 +85,7 @@ pub enum PaperError {
     Sim(#[from] SimError),
     /// The simulated lathe stopped.
     #[error(transparent)]
-    Turning(#[from] TurningError),
+    Turning(#[from] TurningExperimentError),
     /// A recording could not be played.
     #[error(transparent)]
     Replay(#[from] ReplayError<InputError>),

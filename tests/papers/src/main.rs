@@ -7,8 +7,8 @@ use clap::Parser as _;
 use rtec_files::InputError;
 use rtec_papers::{Compared, PAPERS, Paper, PaperError, Row, Spread, Verdict};
 use rtec_sim::compensation_experiments::ExperimentError;
+use rtec_sim::corrected_machine_sim::SimError;
 use rtec_sim::described_machines::{FILES, MachineDescriptions};
-use rtec_sim::sim::SimError;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -94,7 +94,7 @@ fn write_all<'t>(folder: &Path, files: impl Iterator<Item = (&'t str, &'t str)>)
     std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
     for (name, text) in files {
         let file = folder.join(name);
-        rtec_files::write::write_atomically(&file, text.as_bytes())
+        rtec_files::atomic_write::write_atomically(&file, text.as_bytes())
             .with_context(|| format!("writing {}", file.display()))?;
         eprintln!("rtec-papers: wrote {}", file.display());
     }

@@ -4,19 +4,19 @@ use crate::rows::Agreement::{AtLeast, AtMost, Share, Within};
 use crate::rows::Rows;
 use crate::{PaperError, Progress};
 use rtec_model::machine::Machine;
+use rtec_part::arc_finish_cut_table::ArcFinishCutTable;
 use rtec_part::contour::nose;
 use rtec_part::error_cor_file::PointError;
-use rtec_part::finish_table::ArcFinishTable;
 use rtec_part::geometric_fit::Zx;
 use rtec_part::part_errors::{MAGNIFICATION, PartErrorReport};
-use rtec_part::probe_path::{PathRole, ProbeGeometry, ProbingMotion, ProbingPlan};
-use rtec_part::probing_program::{DialectWithTemplate, Parameters};
+use rtec_part::probe_path::{PathPointRole, ProbeGeometry, ProbingMotion, ProbingPlan};
+use rtec_part::probing_program::{DialectWithTemplate, VariableValues};
 use rtec_sim::axis::AxisSpec;
+use rtec_sim::corrected_machine_sim::{CorrectedMachineSim, MachineSpec};
 use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::lathe::{self, LatheSpec};
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSpec, Sim};
-use rtec_sim::turning::{TurningExperiment, TurningOutcome};
+use rtec_sim::turning_experiment::{TurningExperimentInputs, TurningExperimentResult};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -49,8 +49,8 @@ impl Lathe {
         Ok(lathe)
     }
 
-    fn setup(&self, seed: u64) -> TurningExperiment {
-        TurningExperiment {
+    fn setup(&self, seed: u64) -> TurningExperimentInputs {
+        TurningExperimentInputs {
             design: self.design.clone(),
             radius_mm: self.radius_mm,
             allowance_mm: self.allowance_mm,
@@ -67,7 +67,7 @@ impl Lathe {
             lead_s: self.bench.control_ms * 1e-3 + 1.0 / self.bench.gain,
             bench: self.bench.clone(),
             seed,
-            ..TurningExperiment::default()
+            ..TurningExperimentInputs::default()
         }
     }
 }
@@ -117,7 +117,13 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
         backlash_um: 0.0,
         ..AxisSpec::new("z", lathe.longest_axis_mm)
     };
-    let mut sim = Sim::new(&MachineSpec::new(vec![axis]), &Machine::ideal("axis"), None, [0.0; 3], seed)?;
+    let mut sim = CorrectedMachineSim::new(
+        &MachineSpec::new(vec![axis]),
+        &Machine::ideal("axis"),
+        None,
+        [0.0; 3],
+        seed,
+    )?;
     let v_mm_s = lathe.probing_mm_min / 60.0;
     sim.machine.load([Block::Feed { to: [0.0, 0.0, off + over], feed_mm_s: v_mm_s }]);
     let mut constant_mm = 0.0;
@@ -136,7 +142,7 @@ fn gauging(rows: &mut Rows, lathe: &Lathe, seed: u64) -> Result<(), PaperError> 
     Ok(())
 }
 
-fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
+fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningExperimentResult) {
     let [fast, slow] = &o.probing;
     let place = "The RTEC";
     let what = "a capture 25 µs late at 2.5 m/min costs the position resolution";
@@ -152,7 +158,7 @@ fn probing(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome) {
     rows.given().number((place, what, "times"), 20.0, fast.feed_mm_min / slow.feed_mm_min, Within(0.0), "");
 }
 
-fn form(rows: &mut Rows, o: &TurningOutcome) {
+fn form(rows: &mut Rows, o: &TurningExperimentResult) {
     let place = "Part-Form Error; figure 5";
     let seeds = "one cut of one tool there, one of other noise here";
     let semi = &o.semi_finish;
@@ -173,7 +179,7 @@ fn form(rows: &mut Rows, o: &TurningOutcome) {
 }
 
 /// The finish cut, and what is drawn of it.
-fn corrected(rows: &mut Rows, o: &TurningOutcome) {
+fn corrected(rows: &mut Rows, o: &TurningExperimentResult) {
     let report = &o.reports[0].1;
     let place = "Compensating for the Part-Form Error";
     let why = "the machine file has another design or count";
@@ -218,19 +224,22 @@ fn component(report: &PartErrorReport) -> f64 {
 }
 
 /// G01 lines for the plain arc.
-fn rewritten(lathe: &Lathe, setup: &TurningExperiment) -> usize {
+fn rewritten(lathe: &Lathe, setup: &TurningExperimentInputs) -> usize {
     let round = (0..lathe.points.max(2)).map(|k| PointError {
         angle_rad: std::f64::consts::FRAC_PI_2 * k as f64 / (lathe.points.max(2) - 1) as f64,
         error_um: 0.0,
         along_mm: None,
     });
     let design = lathe::design(&lathe.design).unwrap_or(rtec_sim::corrected_axis::GateInsertionDesign::C);
-    let table =
-        ArcFinishTable::new(setup.cut(lathe.radius_mm), lathe::axes(&lathe.bench, design), round.collect());
+    let table = ArcFinishCutTable::new(
+        setup.cut(lathe.radius_mm),
+        lathe::axes(&lathe.bench, design),
+        round.collect(),
+    );
     table.straight_moves(lathe.g01_um * 1e-3, 4).len().saturating_sub(1)
 }
 
-fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningOutcome, plain: usize) {
+fn program(rows: &mut Rows, lathe: &Lathe, o: &TurningExperimentResult, plain: usize) {
     let place = "Compensating for the Part-Form Error";
     let what = "G01 lines that stay within about 1.5 µm of the arc";
     let why = "of the path of the nose's centre, and coordinates of four decimals";
@@ -277,9 +286,9 @@ pub fn size_and_form(
     );
     let table = |with_um: f64| {
         let sized = semi.errors.iter().map(|e| PointError { error_um: e.error_um + with_um, ..*e });
-        ArcFinishTable::new(setup.cut(lathe.radius_mm), axes, sized.collect())
+        ArcFinishCutTable::new(setup.cut(lathe.radius_mm), axes, sized.collect())
     };
-    let finish = |offset_um: f64, table: Option<&ArcFinishTable>| -> Result<[f64; 2], PaperError> {
+    let finish = |offset_um: f64, table: Option<&ArcFinishCutTable>| -> Result<[f64; 2], PaperError> {
         let mut part = part.clone();
         setup.turn(&mut part, lathe.radius_mm + off_mm - offset_um * 1e-3, table, setup.seed + 2)?;
         let session = setup.probe(&part, &setup.plan(lathe.radius_mm), feed, setup.seed + 3)?;
@@ -311,18 +320,18 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
         return Err(PaperError::Cannot("NISTIR 4854: fewer than two probing points".to_owned()));
     }
     let records = plan.records();
-    let of = |point: usize, wanted: PathRole| {
-        let touch = records.iter().position(|r| r.role == PathRole::Touch(point)).unwrap_or(0);
-        let at = if wanted == PathRole::Start { touch.saturating_sub(1) } else { touch };
+    let of = |point: usize, wanted: PathPointRole| {
+        let touch = records.iter().position(|r| r.role == PathPointRole::Touch(point)).unwrap_or(0);
+        let at = if wanted == PathPointRole::Start { touch.saturating_sub(1) } else { touch };
         let p = records[at].at;
         [p.z / INCH, p.x / INCH]
     };
     let why = "the machine file has another number of points";
     for (what, point, role, says) in [
-        ("start of point 1", n - 1, PathRole::Start, [5.148_643, 1.793_852]),
-        ("touch of point 1", n - 1, PathRole::Touch(0), [5.123_869, 1.494_877]),
-        ("start of point 2", n, PathRole::Start, [5.0, 1.8]),
-        ("touch of point 2", n, PathRole::Touch(0), [5.0, 1.5]),
+        ("start of point 1", n - 1, PathPointRole::Start, [5.148_643, 1.793_852]),
+        ("touch of point 1", n - 1, PathPointRole::Touch(0), [5.123_869, 1.494_877]),
+        ("start of point 2", n, PathPointRole::Start, [5.0, 1.8]),
+        ("touch of point 2", n, PathPointRole::Touch(0), [5.0, 1.5]),
     ] {
         let got = of(point, role);
         for (k, axis) in ["Z", "X"].iter().enumerate() {
@@ -330,7 +339,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
         }
     }
     let place = "Requirements of NC Probing Code";
-    let mut parameters = Parameters::default();
+    let mut parameters = VariableValues::default();
     let bad = |(found, expected): (String, String)| {
         PaperError::from(rtec_files::InputError::whole(Path::new("4854.toml"), found, expected))
     };
@@ -355,7 +364,7 @@ fn paths(rows: &mut Rows, lathe: &Lathe) -> Result<(), PaperError> {
 fn geometric_thermal(
     rows: &mut Rows,
     lathe: &Lathe,
-    setup: &TurningExperiment,
+    setup: &TurningExperimentInputs,
     machine: &Machine,
     progress: Progress<'_>,
 ) -> Result<(), PaperError> {
@@ -370,7 +379,7 @@ fn geometric_thermal(
     let what = "the tool moves in that time less than";
     let gets = lathe.cut_mm_min / 60.0 * lathe.bench.control_ms * 1e-3;
     rows.given().number((place, what, "mm"), 1.0, gets, AtMost, "at the feed of the finish cut");
-    let known = TurningExperiment {
+    let known = TurningExperimentInputs {
         machine: machine.clone(),
         model: Some(machine.clone()),
         begin_s: 3600.0,

@@ -4,12 +4,12 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_papers::ecc_board::{Board, Order, SIGNALS, run};
-use rtec_sim::bench::{Edge, constant};
-use rtec_sim::ecc::{ACK_NS, PllLimits};
+use rtec_sim::error_correction_circuit::{ACK_NS, PllFrequencyLimits};
+use rtec_sim::insertion_design_bench::{Edge, constant};
 
 fn board(orders: &[Order], direction: i64) -> Board {
     let edges: Vec<Edge> = constant(1_000_000, 10_000.0, 4000, direction);
-    run(PllLimits::default(), [&edges, &edges], orders, (3_000_000, 4_000_000), 1).unwrap()
+    run(PllFrequencyLimits::default(), [&edges, &edges], orders, (3_000_000, 4_000_000), 1).unwrap()
 }
 
 /// Number of rising edges of a signal, counted independently.
@@ -69,7 +69,7 @@ fn lines_set_by_hand_send_one_edge_at_a_time_from_the_first_cycle_on() {
     for hz in [500.0, 2000.0, 10_000.0, 60_000.0, 79_000.0] {
         let edges = constant(1_000_000, hz, 4000, 1);
         let order = Order { x: true, s1: true, s0: true, value: 15 };
-        let board = run(PllLimits::default(), [&edges, &edges], &[order], (0, 0), 1).unwrap();
+        let board = run(PllFrequencyLimits::default(), [&edges, &edges], &[order], (0, 0), 1).unwrap();
         assert_eq!((board.illegal, board.mtc_minus_scale), ([0; 2], [60, 0]), "{hz} Hz");
     }
 }

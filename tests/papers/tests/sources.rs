@@ -6,7 +6,7 @@
 
 use rtec_papers::{Compared, Paper, Row, Verdict};
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::ecc::PllLimits;
+use rtec_sim::error_correction_circuit::PllFrequencyLimits;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -225,9 +225,9 @@ fn circuit_refuses_settings_beyond_its_limits() {
 fn circuit_has_one_range() {
     #[derive(serde::Deserialize)]
     struct Circuit {
-        pll: PllLimits,
+        pll: PllFrequencyLimits,
     }
-    let pll = PllLimits::default();
+    let pll = PllFrequencyLimits::default();
     for text in [
         include_str!("../../../tools/guide/integrator/cmti.md"),
         include_str!("../../../tools/sim/machines/cmti/README.md"),

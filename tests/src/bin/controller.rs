@@ -9,11 +9,11 @@
 use anyhow::{Context, ensure};
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::geometric_fit::Zx;
+use rtec_part::length_unit::LengthUnit;
 use rtec_part::probe_path::{ProbeGeometry, ProbingMotion, ProbingPlan};
-use rtec_part::probing_program::{DialectWithTemplate, Parameters, ProbingProgramInputs};
-use rtec_part::trip_check::assign;
-use rtec_part::unit::Unit;
-use rtec_sim::lathe_run::captured;
+use rtec_part::probe_trip_check::assign;
+use rtec_part::probing_program::{DialectWithTemplate, ProbingProgramInputs, VariableValues};
+use rtec_sim::lathe_program_run::captured;
 use rtec_tests::machine::{AXES, AxisError, COUNT_UM, Job, PROBE_LOG, Round, Run, run};
 use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
@@ -148,7 +148,7 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
     let (stand_off_mm, over_travel_mm) = (motion.stand_off_mm(), motion.over_travel_mm());
     let mut plan = ProbingPlan::new(ProbeGeometry { tip_mm, stand_off_mm, over_travel_mm, stem: None });
     plan.add_number(&part, 0, 20, 0.0);
-    let mut parameters = Parameters::default();
+    let mut parameters = VariableValues::default();
     for (name, value) in [("probing_start_z", "50"), ("feed", &feed_mm_min.to_string())] {
         parameters
             .set(name, value)
@@ -159,7 +159,7 @@ fn probe(feed_mm_min: f64) -> anyhow::Result<Session> {
         controller: &controller,
         parameters: &parameters,
         records: &plan.records(),
-        unit: Unit::MM,
+        unit: LengthUnit::MM,
         comments: true,
         made: "today",
     }

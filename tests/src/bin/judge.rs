@@ -62,7 +62,7 @@ fn main() -> anyhow::Result<()> {
 impl Traces {
     fn walk(
         &self,
-        each: impl FnMut(rtec_driver::replay::TracePoint, i64) -> anyhow::Result<()>,
+        each: impl FnMut(rtec_driver::trace_replay::TracePoint, i64) -> anyhow::Result<()>,
     ) -> anyhow::Result<ledger::Totals> {
         let (scale, mtc) = (TraceReader::open(&self.scale)?, TraceReader::open(&self.mtc)?);
         let totals = ledger::walk(scale, mtc, each).with_context(|| self.mtc.display().to_string())?;

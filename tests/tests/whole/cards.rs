@@ -1,7 +1,7 @@
 //! Counter cards, and the card's commands beside a running daemon.
 
-use rtec_driver::mapped::Registers;
-use rtec_driver::profile::Width;
+use rtec_driver::card_profile::Width;
+use rtec_driver::mapped_registers::MappedRegisterFile;
 use rtec_driver::quadrature::State;
 use rtec_tests::daemon::{Bench, CONFIG, Lines, alone, program, until};
 use serde_json::json;
@@ -29,7 +29,7 @@ const BURST: Duration = Duration::from_micros(60);
 
 /// The card's side of the registers: a decoder in hardware, for the daemon.
 struct Counter {
-    words: Registers,
+    words: MappedRegisterFile,
     state: State,
     count: u16,
     /// Counts left in a burst, always whole cycles.
@@ -89,14 +89,14 @@ fn a_counter_card_counts_for_us_and_its_flags_are_latched() {
         .replace("'out1'", "'invert_b'");
     let bench = Bench::on(&config, |file| {
         std::fs::write(file.with_file_name("counter.toml"), PROFILE).unwrap();
-        let words = Registers::open(file, 24, "counter card").unwrap();
+        let words = MappedRegisterFile::open(file, 24, "counter card").unwrap();
         let (burst, wrong) = (Arc::clone(&burst), Arc::clone(&wrong));
         // Just below the counter's wrap.
         let mut counter = Counter { words, state: State::default(), count: 0xff00, burst, wrong };
         counter.set();
         counter
     });
-    let words = Registers::open(&bench.at("card"), 24, "test").unwrap();
+    let words = MappedRegisterFile::open(&bench.at("card"), 24, "test").unwrap();
     let daemon = bench.daemon();
     assert_eq!(words.read(LATCH, Width::Bits32), 1, "the count is latched before it is read");
     bench.go();

@@ -2,9 +2,9 @@
 //! At the MTC they count the scale's counts plus the completed ones.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{RequestedTotal, TracePoint};
+use rtec_driver::trace_replay::{RequestedTotal, TracePoint};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::replay::{ReplayOutcome, replay};
+use rtec_sim::engine_replay::{ReplayOutcome, replay};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, available, sigrok};
 use rtec_tests::ledger::{self, Totals};
 use std::convert::Infallible;

@@ -1,7 +1,7 @@
 //! The judges accept right traces and catch wrong ones.
 //! `.ci/run` installs them, and no test is skipped there.
 
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::quadrature_trace::{TraceFormat, TraceReader, TraceWriter};
 use rtec_tests::judge::{LINUXCNC, LinuxCnc, SIGROK, Verdict, available, sigrok};
 use rtec_tests::ledger;

@@ -4,8 +4,8 @@
 //! `rtecctl` does everything else.
 
 use rtec_part::contour::nose;
-use rtec_part::unit::Unit;
-use rtec_sim::turning::TurningExperiment;
+use rtec_part::length_unit::LengthUnit;
+use rtec_sim::turning_experiment::TurningExperimentInputs;
 use rtec_tests::daemon::{Daemon, program, until};
 use serde_json::Value;
 use std::path::Path;
@@ -71,9 +71,9 @@ fn daemon(folder: &Path, task: &str) -> Daemon {
 
 /// Points of a plan on the nose, as `part points` writes them.
 fn plan(folder: &Path, name: &str, radius_mm: f64) {
-    let setup = TurningExperiment { points: 7, ..TurningExperiment::default() };
+    let setup = TurningExperimentInputs { points: 7, ..TurningExperimentInputs::default() };
     std::fs::create_dir_all(folder.join(name)).unwrap();
-    for (file, text) in setup.plan(radius_mm).files(&nose(setup.centre, radius_mm), Unit::MM) {
+    for (file, text) in setup.plan(radius_mm).files(&nose(setup.centre, radius_mm), LengthUnit::MM) {
         std::fs::write(folder.join(name).join(file), text).unwrap();
     }
 }
@@ -118,7 +118,7 @@ fn a_part_is_probed_and_finished_through_the_daemon() {
     let errors = format!("errors --points semi/probed.csv --radius-mm {SEMI_MM} --tip-mm 2.5 --out semi");
     let before = part(folder, &errors);
     assert!(largest_um(&before) > 12.0, "the worn tool's bump: {before}");
-    let record = rtec_measure::record::read(&folder.join("semi/probing.run.toml")).unwrap();
+    let record = rtec_measure::run_record_files::read(&folder.join("semi/probing.run.toml")).unwrap();
     assert_eq!(record.rows(), 7);
 
     let cutting =

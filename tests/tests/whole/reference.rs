@@ -76,17 +76,17 @@ fn the_words_of_a_page_are_those_it_shows_as_code() {
 #[test]
 fn keys_of_the_files_stand_on_their_pages() {
     for (page, file, least) in [
-        ("machine-toml.md", "tools/model/src/machine/read.rs", 20),
-        ("machine-toml.md", "tools/model/src/effect/project_laws.rs", 12),
-        ("chain.md", "tools/model/src/chain.rs", 15),
-        ("records.md", "tools/records/src/record.rs", 11),
+        ("machine-toml.md", "tools/model/src/machine/read_machine_toml.rs", 20),
+        ("machine-toml.md", "tools/model/src/effect/laws_from_file.rs", 12),
+        ("chain.md", "tools/model/src/kinematic_chain.rs", 15),
+        ("records.md", "tools/records/src/run_record_files.rs", 11),
         ("records.md", "tools/measure/src/import/user_format.rs", 8),
-        ("records.md", "tools/measure/src/export/user_format.rs", 13),
+        ("records.md", "tools/measure/src/compensation_export/user_format.rs", 13),
         ("records.md", "tools/measure/src/iso230/conditions.rs", 2),
     ] {
         all_stand(page, &keys_read(&source(file)), least);
     }
-    let own = source("tools/model/src/effect/project_laws.rs");
+    let own = source("tools/model/src/effect/laws_from_file.rs");
     let quantities = own.split("const QUANTITIES").nth(1).unwrap().split("];").next().unwrap();
     all_stand(
         "machine-toml.md",
@@ -270,17 +270,17 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
     assert!(lacking.is_empty(), "not in the table of alarms: {lacking:#?}");
 
     said.extend(all(&[
-        "tools/control/src/config/latency.rs",
-        "tools/sensors/src/bank.rs",
-        "tools/sensors/src/sensor_line_feed.rs",
-        "tools/rtecd/src/loader.rs",
-        "tools/rtecd/src/server.rs",
+        "tools/control/src/config/rt_latency_figures.rs",
+        "tools/sensors/src/sensor_bank.rs",
+        "tools/sensors/src/sensor_text_stream.rs",
+        "tools/rtecd/src/request_file_loader.rs",
+        "tools/rtecd/src/control_socket_server.rs",
         "tools/correct/src/corrector.rs",
         "tools/correct/src/part_table.rs",
         "tools/sensors/src/sensor_monitor.rs",
         "tools/correct/src/model_evaluator.rs",
-        "tools/correct/src/total.rs",
-        "tools/model/src/machine/check.rs",
+        "tools/correct/src/correction_total.rs",
+        "tools/model/src/machine/warnings_before_use.rs",
     ]));
     // A row may name what fills a text's gap ("feed hold by user …"). Then the row has the text before the gap.
     let before_gap = |text: &String| text.split_once('{').map(|(head, _)| head.trim().to_owned());

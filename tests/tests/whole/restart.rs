@@ -3,8 +3,8 @@
 //! tested here.
 
 use crate::survival::Stopped;
-use rtec_driver::mapped::Registers;
-use rtec_driver::profile::Width;
+use rtec_driver::card_profile::Width;
+use rtec_driver::mapped_registers::MappedRegisterFile;
 use rtec_driver::quadrature::State;
 use rtec_tests::daemon::{Bench, CONFIG, Lines, alone, shared_memory, until, user};
 use serde_json::Value;
@@ -298,7 +298,7 @@ fn a_controller_that_restarts_has_to_be_homed() {
 
 /// Shared memory with the controller's ready line on input 30.
 struct WithReady {
-    card: Registers,
+    card: MappedRegisterFile,
     ready: Arc<AtomicBool>,
 }
 

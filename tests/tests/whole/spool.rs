@@ -2,9 +2,9 @@
 //! A probing run is captured by the daemon, and a client hands over a run that it recorded. `rtecctl ship` sends both.
 //! A missing or full folder costs a record and is reported, without other effects.
 
-use rtec_control::client::Client;
-use rtec_control::protocol::{ClientRequest, Response};
-use rtec_measure::record::{read, read_log};
+use rtec_control::daemon_client::DaemonConnection;
+use rtec_control::protocol::{ClientRequest, DaemonResponse};
+use rtec_measure::run_record_files::{read, read_log};
 use rtec_tests::daemon::{Daemon, among_others, program, until};
 use rtec_tests::disk::SmallDisk;
 use rtec_tests::skipped;
@@ -44,9 +44,9 @@ fn sidecars(folder: &Path) -> Vec<PathBuf> {
 
 /// Events of one kind that the daemon reports on records, as texts.
 fn told(daemon: &Daemon, kind: &str) -> Vec<String> {
-    let mut client = Client::connect(daemon.socket()).unwrap();
+    let mut client = DaemonConnection::connect(daemon.socket()).unwrap();
     let request = ClientRequest::Observe { events_after: None };
-    let Response::Observed(seen) = client.ask(&request).unwrap() else { panic!("no answer") };
+    let DaemonResponse::Observed(seen) = client.ask(&request).unwrap() else { panic!("no answer") };
     seen.events.into_iter().map(|e| e.event).filter(|e| e.kind == kind).map(|e| e.text).collect()
 }
 
@@ -229,14 +229,15 @@ fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
     std::fs::write(at("a.csv"), "e\n1\n2\n").unwrap();
     let keep = |sidecar: &str| {
         std::fs::write(at("a.run.toml"), sidecar).unwrap();
-        let mut client = Client::connect(&at("s-operate")).unwrap();
+        let mut client = DaemonConnection::connect(&at("s-operate")).unwrap();
         let files = [at("a.run.toml"), at("a.csv")];
         let open = files.each_ref().map(|f| std::fs::File::open(f).unwrap());
         let files = files.map(|f| f.display().to_string()).to_vec();
         client.ask_with(&ClientRequest::Keep { files }, &open).unwrap()
     };
     for more in ["[[t]]\n", "a = {}\n", "# a comment\n"] {
-        let Response::Bad { text } = keep(&(sidecar.to_owned() + &more.repeat((48 << 20) / more.len())))
+        let DaemonResponse::Bad { text } =
+            keep(&(sidecar.to_owned() + &more.repeat((48 << 20) / more.len())))
         else {
             panic!("{more}")
         };
@@ -245,8 +246,8 @@ fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
     let mut kept = 0;
     let text = loop {
         match keep(sidecar) {
-            Response::Done { .. } => kept += 1,
-            Response::Refused { why, text, .. } if why == "not_kept" => break text,
+            DaemonResponse::Done { .. } => kept += 1,
+            DaemonResponse::Refused { why, text, .. } if why == "not_kept" => break text,
             other => panic!("{other:?}"),
         }
         assert!(kept <= 128, "{kept}");
@@ -254,7 +255,7 @@ fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
     assert!(kept >= 100 && text.contains("at most 1 MB may wait ([control] spool_mb)"), "{kept}: {text}");
     let odd = keep(&sidecar.replace("kind", "note = \"\\u001b[2J\"\nkind"));
     assert!(
-        matches!(&odd, Response::Bad { text } if text.contains("U+001B") && !text.contains('\u{1b}')),
+        matches!(&odd, DaemonResponse::Bad { text } if text.contains("U+001B") && !text.contains('\u{1b}')),
         "{odd:?}"
     );
     assert_eq!(daemon.status()["balanced"], true);
@@ -265,5 +266,5 @@ fn whoever_operates_neither_ends_the_daemon_nor_fills_the_disk() {
     // Once records are sent, there is room again.
     std::fs::create_dir(at("shop")).unwrap();
     assert_eq!(shipped(directory.path()).status.code(), Some(0));
-    assert!(matches!(keep(sidecar), Response::Done { .. }));
+    assert!(matches!(keep(sidecar), DaemonResponse::Done { .. }));
 }

@@ -17,13 +17,13 @@
 //!
 //! This crate must not decide or command anything. The protocol is in `rtec-control`, and not repeated here.
 
-mod mqtt;
+mod mqtt_publisher;
 
 use clap::Parser;
-use mqtt::{ConnectOptions, Connection};
-use rtec_control::client::Client;
+use mqtt_publisher::{BrokerConnection, ConnectOptions};
 use rtec_control::config::{Config, ControlConfig};
-use rtec_control::protocol::{ClientRequest, DaemonSnapshot, DaemonStatus, Response, word};
+use rtec_control::daemon_client::DaemonConnection;
+use rtec_control::protocol::{ClientRequest, DaemonResponse, DaemonSnapshot, DaemonStatus, word};
 use rtec_files::eprintln;
 use serde_json::{Value, json};
 use std::io;
@@ -94,7 +94,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let password = match &args.password_file {
         None => Vec::new(),
         Some(file) => {
-            let text = rtec_files::text::read(file)?;
+            let text = rtec_files::text_file::read(file)?;
             text.lines().next().unwrap_or_default().as_bytes().to_vec()
         }
     };
@@ -106,10 +106,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
         keep_alive: SLOWEST * 2,
         will: (&will, b"offline"),
     };
-    let mut bridge = Bridge { args, client: None, known: None, uptime_s: 0.0 };
+    let mut bridge = DaemonToMqttBridge { args, client: None, known: None, uptime_s: 0.0 };
     let mut said = String::new();
     loop {
-        let opened = Connection::open(&args.broker, &login);
+        let opened = BrokerConnection::open(&args.broker, &login);
         if opened.is_ok() {
             said.clear();
         }
@@ -125,17 +125,17 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-struct Bridge<'a> {
+struct DaemonToMqttBridge<'a> {
     args: &'a Args,
-    client: Option<Client>,
+    client: Option<DaemonConnection>,
     /// Number of the last event that the broker has; `None` before the first look.
     known: Option<u64>,
     uptime_s: f64,
 }
 
-impl Bridge<'_> {
+impl DaemonToMqttBridge<'_> {
     /// Publishes until the broker is gone.
-    fn serve(&mut self, broker: &mut Connection, every: Duration) -> io::Result<()> {
+    fn serve(&mut self, broker: &mut BrokerConnection, every: Duration) -> io::Result<()> {
         eprintln!("rtec-mqtt: at broker {}, topics {}/…", self.args.broker, self.args.topic);
         self.put(broker, "bridge", b"online")?;
         let (mut daemon, mut faults) = ("", Value::Null);
@@ -174,12 +174,12 @@ impl Bridge<'_> {
         }
     }
 
-    fn put(&self, broker: &mut Connection, topic: &str, payload: &[u8]) -> io::Result<()> {
+    fn put(&self, broker: &mut BrokerConnection, topic: &str, payload: &[u8]) -> io::Result<()> {
         broker.publish(&format!("{}/{topic}", self.args.topic), payload, true)
     }
 
     /// Publishes new events, and notes them once the broker has answered a ping.
-    fn tell(&mut self, broker: &mut Connection, seen: &DaemonSnapshot) -> io::Result<()> {
+    fn tell(&mut self, broker: &mut BrokerConnection, seen: &DaemonSnapshot) -> io::Result<()> {
         let last = seen.events.last().map_or(self.known.unwrap_or(0), |e| e.n);
         if self.known.is_some() {
             let topic = format!("{}/event", self.args.topic);
@@ -217,16 +217,16 @@ impl Bridge<'_> {
             empty => empty.insert(connect(self.args)?),
         };
         match client.ask(&ClientRequest::Observe { events_after: Some(self.known.unwrap_or(0)) })? {
-            Response::Observed(seen) => Ok(*seen),
+            DaemonResponse::Observed(seen) => Ok(*seen),
             other => anyhow::bail!("rtecd answered {other:?}; are rtec-mqtt and rtecd of the same version?"),
         }
     }
 }
 
 /// Connects to the view socket, or to the control socket where this user may not.
-fn connect(args: &Args) -> anyhow::Result<Client> {
+fn connect(args: &Args) -> anyhow::Result<DaemonConnection> {
     let sockets = ControlConfig::of(args.config.as_deref(), args.socket.as_deref())?.sockets();
-    Ok(Client::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path])?)
+    Ok(DaemonConnection::connect_to(&[&sockets[2].path, &sockets[1].path, &sockets[0].path])?)
 }
 
 fn latched(status: &DaemonStatus) -> Value {

@@ -10,20 +10,22 @@ mod axis;
 mod card;
 mod control;
 mod keys;
-mod latency;
-mod named_resource_checks;
+mod local_resource_checks;
+mod rt_latency_figures;
 
-pub use control::{ConfiguredSocket, ControlConfig, LONGEST_SOCKET, RoleSocket, default_directory, derived};
+pub use control::{
+    ConfiguredSocket, ControlConfig, LONGEST_SOCKET, RoleSocketConfig, default_directory, derived,
+};
 pub use keys::reference;
-pub use latency::{LatencyTestConditions, floors_ns};
+pub use rt_latency_figures::{LatencyTestConditions, floors_ns};
 
 use card::CardBackend;
 use rtec_driver::card::MachineLines;
-use rtec_driver::gpio::GpioSetup;
-use rtec_driver::pci::PciId;
-use rtec_driver::profile::{AddressSpace, CardProfile};
-use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
-use rtec_files::toml::Document;
+use rtec_driver::card_profile::{AddressSpace, CardProfile};
+use rtec_driver::gpio::GpioCardConfig;
+use rtec_driver::pci::PciFunctionSelector;
+use rtec_files::strict_toml::Document;
+use rtec_files::toml_section_keys::{FileWithFindings, LocatedValue, TomlSection};
 use rtec_files::{InputError, nearest};
 use rtec_model::file_kind::FileKind;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
@@ -64,7 +66,7 @@ pub enum CardConfig {
     /// Simulated axes in the daemon's own process.
     Mock,
     /// GPIO lines through the kernel's character device.
-    Gpio(GpioSetup),
+    Gpio(GpioCardConfig),
     /// Registers, mapped into memory or as I/O ports.
     Registers {
         /// Location of the registers.
@@ -91,7 +93,7 @@ pub enum RegisterPlace {
     /// The address of the first I/O port.
     Io(u16),
     /// A BAR of a PCI card.
-    Pci(PciId, u8, AddressSpace),
+    Pci(PciFunctionSelector, u8, AddressSpace),
 }
 
 impl RegisterPlace {
@@ -172,12 +174,12 @@ pub struct ConfiguredAxis {
     /// The engine's configuration of the axis.
     pub engine: AxisConfig,
     /// With the mock card: the simulated machine's real properties.
-    pub simulated: SimulatedAxis,
+    pub simulated: SimulatedAxisDeviations,
 }
 
 /// Properties of a simulated axis that may differ from its configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SimulatedAxis {
+pub struct SimulatedAxisDeviations {
     /// Real size of one count, µm; negative if it counts backwards.
     pub count_um: f64,
     /// Compensation by its own controller, ppm.
@@ -354,8 +356,8 @@ impl Config {
 
 impl ConfiguredAxis {
     /// The axis's settings for the control law.
-    pub fn axis_setup(&self) -> rtec_correct::AxisSetup {
-        rtec_correct::AxisSetup {
+    pub fn axis_setup(&self) -> rtec_correct::AxisCorrectionSettings {
+        rtec_correct::AxisCorrectionSettings {
             name: self.name.clone(),
             count_um: self.count_um,
             increment_counts: INCREMENT_COUNTS,
@@ -367,7 +369,7 @@ impl ConfiguredAxis {
 
 /// Reads a configuration's text; if there is none, says how to get one.
 fn text_of(file: &Path) -> Result<String, ConfigFindings> {
-    rtec_files::text::read(file).map_err(|mut finding| {
+    rtec_files::text_file::read(file).map_err(|mut finding| {
         if !file.exists() {
             "a configuration: `rtecctl config default > rtec.toml` begins one"
                 .clone_into(&mut finding.expected);
@@ -379,7 +381,7 @@ fn text_of(file: &Path) -> Result<String, ConfigFindings> {
 /// Reads the whole file.
 /// Findings go to `source`; `None` if reading cannot continue.
 fn read(source: &mut FileWithFindings<'_>, document: &Document<'_>, here: bool) -> Option<Config> {
-    let mut root = Section::root(document);
+    let mut root = TomlSection::root(document);
     let mut notes = Vec::new();
 
     let mut machine = root.table(source, "machine", "[machine]").with(keys::MACHINE);
@@ -392,10 +394,10 @@ fn read(source: &mut FileWithFindings<'_>, document: &Document<'_>, here: bool) 
     let priority = rt_table.whole_or_default(source, "priority");
     let [detect_ns, write_ns, guard_ns] =
         ["detect_ns", "write_ns", "guard_ns"].map(|key| rt_table.whole(source, key));
-    let measured = latency::read_measured(source, &mut rt_table);
+    let measured = rt_latency_figures::read_measured(source, &mut rt_table);
     rt_table.finish(source);
     if here {
-        latency::check_cpu(source, cpu);
+        rt_latency_figures::check_cpu(source, cpu);
     }
     let ns = |at: Option<LocatedValue<i64>>| at.map_or(0, |at| at.value as u64);
     let rt = RtConfig {
@@ -451,7 +453,7 @@ fn read(source: &mut FileWithFindings<'_>, document: &Document<'_>, here: bool) 
         CardBackend::Registers(_) => CardConfig::Registers { place: card.place?, profile: card.profile? },
         CardBackend::Replay => CardConfig::Replay { traces },
     };
-    latency::check_floors(source, &kind, detect_ns, write_ns);
+    rt_latency_figures::check_floors(source, &kind, detect_ns, write_ns);
     if kind.may_drive_a_machine() {
         if !rt.latency_measured {
             let unmeasured = "[rt] has no detect_ns and write_ns: corrections cannot be enabled on this card before `rtecctl selftest \
@@ -477,12 +479,12 @@ fn read(source: &mut FileWithFindings<'_>, document: &Document<'_>, here: bool) 
         notes,
     };
     if here {
-        named_resource_checks::look(source, document, &mut config);
+        local_resource_checks::look(source, document, &mut config);
     }
     Some(config)
 }
 
-fn read_model(source: &mut FileWithFindings<'_>, root: &mut Section<'_>) -> ModelConfig {
+fn read_model(source: &mut FileWithFindings<'_>, root: &mut TomlSection<'_>) -> ModelConfig {
     let mut table = root.table(source, "model", "[model]").with(keys::MODEL);
     let file = table.text(source, "file").map(|at| beside(source.file, at.value));
     let model = ModelConfig {

@@ -2,7 +2,7 @@
 
 use crate::protocol::{LedgerPage, LedgerRow};
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::quadrature_trace::AtomicTraceFile;
 use std::fmt::Write as _;
 use std::io;
@@ -102,7 +102,7 @@ impl LedgerExportSummary {
         request: &mut dyn FnMut(u64, i64),
     ) -> io::Result<()> {
         let Some(first) = kept.rows.first() else { return Ok(()) };
-        let mut at = ReconstructedAxis { t_ns: Self::start_ns(first), counts: first.position_counts };
+        let mut at = ReconstructedAxisPosition { t_ns: Self::start_ns(first), counts: first.position_counts };
         // The total before the first row is requested at once, with edges to insert it at.
         self.ask(at.t_ns, 0, first.completed, request);
         at.go(first.t_ns, first.position_counts, lead_edges(first), &mut |_, t, p| edge(t, p))?;
@@ -165,7 +165,7 @@ impl LedgerExportSummary {
         };
         self.tell(kept, &mut point, &mut request).map_err(of(trace))?;
         file.finish().map_err(of(trace))?;
-        rtec_files::write::write_atomically(requests, rows.as_bytes()).map_err(of(requests))?;
+        rtec_files::atomic_write::write_atomically(requests, rows.as_bytes()).map_err(of(requests))?;
         let mut table =
             "since_ns,since_counts,t_ns,position_counts,requested,completed,in_effect,insertions\n"
                 .to_owned();
@@ -173,7 +173,7 @@ impl LedgerExportSummary {
             let _ = write!(table, "{},{},{},{},", r.since_ns, r.since_counts, r.t_ns, r.position_counts);
             let _ = writeln!(table, "{},{},{},{}", r.requested, r.completed, r.in_effect, r.insertions);
         }
-        rtec_files::write::write_atomically(insertions, table.as_bytes()).map_err(of(insertions))
+        rtec_files::atomic_write::write_atomically(insertions, table.as_bytes()).map_err(of(insertions))
     }
 }
 
@@ -193,12 +193,12 @@ fn lead_edges(first: &LedgerRow) -> u64 {
 }
 
 /// The reconstructed axis: time and position.
-struct ReconstructedAxis {
+struct ReconstructedAxisPosition {
     t_ns: u64,
     counts: i64,
 }
 
-impl ReconstructedAxis {
+impl ReconstructedAxisPosition {
     /// Moves evenly to a position, with an overshoot if too few edges lie on the way.
     fn go(
         &mut self,

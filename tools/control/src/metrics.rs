@@ -5,7 +5,7 @@
 //! rule thus needs no text. The two formats differ in the names of counters' families, in the type `info` and
 //! in the last line.
 
-use crate::protocol::{AuditState, AxisReport, DaemonSnapshot, DaemonStatus, RtStatus, word};
+use crate::protocol::{AuditLogState, AxisReport, DaemonSnapshot, DaemonStatus, RtStatus, word};
 use rtec_rt::link_messages::Fault;
 use std::fmt::Write as _;
 
@@ -42,7 +42,7 @@ const UNITS: [&str; 4] = ["seconds", "meters", "celsius", "hertz"];
 /// Without one they state that the daemon does not answer. `by` is the version of the program that writes
 /// them.
 pub fn text(seen: Option<&DaemonSnapshot>, form: MetricsFormat, by: &str) -> String {
-    let mut out = Out { text: String::new(), form };
+    let mut out = MetricsText { text: String::new(), form };
     out.gauge("rtec_up", "1 while the daemon answers", [(vec![], flag(seen.is_some()))]);
     out.info("rtec_exporter", "The program that wrote these metrics", &[("version", by)]);
     if let Some(seen) = seen {
@@ -70,7 +70,7 @@ fn flag(is: bool) -> f64 {
     f64::from(u8::from(is))
 }
 
-fn machine(out: &mut Out, s: &DaemonStatus) {
+fn machine(out: &mut MetricsText, s: &DaemonStatus) {
     let protocol = s.protocol.to_string();
     out.info(
         "rtec_build",
@@ -114,13 +114,13 @@ const AXIS: [Metric<AxisReport>; 13] = [
     ("counter", "rtec_beyond_limits_total", "Edges that came sooner than the axis's limits allow, on a polled card", |a| a.beyond_limits as f64),
 ];
 
-fn axes(out: &mut Out, s: &DaemonStatus) {
+fn axes(out: &mut MetricsText, s: &DaemonStatus) {
     for (kind, name, help, value) in AXIS {
         out.family(kind, name, help, s.axes.iter().map(|a| (vec![("axis", a.name.as_str())], value(a))));
     }
 }
 
-fn faults(out: &mut Out, s: &DaemonStatus) {
+fn faults(out: &mut MetricsText, s: &DaemonStatus) {
     let words = Fault::ALL.map(word);
     let mut latched = Vec::new();
     for (fault, word) in Fault::ALL.iter().zip(&words) {
@@ -150,13 +150,13 @@ const THREAD: [Metric<RtStatus>; 8] = [
     ("gauge", "rtec_poll_gap_max_seconds", "Longest time between two looks", |rt| rt.poll_gap_ns.max as f64 * 1e-9),
 ];
 
-fn thread(out: &mut Out, s: &DaemonStatus) {
+fn thread(out: &mut MetricsText, s: &DaemonStatus) {
     for (kind, name, help, value) in THREAD {
         out.family(kind, name, help, [(vec![], value(&s.rt))]);
     }
 }
 
-fn times(out: &mut Out, seen: &DaemonSnapshot) {
+fn times(out: &mut MetricsText, seen: &DaemonSnapshot) {
     let h = &seen.histograms;
     let help = "Time between two looks at the card";
     out.histogram("rtec_poll_gap_seconds", help, &h.poll_gap_ns, h.poll_gap_sum_ns);
@@ -165,18 +165,18 @@ fn times(out: &mut Out, seen: &DaemonSnapshot) {
 }
 
 /// Metrics of the record of commands.
-fn record(out: &mut Out, log: &AuditState) {
+fn record(out: &mut MetricsText, log: &AuditLogState) {
     let lost = [(vec![], log.lost as f64)];
     out.family("counter", "rtec_commands_not_recorded_total", "Commands that could not be recorded", lost);
     let trouble = [(vec![], flag(log.trouble.is_some()))];
     out.gauge("rtec_record_trouble", "1 while the record of commands cannot be written", trouble);
 }
 
-fn sensors(out: &mut Out, s: &DaemonStatus) {
+fn sensors(out: &mut MetricsText, s: &DaemonStatus) {
     if s.sensors.is_empty() {
         return;
     }
-    let named = |value: fn(&crate::protocol::SensorReading) -> Option<f64>| {
+    let named = |value: fn(&crate::protocol::SensorStateReport) -> Option<f64>| {
         let all = s.sensors.iter().filter_map(move |r| Some((r, value(r)?)));
         all.map(|(r, v)| (vec![("sensor", r.sensor.as_str())], v))
     };
@@ -190,7 +190,7 @@ fn sensors(out: &mut Out, s: &DaemonStatus) {
     out.gauge("rtec_sensor_state", help, states);
 }
 
-fn model(out: &mut Out, s: &DaemonStatus) {
+fn model(out: &mut MetricsText, s: &DaemonStatus) {
     let loaded = flag(s.model.is_some());
     out.gauge("rtec_model_loaded", "1 while a machine model runs", [(vec![], loaded)]);
     let Some(m) = &s.model else { return };
@@ -202,12 +202,12 @@ fn model(out: &mut Out, s: &DaemonStatus) {
     out.gauge("rtec_model_validity_seconds", help, seconds(m.days_left));
 }
 
-struct Out {
+struct MetricsText {
     text: String,
     form: MetricsFormat,
 }
 
-impl Out {
+impl MetricsText {
     fn gauge<'a>(&mut self, name: &str, help: &str, samples: impl IntoIterator<Item = (Labels<'a>, f64)>) {
         self.family("gauge", name, help, samples);
     }
@@ -315,7 +315,7 @@ mod tests {
     #[test]
     fn cumulative_counts_are_exact() {
         let values: Vec<u64> = (0..4000).map(|n| n * n * 71 % 3_000_017).collect();
-        let (mut recorder, reader) = rtec_rt::histogram::histogram();
+        let (mut recorder, reader) = rtec_rt::latency_histogram::histogram();
         for v in &values {
             recorder.record(*v);
         }
@@ -336,7 +336,7 @@ mod tests {
 
     #[test]
     fn labels_are_quoted() {
-        let mut out = Out { text: String::new(), form: MetricsFormat::Prometheus };
+        let mut out = MetricsText { text: String::new(), form: MetricsFormat::Prometheus };
         out.info("rtec_machine", "h", &[("name", "a \"b\"\\\nc")]);
         assert!(out.text.ends_with("rtec_machine_info{name=\"a \\\"b\\\"\\\\\\nc\"} 1\n"), "{}", out.text);
     }

@@ -8,7 +8,7 @@
 //! ← {"refused":{"why":"not_homed","text":"…"}}
 //! ```
 //!
-//! A connection's role, and so what it may request, depends on its socket ([`crate::role`]).
+//! A connection's role, and so what it may request, depends on its socket ([`crate::client_role`]).
 //!
 //! `watch` turns the connection into a stream of `event` answers until it is closed.
 //!
@@ -19,16 +19,17 @@
 mod explanations;
 mod status;
 
-use crate::role::Role;
+use crate::client_role::ClientRole;
 pub use explanations::{explain_fault, explain_not_homed, explain_refusal, explain_unknown, word};
 pub use rtec_correct::explain::{
-    AxisExplanation, AxisTotalChange, Contribution, ModelPreview, RunningModel, SensorReading,
+    AxisCorrectionComponents, AxisTotalChange, CorrectionComponent, ModelChangePreview, RunningModelReport,
+    SensorStateReport,
 };
 pub use rtec_correct::part_table::{PartTable, PartTableState};
 use rtec_files::message_text::printable;
 use serde::{Deserialize, Serialize};
 pub use status::{
-    AxisReport, DaemonStatus, HoldReport, LatchedFault, RtStatus, SpeedLimits, TimeDistribution,
+    AxisReport, DaemonStatus, FeedHoldReport, LatchedFault, RtStatus, SpeedLimits, TimeDistribution,
 };
 
 /// Version of this protocol.
@@ -160,14 +161,14 @@ pub enum ClientRequest {
 
 impl ClientRequest {
     /// The lowest role that may make this request.
-    pub const fn needs(&self) -> Role {
+    pub const fn needs(&self) -> ClientRole {
         match self {
             Self::Status {}
             | Self::Watch {}
             | Self::Explain { .. }
             | Self::Observe { .. }
             | Self::Ledger { .. }
-            | Self::Whoami {} => Role::View,
+            | Self::Whoami {} => ClientRole::View,
             Self::Home { .. }
             | Self::Enable { .. }
             | Self::Disable {}
@@ -177,13 +178,13 @@ impl ClientRequest {
             | Self::Hold { .. }
             | Self::Jog { .. }
             | Self::ModelAgain {}
-            | Self::Keep { .. } => Role::Operate,
+            | Self::Keep { .. } => ClientRole::Operate,
             Self::Correct { .. }
             | Self::Clear {}
             | Self::ModelLoad { .. }
             | Self::ModelUnload {}
             | Self::TableLoad(_)
-            | Self::TableUnload {} => Role::SetUp,
+            | Self::TableUnload {} => ClientRole::SetUp,
         }
     }
 
@@ -202,7 +203,7 @@ impl ClientRequest {
 /// The daemon's answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Response {
+pub enum DaemonResponse {
     /// The requested status.
     Status(Box<DaemonStatus>),
     /// Done as requested.
@@ -240,7 +241,7 @@ pub enum Response {
     /// An event, sent as it happens (after `watch`).
     Event(Box<EventReport>),
     /// Changes that a model would make.
-    ModelPreview(Box<ModelPreview>),
+    ModelPreview(Box<ModelChangePreview>),
     /// Position of a simulated axis.
     Stands {
         /// Position that its controller displays, mm.
@@ -253,7 +254,7 @@ pub enum Response {
     /// Components of the corrections.
     Explained {
         /// The requested axes.
-        axes: Vec<AxisExplanation>,
+        axes: Vec<AxisCorrectionComponents>,
     },
     /// Everything that can be seen.
     Observed(Box<DaemonSnapshot>),
@@ -261,7 +262,7 @@ pub enum Response {
     Whoami(Box<ClientProcess>),
 }
 
-impl Response {
+impl DaemonResponse {
     /// Done, without jumps or warnings.
     pub const fn done() -> Self {
         Self::done_with(Vec::new())
@@ -284,17 +285,17 @@ pub struct DaemonSnapshot {
     /// As `status` answers.
     pub status: DaemonStatus,
     /// As `explain` answers, for all axes.
-    pub explained: Vec<AxisExplanation>,
+    pub explained: Vec<AxisCorrectionComponents>,
     /// Events after the last known one, oldest first.
     pub events: Vec<NumberedEvent>,
     /// Number of events after the last known one that are no longer kept.
     pub events_missed: u64,
     /// Distributions of times.
-    pub histograms: Histograms,
+    pub histograms: RtLoopHistograms,
     /// The record of commands.
-    pub log: AuditState,
+    pub log: AuditLogState,
     /// Connections, by role.
-    pub clients: Vec<ConnectedClients>,
+    pub clients: Vec<RoleConnectionCounts>,
 }
 
 /// An event and its number since the daemon's start, from 1.
@@ -311,7 +312,7 @@ pub struct NumberedEvent {
 /// Whole distributions of the real-time thread's times.
 /// Each non-empty bucket is `[low_ns, high_ns, count]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Histograms {
+pub struct RtLoopHistograms {
     /// Time between two looks, ns.
     pub poll_gap_ns: Vec<[u64; 3]>,
     /// Time from an edge to the end of the insertion it opened, ns.
@@ -326,7 +327,7 @@ pub struct Histograms {
 
 /// State of the record of commands.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AuditState {
+pub struct AuditLogState {
     /// Its file.
     pub file: String,
     /// Number of its last line; 0 before the first.
@@ -340,7 +341,7 @@ pub struct AuditState {
     pub trouble: Option<String>,
 }
 
-impl AuditState {
+impl AuditLogState {
     /// What prevents recording now, in words.
     pub fn in_words(&self) -> Option<String> {
         let why = self.trouble.as_ref()?;
@@ -350,9 +351,9 @@ impl AuditState {
 
 /// Connections of one role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ConnectedClients {
+pub struct RoleConnectionCounts {
     /// The role.
-    pub role: Role,
+    pub role: ClientRole,
     /// Number of connections.
     pub connected: usize,
     /// Number of those that watch.
@@ -484,7 +485,7 @@ mod tests {
     fn what_a_role_may_is_what_it_needs() {
         let fields = r#""axis":"x","total_counts":1,"on":true,"errors":"e","axes":["z","x"],"centre_mm":[0,0],
                         "radius_mm":1,"nose_mm":1,"origin_mm":[0,0],"lead_ms":1"#;
-        let all = Role::SetUp.may();
+        let all = ClientRole::SetUp.may();
         for name in &all {
             // The first subset of fields that this request accepts.
             let takes = |keys: &[&str]| {
@@ -502,7 +503,7 @@ mod tests {
                 .find_map(takes)
                 .unwrap_or_else(|| panic!("{name}"));
             let needed = request.needs();
-            for role in Role::ALL {
+            for role in ClientRole::ALL {
                 assert_eq!(role.may().contains(name), needed <= role, "{name} {role}");
             }
         }
@@ -538,16 +539,16 @@ mod tests {
         for line in requests {
             ClientRequest::parse(line).unwrap();
         }
-        for name in Role::SetUp.may() {
+        for name in ClientRole::SetUp.may() {
             assert!(text.contains(&format!("\"{name}\"")) || text.contains(&format!("`{name}`")), "{name}");
         }
     }
 
     #[test]
     fn answers_have_the_shape_that_is_documented() {
-        let done = Response::done();
+        let done = DaemonResponse::done();
         assert_eq!(serde_json::to_string(&done).unwrap(), r#"{"done":{}}"#);
-        let refused = Response::refused(word(Refusal::NotHomed), "t");
+        let refused = DaemonResponse::refused(word(Refusal::NotHomed), "t");
         assert_eq!(serde_json::to_string(&refused).unwrap(), r#"{"refused":{"why":"not_homed","text":"t"}}"#);
     }
 }

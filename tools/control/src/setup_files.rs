@@ -2,7 +2,7 @@
 
 use crate::config::{CardConfig, Config};
 use rtec_files::InputError;
-use rtec_files::toml::Document;
+use rtec_files::strict_toml::Document;
 use rtec_model::machine::Machine;
 use rtec_sensors::{SensorSource, temperature_log};
 use std::path::{Path, PathBuf};
@@ -29,12 +29,12 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<SetupFile>, InputError> {
             all.push(SetupFile { kind, path });
         }
     };
-    let text = rtec_files::text::read(file)?;
+    let text = rtec_files::text_file::read(file)?;
     let document = Document::parse(file, &text)?;
     let card = document.root().get("card").and_then(|e| e.table("[card]").ok());
     // A profile is given by its name or its file.
     if let Some(named) = card.and_then(|t| t.get("profile")).and_then(|e| e.str("a profile").ok())
-        && crate::profile::shipped(named).is_none()
+        && crate::card_profile_file::shipped(named).is_none()
     {
         add("profile", folder.join(named));
     }
@@ -46,7 +46,7 @@ pub fn of(file: &Path, config: &Config) -> Result<Vec<SetupFile>, InputError> {
     for sensor in &config.sensors {
         if let SensorSource::Csv { record, .. } = &sensor.source {
             add("recording", record.clone());
-            let text = rtec_files::text::read(record)?;
+            let text = rtec_files::text_file::read(record)?;
             let sidecar = Document::parse(record, &text)?;
             if let Some(csv) = sidecar.root().get("file").and_then(|e| e.str("a CSV").ok()) {
                 add("recording", record.parent().unwrap_or(Path::new("")).join(csv));

@@ -8,12 +8,12 @@ mod numbers;
 
 use rtec_control::config::{CardConfig, Config, EMBEDDED, RegisterPlace, reference};
 use rtec_correct::Corrector;
-use rtec_driver::card::{Card, CardError, Sample};
-use rtec_driver::gpio::{Bias, Drive, LineId};
-use rtec_driver::profile::AddressSpace;
-use rtec_rt::axis::RestPolicy;
+use rtec_driver::card::{Card, CardError, CardInputSample};
+use rtec_driver::card_profile::AddressSpace;
+use rtec_driver::gpio::{Bias, Drive, GpioLineId};
+use rtec_rt::axis::InsertionAtRestPolicy;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::Request;
+use rtec_rt::link_messages::RequestToRt;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -90,7 +90,7 @@ fn values_arrive_where_they_belong() {
     // The budget limits the maximum, with a note.
     assert_eq!((engine.max_correction_counts, config.notes.len()), (400, 2));
     assert!(config.notes[1].contains("view has no group"), "{:?}", config.notes);
-    assert_eq!(engine.rest, RestPolicy::Insert { after_ns: 2_500_000 });
+    assert_eq!(engine.rest, InsertionAtRestPolicy::Insert { after_ns: 2_500_000 });
     assert_eq!((engine.detect_ns, engine.write_ns, engine.guard_ns), (2000, 300, 200));
     assert_eq!((axis.home_counts, axis.rapid_mm_min), (-20_000, Some(10_000.0)));
     // 2 µs per look, 0.5 µm per count: 500 000 edges/s less what 10⁶ counts/s² adds in 1 µs.
@@ -143,7 +143,7 @@ fn gpio_lines_are_named_or_numbered_and_inherit_what_the_card_says() {
     // A and B are one request, the machine's own lines another.
     let (a, b, probe) = (&setup.inputs[1], &setup.inputs[2], &setup.inputs[0]);
     assert!(a.group == b.group && a.group != probe.group);
-    assert_eq!(a.line.line, LineId::Name("X_A".into()));
+    assert_eq!(a.line.line, GpioLineId::Name("X_A".into()));
     assert_eq!((a.line.chip.as_deref(), a.line.bias), (Some("gpiochip0"), Some(Bias::PullDown)));
     assert_eq!((probe.line.active_low, probe.line.bias), (true, Some(Bias::Disabled)));
     let invert_a = &setup.outputs[1].line;

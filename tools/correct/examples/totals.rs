@@ -1,19 +1,20 @@
 //! The control law, ten milliseconds at a time.
 //! The scale is 100 ppm too long, and the axis moves to 400 mm.
-use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
+use rtec_correct::{AxisCorrectionSettings, Corrector, RAMP_UM_S};
 use rtec_model::machine::Machine;
-use rtec_rt::link_messages::{Mode, Status};
+use rtec_rt::link_messages::{CorrectorMode, CorrectorStatus};
 use std::path::Path;
 
 #[cfg_attr(test, test)]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (name, count_um) = ("x".to_owned(), 1.0);
-    let x = AxisSetup { name, count_um, increment_counts: 2, window_counts: 50, max_counts: 1000 };
+    let x =
+        AxisCorrectionSettings { name, count_um, increment_counts: 2, window_counts: 50, max_counts: 1000 };
     let mut law = Corrector::new(vec![x], RAMP_UM_S, 0.0, 0.0);
     let model = "name = \"mill\"\n[[effect]]\nname = \"scale.x\"\nppm = 100.0\n";
     law.load(Machine::parse(Path::new("machine.toml"), model)?, &|_| Vec::new())?;
 
-    let mut status = Status { mode: Mode::Run, axes_used: 1, ..Status::default() };
+    let mut status = CorrectorStatus { mode: CorrectorMode::Run, axes_used: 1, ..CorrectorStatus::default() };
     status.axes[0].homed = true;
     for tick in 1..=1000 {
         status.t_ns = tick * 10_000_000;

@@ -1,23 +1,24 @@
 //! All axes: requested = model + part table + operator.
 //! Called every 10 to 20 ms (NISTIR 4832, Alternate Configurations).
 
-use crate::AxisSetup;
+use crate::AxisCorrectionSettings;
+use crate::axis_motion::AxisMotionTracker;
+use crate::correction_total::{AxisCorrectionTotal, TotalTickInputs};
 use crate::explain::{
-    AxisExplanation, AxisTotalChange, Contribution, ModelPreview, RunningModel, SensorReading,
+    AxisCorrectionComponents, AxisTotalChange, CorrectionComponent, ModelChangePreview, RunningModelReport,
+    SensorStateReport,
 };
 use crate::model_evaluator::{ModelEvaluator, acts};
-use crate::motion::Motion;
 use crate::part_table::{LoadedPartTable, NEAR_MM, PartTable, PartTableState};
-use crate::total::{TickInputs, Total};
 use rtec_files::InputError;
 use rtec_files::date;
 use rtec_model::effect::TemperatureDifference;
-use rtec_model::live::AxisMotionState;
+use rtec_model::live_evaluation::AxisMotionState;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::Axis;
 use rtec_part::error_cor_file::FeatureErrors;
 use rtec_part::geometric_fit::Zx;
-use rtec_rt::link_messages::{AxisStatus, MAX_AXES, Mode, Status};
+use rtec_rt::link_messages::{AxisStatus, CorrectorMode, CorrectorStatus, MAX_AXES};
 use rtec_sensors::SensorMonitor;
 use std::time::{Duration, Instant};
 
@@ -40,7 +41,7 @@ struct AxisCorrection {
     /// Part of the model's error that depends on the direction, µm.
     turning_um: f64,
     table_um: f64,
-    total: Total,
+    total: AxisCorrectionTotal,
     /// Reason why the total is held, and why its thermal part is.
     hold_reason: Option<String>,
     thermal_hold_reason: Option<String>,
@@ -49,16 +50,16 @@ struct AxisCorrection {
 /// The control law: it computes the total that each axis should have now.
 #[derive(Debug)]
 pub struct Corrector {
-    setups: Vec<AxisSetup>,
+    setups: Vec<AxisCorrectionSettings>,
     axes: Vec<AxisCorrection>,
     model: Option<ModelEvaluator>,
     table: Option<LoadedPartTable>,
     ramp_um_s: f64,
     lead_s: f64,
     last_s: f64,
-    motion: Motion,
+    motion: AxisMotionTracker,
     /// What models see.
-    seen: Preparer,
+    seen: ModelPreparer,
     /// A source has changed, so that the total approaches its new value in a ramp.
     changed: bool,
     /// Today, in days since 1970-01-01.
@@ -68,7 +69,7 @@ pub struct Corrector {
 /// Prepares models for a machine.
 /// It can be sent to another thread while the corrector works on.
 #[derive(Debug, Clone)]
-pub struct Preparer {
+pub struct ModelPreparer {
     /// Axes that a model can name, in the order of its layout.
     layout_axes: Vec<Axis>,
     /// Motion at the last tick, per axis of the layout.
@@ -83,7 +84,7 @@ pub struct Preparer {
 #[derive(Debug)]
 pub struct PreparedModel(ModelEvaluator);
 
-impl Preparer {
+impl ModelPreparer {
     /// Prepares a model and computes its lags from past temperatures.
     ///
     /// # Errors
@@ -115,7 +116,7 @@ impl PreparedModel {
 
     /// Time of one evaluation on this computer, the best of three.
     /// The model's state does not change.
-    pub fn evaluation_time(&self, preparer: &Preparer) -> Duration {
+    pub fn evaluation_time(&self, preparer: &ModelPreparer) -> Duration {
         let mut shortest = Duration::MAX;
         for _ in 0..3 {
             let mut trial = self.0.trial();
@@ -131,7 +132,7 @@ impl Corrector {
     /// A corrector without sources.
     /// `ramp_um_s`: the rate at which a total approaches a new value that no motion asks for. `lead_s`: how long the
     /// model is evaluated ahead of the axes' motion. `now_s`: the time, s, on the clock of every later call.
-    pub fn new(setups: Vec<AxisSetup>, ramp_um_s: f64, lead_s: f64, now_s: f64) -> Self {
+    pub fn new(setups: Vec<AxisCorrectionSettings>, ramp_um_s: f64, lead_s: f64, now_s: f64) -> Self {
         let mut layout_axes = Vec::new();
         let mut axes = Vec::new();
         for s in &setups {
@@ -141,13 +142,18 @@ impl Corrector {
             });
             axes.push(AxisCorrection {
                 place,
-                total: Total::new(s.count_um, s.increment_counts, s.window_counts, s.max_counts),
+                total: AxisCorrectionTotal::new(
+                    s.count_um,
+                    s.increment_counts,
+                    s.window_counts,
+                    s.max_counts,
+                ),
                 ..AxisCorrection::default()
             });
         }
         Self {
-            motion: Motion::new(setups.len()),
-            seen: Preparer {
+            motion: AxisMotionTracker::new(setups.len()),
+            seen: ModelPreparer {
                 now: vec![AxisMotionState::default(); layout_axes.len()],
                 layout_axes,
                 started_s: now_s,
@@ -181,7 +187,7 @@ impl Corrector {
     }
 
     /// Returns what prepares a model for this machine, on any thread.
-    pub fn preparer(&self) -> Preparer {
+    pub fn preparer(&self) -> ModelPreparer {
         self.seen.clone()
     }
 
@@ -198,8 +204,8 @@ impl Corrector {
     }
 
     /// The sensors' state, described for people.
-    pub fn readings(&self) -> Vec<SensorReading> {
-        self.seen.watches.iter().map(|w| SensorReading::of(w, self.seen.sensed_s)).collect()
+    pub fn readings(&self) -> Vec<SensorStateReport> {
+        self.seen.watches.iter().map(|w| SensorStateReport::of(w, self.seen.sensed_s)).collect()
     }
 
     /// Loads a model; corrections approach it in a ramp.
@@ -258,7 +264,7 @@ impl Corrector {
     }
 
     /// Present effect of the part table.
-    pub fn table_now(&self, status: &Status) -> Option<PartTableState> {
+    pub fn table_now(&self, status: &CorrectorStatus) -> Option<PartTableState> {
         let table = self.table.as_ref()?;
         let um = table.axes.map(|n| self.axes[n].table_um);
         let [z_mm, x_mm] =
@@ -275,10 +281,12 @@ impl Corrector {
             Some(format!("axis {name}: {why}"))
         });
         let why = match status.mode {
-            Mode::Run => axis,
-            Mode::Shadow => Some("shadow mode: computed, not written".to_owned()),
-            Mode::Probe => Some("probing: positions are taken as the scales read".to_owned()),
-            Mode::Disabled | Mode::Hold | Mode::Fault => Some("corrections are off".to_owned()),
+            CorrectorMode::Run => axis,
+            CorrectorMode::Shadow => Some("shadow mode: computed, not written".to_owned()),
+            CorrectorMode::Probe => Some("probing: positions are taken as the scales read".to_owned()),
+            CorrectorMode::Disabled | CorrectorMode::Hold | CorrectorMode::Fault => {
+                Some("corrections are off".to_owned())
+            }
         };
         let state = match why {
             Some(_) => "off",
@@ -296,7 +304,11 @@ impl Corrector {
     }
 
     /// Changes that a model would make now.
-    pub fn preview(&self, PreparedModel(mut then): PreparedModel, status: &Status) -> ModelPreview {
+    pub fn preview(
+        &self,
+        PreparedModel(mut then): PreparedModel,
+        status: &CorrectorStatus,
+    ) -> ModelChangePreview {
         let (watches, now_s) = (&self.seen.watches, self.seen.sensed_s);
         then.read(watches, now_s);
         then.evaluate(now_s - self.seen.started_s, &self.seen.now, false);
@@ -314,7 +326,7 @@ impl Corrector {
         let axes = axes.collect();
         let warnings = self.notes(&then);
         let machine = &then.machine;
-        ModelPreview {
+        ModelChangePreview {
             name: machine.name().to_owned(),
             file: machine.path.display().to_string(),
             sha256: machine.sha256().to_owned(),
@@ -382,7 +394,7 @@ impl Corrector {
     pub fn tick(
         &mut self,
         now_s: f64,
-        status: &Status,
+        status: &CorrectorStatus,
         watches: &[SensorMonitor],
     ) -> [Option<i64>; MAX_AXES] {
         // After a stall the ramp continues where it was.
@@ -393,7 +405,7 @@ impl Corrector {
         let mut changed = std::mem::take(&mut self.changed);
         changed |= self.ask_model(status);
         self.ask_table();
-        let correcting = matches!(status.mode, Mode::Run | Mode::Shadow);
+        let correcting = matches!(status.mode, CorrectorMode::Run | CorrectorMode::Shadow);
         let mut totals = [None; MAX_AXES];
         for (n, s) in status.axes().iter().enumerate() {
             let asks = self.asks(n);
@@ -404,7 +416,7 @@ impl Corrector {
                 self.motion.total_is(n, s.requested, 0);
                 continue;
             }
-            totals[n] = axis.total.next(TickInputs {
+            totals[n] = axis.total.next(TotalTickInputs {
                 um: axis.model_um - axis.slow_um + axis.table_um,
                 slow_um: axis.slow_um,
                 requested: s.requested,
@@ -419,7 +431,7 @@ impl Corrector {
     }
 
     /// Updates the axes' motion, in the model's layout.
-    fn follow(&mut self, status: &Status) {
+    fn follow(&mut self, status: &CorrectorStatus) {
         self.motion.follow(status, &self.setups);
         for (axis, now) in self.axes.iter().zip(self.motion.now()) {
             if let Some(p) = axis.place {
@@ -430,12 +442,12 @@ impl Corrector {
 
     /// Evaluates the model and stores its errors, if they are known.
     /// Returns whether its sensors have become better or worse.
-    fn ask_model(&mut self, status: &Status) -> bool {
+    fn ask_model(&mut self, status: &CorrectorStatus) -> bool {
         let Some(model) = &mut self.model else { return false };
         let (watches, now_s) = (&self.seen.watches, self.seen.sensed_s);
         let mut changed = model.read(watches, now_s);
         model.add_loads(&mut self.seen.now, watches);
-        let probing = status.mode == Mode::Probe;
+        let probing = status.mode == CorrectorMode::Probe;
         if self.lead_s > 0.0 {
             let mut ahead = self.seen.now.clone();
             let slowing_s = self.lead_s + self.motion.speed_age_s();
@@ -491,20 +503,20 @@ impl Corrector {
     }
 
     /// Components of an axis's correction; they sum to the total.
-    pub fn explain(&self, n: usize, status: &AxisStatus) -> AxisExplanation {
+    pub fn explain(&self, n: usize, status: &AxisStatus) -> AxisCorrectionComponents {
         let (axis, setup) = (&self.axes[n], &self.setups[n]);
         let total_um = status.requested as f64 * setup.count_um;
         let mut parts = self.model_parts(n);
         if axis.table_um != 0.0 {
-            parts.push(Contribution::plain("part table", axis.table_um));
+            parts.push(CorrectionComponent::plain("part table", axis.table_um));
         }
         let (operator_counts, operator_um) = axis.total.operator();
         if operator_counts != 0 {
-            parts.push(Contribution::plain("operator", operator_um));
+            parts.push(CorrectionComponent::plain("operator", operator_um));
         }
         let ramp_um = axis.total.ramp_left_um();
         if ramp_um != 0.0 {
-            parts.push(Contribution::plain("on its way", ramp_um));
+            parts.push(CorrectionComponent::plain("on its way", ramp_um));
         }
         let left_um = total_um - parts.iter().map(|p| p.um).sum::<f64>();
         let rest = match axis.total.limited() {
@@ -513,9 +525,9 @@ impl Corrector {
             None => "not followed now",
         };
         if left_um.abs() > 1e-9 {
-            parts.push(Contribution::plain(rest, left_um));
+            parts.push(CorrectionComponent::plain(rest, left_um));
         }
-        AxisExplanation {
+        AxisCorrectionComponents {
             axis: setup.name.clone(),
             requested: status.requested,
             total_um,
@@ -524,7 +536,7 @@ impl Corrector {
         }
     }
 
-    fn model_parts(&self, n: usize) -> Vec<Contribution> {
+    fn model_parts(&self, n: usize) -> Vec<CorrectionComponent> {
         let (Some(model), Some(place)) = (&self.model, self.axes[n].place) else { return Vec::new() };
         let mut parts = Vec::new();
         for p in model.live.parts() {
@@ -534,24 +546,27 @@ impl Corrector {
             };
             let read = p.effect.delta.iter().flat_map(TemperatureDifference::sensors);
             let find = |name: &str| self.seen.watches.iter().find(|w| w.config().name == name);
-            parts.push(Contribution {
-                sensors: read.filter_map(find).map(|w| SensorReading::of(w, self.seen.sensed_s)).collect(),
+            parts.push(CorrectionComponent {
+                sensors: read
+                    .filter_map(find)
+                    .map(|w| SensorStateReport::of(w, self.seen.sensed_s))
+                    .collect(),
                 outside_k: (p.outside_k > 0.0).then_some(p.outside_k),
                 weight: (p.weight < 1.0).then_some(p.weight),
-                ..Contribution::plain(&p.effect.name(), *um)
+                ..CorrectionComponent::plain(&p.effect.name(), *um)
             });
         }
         let along = ["x", "y", "z"].iter().position(|a| *a == self.setups[n].name);
         if let (Some(chain), Some(k)) = (model.live.chain_um(), along) {
-            parts.push(Contribution::plain("chain", chain[k]));
+            parts.push(CorrectionComponent::plain("chain", chain[k]));
         }
         parts
     }
 
     /// The running model.
-    pub fn running_model(&self) -> Option<RunningModel> {
+    pub fn running_model(&self) -> Option<RunningModelReport> {
         let model = self.model.as_ref()?;
-        Some(RunningModel {
+        Some(RunningModelReport {
             name: model.machine.name().to_owned(),
             file: model.machine.path.display().to_string(),
             sha256: model.machine.sha256().to_owned(),

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// Changes that a model would make now.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ModelPreview {
+pub struct ModelChangePreview {
     /// The name that `machine.toml` gives it.
     pub name: String,
     /// Path of its `machine.toml`.
@@ -43,7 +43,7 @@ pub struct AxisTotalChange {
 /// Components of an axis's correction.
 /// They are errors that are removed, µm: the axis moves by the opposite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct AxisExplanation {
+pub struct AxisCorrectionComponents {
     /// Name of the axis.
     pub axis: String,
     /// The total that is requested of the engine, counts since homing.
@@ -51,14 +51,14 @@ pub struct AxisExplanation {
     /// The same total, µm: the sum of the parts.
     pub total_um: f64,
     /// Components of the total.
-    pub parts: Vec<Contribution>,
+    pub parts: Vec<CorrectionComponent>,
     /// Reason why it does not follow the model; none if it does.
     pub holds: Option<String>,
 }
 
 /// One part of a correction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Contribution {
+pub struct CorrectionComponent {
     /// The name of an effect, or of one of the other parts.
     /// These are `chain`, `part table`, `operator`, `on its way` (the rest of the ramp), `rounding` (to the
     /// design's increment) and `beyond max_correction_counts`.
@@ -67,7 +67,7 @@ pub struct Contribution {
     pub um: f64,
     /// The sensors it reads.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<SensorReading>,
+    pub sensors: Vec<SensorStateReport>,
     /// Distance of the temperature difference from the range of its fit, K.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outside_k: Option<f64>,
@@ -76,7 +76,7 @@ pub struct Contribution {
     pub weight: Option<f64>,
 }
 
-impl Contribution {
+impl CorrectionComponent {
     pub(crate) fn plain(name: &str, um: f64) -> Self {
         Self { name: name.to_owned(), um, sensors: Vec::new(), outside_k: None, weight: None }
     }
@@ -84,7 +84,7 @@ impl Contribution {
 
 /// Present state of a temperature sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SensorReading {
+pub struct SensorStateReport {
     /// The sensor's name, as effects use it.
     pub sensor: String,
     /// Its place on the machine, for people.
@@ -101,7 +101,7 @@ pub struct SensorReading {
     pub fault: Option<String>,
 }
 
-impl SensorReading {
+impl SensorStateReport {
     /// State of a sensor at a time, s.
     pub fn of(watch: &SensorMonitor, now_s: f64) -> Self {
         Self {
@@ -122,7 +122,7 @@ impl SensorReading {
 
 /// The running model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RunningModel {
+pub struct RunningModelReport {
     /// The name that `machine.toml` gives it.
     pub name: String,
     /// Path of its `machine.toml`.

@@ -2,7 +2,7 @@
 
 use rtec_files::InputError;
 use rtec_model::effect::STANDARD_DEGC;
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::machine::Machine;
 
 /// Largest relative difference of indicator and scale; no machine errs by more.
@@ -16,7 +16,7 @@ const UNIT: f64 = 0.01;
 /// The model has no effect on the axis, or reads what no machine has.
 pub fn largest_step_um(machine: &Machine, axis: &str, places_mm: [f64; 3]) -> Result<f64, InputError> {
     let refused = |found: String, expected: &str| InputError::whole(&machine.path, found, expected);
-    let mut layout = StateLayout { sensors: machine.sensors(), ..StateLayout::default() };
+    let mut layout = MachineStateLayout { sensors: machine.sensors(), ..MachineStateLayout::default() };
     for effect in machine.effects() {
         layout.axes.extend(effect.axes().iter().cloned());
         layout.channels.extend(effect.channel().map(str::to_owned));

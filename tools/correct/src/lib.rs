@@ -8,14 +8,14 @@
 //!
 //! At work: `cargo run -p rtec-correct --example totals`, which the tests run too.
 
+mod axis_motion; // position, velocity and direction of the axes from the engine's status
+mod correction_total;
 pub mod corrector; // all axes: the sources' sum becomes totals
 pub mod explain; // components of a correction, for people
 pub mod jog_check; // judges a guided jog: sign, unit, compensation by the controller itself
 mod model_evaluator; // the machine model as a source: sensors in, errors out, or why they are not known
-mod motion; // position, velocity and direction of the axes from the engine's status
 pub mod part_table; // a part's errors as a source
-pub mod rehearse; // runs a recorded shift through the law with another model
-mod total; // ramp, hysteresis, limits, belief window
+pub mod rehearse; // runs a recorded shift through the law with another model // ramp, hysteresis, limits, belief window
 
 pub use corrector::Corrector;
 
@@ -36,7 +36,7 @@ pub fn belief_window_counts(count_um: f64, step_um: f64) -> i64 {
 
 /// An axis's settings for the control law.
 #[derive(Debug, Clone, PartialEq)]
-pub struct AxisSetup {
+pub struct AxisCorrectionSettings {
     /// The axis's name, as models name it.
     pub name: String,
     /// Size of one count, µm.

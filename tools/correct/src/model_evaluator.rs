@@ -3,9 +3,9 @@
 
 use rtec_files::InputError;
 use rtec_model::effect::{
-    Effect, Naming, RequiredInput, STANDARD_DEGC, TemperatureDifference, ThermalDependence,
+    Effect, EffectNameAxes, RequiredInput, STANDARD_DEGC, TemperatureDifference, ThermalDependence,
 };
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::{Axis, Role, span};
 use rtec_sensors::{SensorMonitor, SensorUsability};
@@ -34,7 +34,7 @@ pub(crate) struct ModelEvaluator {
     lags: Vec<LagSettling>,
     /// Inputs of the model that no sensor gives.
     missing: Vec<String>,
-    ranges: Vec<FittedRange>,
+    ranges: Vec<FittedTemperatureRange>,
     /// The last value of each configured sensor.
     values: Vec<Option<f64>>,
     inputs: NonAxisInputs,
@@ -115,7 +115,7 @@ impl LagSettling {
 /// Range of a temperature difference that a fit was made on.
 /// An effect may read that difference or not.
 #[derive(Debug)]
-struct FittedRange {
+struct FittedTemperatureRange {
     /// Index of the fit in the model, and of the difference in the fit.
     fit: usize,
     valid: usize,
@@ -124,7 +124,7 @@ struct FittedRange {
     minus: Option<usize>,
 }
 
-impl FittedRange {
+impl FittedTemperatureRange {
     /// The ranges of a model whose sensors are configured.
     fn all(machine: &Machine, watches: &[SensorMonitor]) -> Vec<Self> {
         let mut all = Vec::new();
@@ -141,7 +141,7 @@ impl FittedRange {
 
 /// Whether an effect acts on its axis `place`: the first, or either of a pair.
 pub(crate) fn acts(effect: &Effect, place: Option<usize>) -> bool {
-    place == Some(0) || place == Some(1) && effect.description().naming == Naming::Pair
+    place == Some(0) || place == Some(1) && effect.description().naming == EffectNameAxes::Pair
 }
 
 /// Whether an effect changes with the direction of the last motion.
@@ -325,7 +325,7 @@ impl ModelEvaluator {
         let mut channels: Vec<String> =
             machine.effects().filter_map(Effect::channel).map(str::to_owned).collect();
         channels.dedup();
-        let layout = StateLayout { axes: axes.to_vec(), sensors: machine.sensors(), channels };
+        let layout = MachineStateLayout { axes: axes.to_vec(), sensors: machine.sensors(), channels };
         let sensors = places(&machine, &layout.sensors, ("temperature", &Role::Temperature), watches)?;
         let channels = places(&machine, &layout.channels, ("channel", &Role::Channel), watches)?;
         let live = LiveModel::at_work(&machine, layout).map_err(|missing| {
@@ -347,7 +347,7 @@ impl ModelEvaluator {
             reads: reads(&machine, axes, watches),
             lags: lags(&machine, axes),
             missing: missing(&machine, axes, watches),
-            ranges: FittedRange::all(&machine, watches),
+            ranges: FittedTemperatureRange::all(&machine, watches),
             values: vec![None; watches.len()],
             live,
             machine,
@@ -506,7 +506,7 @@ impl ModelEvaluator {
     /// are listed.
     fn unseen(&self) -> Vec<String> {
         let unseen = |(n, fit): (usize, &FitNote)| {
-            let now = |r: &FittedRange| {
+            let now = |r: &FittedTemperatureRange| {
                 let v = &fit.valid[r.valid];
                 let minus = r.minus.map_or(Some(v.difference.reference_degc()), |n| self.values[n])?;
                 let delta_k = self.values[r.sensor]? - minus;

@@ -1,11 +1,11 @@
 //! A part's errors as a source, removed only where the tool cuts.
 //! (NISTIR 4854, section 5)
 
-use crate::AxisSetup;
+use crate::AxisCorrectionSettings;
+use rtec_part::arc_finish_cut_table::{ArcFinishCutTable, AxisCountConversion, FinishCutArc};
 use rtec_part::error_cor_file::FeatureErrors;
-use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::straight_table::StraightFinishTable;
+use rtec_part::straight_finish_cut_table::StraightFinishCutTable;
 use serde::{Deserialize, Serialize};
 
 /// Distances from a feature, mm, for a part table's full effect and for its end.
@@ -63,16 +63,16 @@ pub struct PartTableState {
 }
 
 #[derive(Debug)]
-enum FeatureTable {
-    Arc(ArcFinishTable),
-    Line(StraightFinishTable),
+enum ArcOrStraightTable {
+    Arc(ArcFinishCutTable),
+    Line(StraightFinishCutTable),
 }
 
 /// The loaded part table.
 #[derive(Debug)]
 pub(crate) struct LoadedPartTable {
     pub(crate) shown: PartTable,
-    table: FeatureTable,
+    table: ArcOrStraightTable,
     /// The table's two axes (Z and X of the part) as indices of the corrector's axes.
     pub(crate) axes: [usize; 2],
 }
@@ -85,7 +85,7 @@ impl LoadedPartTable {
     pub(crate) fn new(
         shown: PartTable,
         errors: FeatureErrors,
-        of: &[AxisSetup],
+        of: &[AxisCorrectionSettings],
         named: impl Fn(usize) -> bool,
     ) -> Result<Self, String> {
         let mut axes = [0; 2];
@@ -120,7 +120,7 @@ impl LoadedPartTable {
                                 errors bring their places"
                         .to_owned());
                 }
-                FeatureTable::Line(StraightFinishTable { errors, axes: counts, nose_mm, origin })
+                ArcOrStraightTable::Line(StraightFinishCutTable { errors, axes: counts, nose_mm, origin })
             }
             FeatureErrors::Arc(errors) => {
                 let arc = shown.centre_mm.zip(shown.radius_mm);
@@ -136,8 +136,8 @@ impl LoadedPartTable {
                     ));
                 }
                 let nose_mm = if shown.hollow { -nose_mm } else { nose_mm };
-                let cut = FinishArc { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
-                FeatureTable::Arc(ArcFinishTable::new(cut, counts, errors))
+                let cut = FinishCutArc { centre: Zx::new(cz, cx), radius_mm, nose_mm, origin };
+                ArcOrStraightTable::Arc(ArcFinishCutTable::new(cut, counts, errors))
             }
         };
         Ok(Self { shown, table, axes })
@@ -150,8 +150,8 @@ impl LoadedPartTable {
         let [near, far] = NEAR_MM;
         let share = ((far - off_mm) / (far - near)).clamp(0.0, 1.0);
         let um = match &self.table {
-            FeatureTable::Arc(table) => table.components_um(place, velocity_mm_s, lead_s),
-            FeatureTable::Line(table) => table.components_um(place, velocity_mm_s, lead_s),
+            ArcOrStraightTable::Arc(table) => table.components_um(place, velocity_mm_s, lead_s),
+            ArcOrStraightTable::Line(table) => table.components_um(place, velocity_mm_s, lead_s),
         };
         um * share
     }
@@ -159,19 +159,19 @@ impl LoadedPartTable {
     /// Distance of a machine position from the path of the tool's nose, mm.
     pub(crate) fn off_mm(&self, place: Zx) -> f64 {
         match &self.table {
-            FeatureTable::Arc(table) => {
+            ArcOrStraightTable::Arc(table) => {
                 let cut = &table.cut;
                 ((place - cut.origin - cut.centre).norm() - cut.radius_mm - cut.nose_mm).abs()
             }
-            FeatureTable::Line(table) => table.off_mm(place),
+            ArcOrStraightTable::Line(table) => table.off_mm(place),
         }
     }
 
     /// Number of probed points that the table was made from.
     pub(crate) fn points(&self) -> usize {
         match &self.table {
-            FeatureTable::Arc(table) => table.points(),
-            FeatureTable::Line(table) => table.errors.len(),
+            ArcOrStraightTable::Arc(table) => table.points(),
+            ArcOrStraightTable::Line(table) => table.errors.len(),
         }
     }
 }

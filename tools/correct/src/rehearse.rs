@@ -4,12 +4,12 @@
 //! Positions, temperatures and loads are those of the shift. The engine inserts at once. Between two rows
 //! every value is linear in time, so that ramp, window and lags see the time pass.
 
-use crate::{AxisSetup, Corrector};
+use crate::{AxisCorrectionSettings, Corrector};
 use rtec_files::InputError;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
-use rtec_rt::link_messages::{MAX_AXES, Mode, Status};
+use rtec_rt::link_messages::{CorrectorMode, CorrectorStatus, MAX_AXES};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -22,29 +22,29 @@ const MOST_TICKS: f64 = 20.0;
 
 /// Settings of the law that the shift does not state.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Options {
+pub struct RehearsalOptions {
     /// The axes of the configuration.
     /// Any other axis has Design C, a window of 12 µm, and the shift's count or 1 µm.
-    pub axes: Vec<AxisSetup>,
+    pub axes: Vec<AxisCorrectionSettings>,
     /// The ramp's rate, µm/s (see [`Corrector::new`]).
     pub ramp_um_s: f64,
     /// Lead of the model, s (see [`Corrector::new`]).
     pub lead_s: f64,
 }
 
-impl Default for Options {
+impl Default for RehearsalOptions {
     fn default() -> Self {
         Self { axes: Vec::new(), ramp_um_s: crate::RAMP_UM_S, lead_s: 0.0 }
     }
 }
 
-impl Options {
+impl RehearsalOptions {
     /// An axis without a configuration: Design C, a window of 12 µm.
     /// Its count is that of the shift, or 1 µm.
-    fn axis(&self, name: &str, count_um: Option<f64>) -> AxisSetup {
+    fn axis(&self, name: &str, count_um: Option<f64>) -> AxisCorrectionSettings {
         let known = self.axes.iter().find(|a| a.name == name).cloned();
         let count_um = count_um.unwrap_or(1.0);
-        known.unwrap_or_else(|| AxisSetup {
+        known.unwrap_or_else(|| AxisCorrectionSettings {
             name: name.to_owned(),
             count_um,
             increment_counts: 2,
@@ -56,7 +56,7 @@ impl Options {
 
 /// Changes on one axis. A positive total removes a positive error.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct AxisChange {
+pub struct AxisCorrectionChange {
     /// Name of the axis.
     pub axis: String,
     /// Size of one count, µm.
@@ -83,7 +83,7 @@ pub struct AxisChange {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RehearsalResult {
     /// One entry per axis of the shift.
-    pub axes: Vec<AxisChange>,
+    pub axes: Vec<AxisCorrectionChange>,
     /// Share of the rows on which an effect of the new model was outside its range.
     pub outside: BTreeMap<String, f64>,
 }
@@ -97,7 +97,7 @@ struct SensorColumn<'r> {
 /// The law with one model, and the machine's state that it sees.
 struct RehearsedCorrector<'r> {
     corrector: Corrector,
-    status: Status,
+    status: CorrectorStatus,
     watches: Vec<SensorMonitor>,
     feeds: &'r [SensorColumn<'r>],
 }
@@ -140,14 +140,15 @@ pub fn rehearse(
     present: &Machine,
     new: &Machine,
     shift: &Record,
-    options: &Options,
+    options: &RehearsalOptions,
 ) -> Result<RehearsalResult, InputError> {
     let axes = axes_of(shift, [present, new]);
     if axes.len() > MAX_AXES {
         let found = format!("{} axes in the shift and the models", axes.len());
         return Err(InputError::whole(&shift.path, found, format!("at most {MAX_AXES}")));
     }
-    let setups: Vec<AxisSetup> = axes.iter().map(|a| options.axis(a.as_str(), shift.count_um)).collect();
+    let setups: Vec<AxisCorrectionSettings> =
+        axes.iter().map(|a| options.axis(a.as_str(), shift.count_um)).collect();
     let sensed = |role: &Role| {
         matches!(role, Role::Temperature | Role::Channel | Role::SpindleSpeed | Role::Coolant | Role::Load(_))
     };
@@ -164,7 +165,11 @@ pub fn rehearse(
         corrector.load(machine.clone(), &|_| Vec::new()).map_err(|e| {
             InputError::whole(&shift.path, e.found, "every sensor and channel that the model reads")
         })?;
-        let mut status = Status { mode: Mode::Run, axes_used: setups.len() as u8, ..Status::default() };
+        let mut status = CorrectorStatus {
+            mode: CorrectorMode::Run,
+            axes_used: setups.len() as u8,
+            ..CorrectorStatus::default()
+        };
         status.axes.iter_mut().for_each(|a| a.homed = true);
         Ok(RehearsedCorrector { corrector, status, watches, feeds: &feeds })
     };
@@ -204,14 +209,14 @@ fn run(shift: &Record, axes: &[Axis], stages: &mut [RehearsedCorrector<'_>; 2], 
 
 /// Totals collected row by row.
 struct TotalsByRow {
-    setups: Vec<AxisSetup>,
+    setups: Vec<AxisCorrectionSettings>,
     totals: Vec<Vec<(f64, [i64; 2])>>,
     held: Vec<usize>,
     outside: BTreeMap<String, usize>,
 }
 
 impl TotalsByRow {
-    fn new(setups: Vec<AxisSetup>) -> Self {
+    fn new(setups: Vec<AxisCorrectionSettings>) -> Self {
         let axes = setups.len();
         Self { setups, totals: vec![Vec::new(); axes], held: vec![0; axes], outside: BTreeMap::new() }
     }
@@ -236,7 +241,7 @@ impl TotalsByRow {
             let worst = rows.iter().max_by(|a, b| change(a).abs().total_cmp(&change(b).abs()));
             let squares: f64 = rows.iter().map(|r| change(r).powi(2)).sum();
             let speeds = rows.windows(2).filter(|w| w[1].0 > w[0].0);
-            AxisChange {
+            AxisCorrectionChange {
                 largest_um: [largest(0), largest(1)],
                 change_um: worst.map_or(0.0, change),
                 change_at_s: worst.map_or(0.0, |r| r.0),

@@ -12,9 +12,9 @@ mod sensors;
 use bench::{Bench, GROWTH, LAG, SCALE, TICK_S, machine, part, part_errors, sensor};
 use rtec_correct::part_table::PartTable;
 use rtec_model::record::{Axis, Role};
-use rtec_part::error_cor_file::{FeatureErrors, StraightPointError};
+use rtec_part::error_cor_file::{FeatureErrors, StraightFeaturePointError};
 use rtec_part::geometric_fit::Zx;
-use rtec_rt::link_messages::{AxisStatus, Fault, MAX_AXES, Mode, Status};
+use rtec_rt::link_messages::{AxisStatus, CorrectorMode, CorrectorStatus, Fault, MAX_AXES};
 
 #[test]
 fn a_total_follows_the_axis_within_its_window_and_does_not_chatter() {
@@ -60,12 +60,12 @@ fn loading_and_unloading_are_ramps() {
 
 #[test]
 fn nothing_is_asked_for_while_it_must_not_and_after_that_it_is_a_ramp() {
-    type Change = fn(&mut Status);
+    type Change = fn(&mut CorrectorStatus);
     let not: [Change; 6] = [
-        |s| s.mode = Mode::Disabled,
-        |s| s.mode = Mode::Hold,
-        |s| s.mode = Mode::Probe,
-        |s| s.mode = Mode::Fault,
+        |s| s.mode = CorrectorMode::Disabled,
+        |s| s.mode = CorrectorMode::Hold,
+        |s| s.mode = CorrectorMode::Probe,
+        |s| s.mode = CorrectorMode::Fault,
         |s| s.axes[0].homed = false,
         |s| {
             s.axes[0].faults.latch(Fault::PollGap);
@@ -82,7 +82,7 @@ fn nothing_is_asked_for_while_it_must_not_and_after_that_it_is_a_ramp() {
             assert_eq!(bench.tick()[0], None, "{:?}", bench.status.mode);
         }
         let axes = bench.status.axes;
-        bench.status = Status { t_ns: bench.status.t_ns, ..before };
+        bench.status = CorrectorStatus { t_ns: bench.status.t_ns, ..before };
         bench.status.axes[0].position_counts = axes[0].position_counts;
         assert!(bench.run(10.0, 0, |_| None) <= 2);
         assert_eq!(bench.status.axes[0].requested, 40);
@@ -271,7 +271,7 @@ fn a_probed_point_gets_what_the_model_says_of_it() {
     let mut bench = Bench::new();
     bench.load(&[SCALE, GROWTH, "[[effect]]\nname = \"squareness.x.y\"\nurad = 50.0\n"].concat());
     bench.warm(23.0, 20.0);
-    bench.status.mode = Mode::Probe;
+    bench.status.mode = CorrectorMode::Probe;
     for p in [0, 50_000, 100_000] {
         bench.status.axes[1].position_counts = p;
         bench.tick();

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_correct::rehearse::{AxisChange, Options, RehearsalResult, rehearse};
-use rtec_correct::{AxisSetup, RAMP_UM_S};
+use rtec_correct::rehearse::{AxisCorrectionChange, RehearsalOptions, RehearsalResult, rehearse};
+use rtec_correct::{AxisCorrectionSettings, RAMP_UM_S};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use rtec_rt::link_messages::MAX_AXES;
@@ -33,18 +33,18 @@ fn shift(t_s: Vec<f64>, mut columns: Vec<Column>) -> Record {
 }
 
 /// Counts of half a micrometre, and windows of 50 counts.
-fn fine(axes: &[&str]) -> Options {
-    let axis = |name: &&str| AxisSetup {
+fn fine(axes: &[&str]) -> RehearsalOptions {
+    let axis = |name: &&str| AxisCorrectionSettings {
         name: (*name).to_owned(),
         count_um: 0.5,
         increment_counts: 2,
         window_counts: 50,
         max_counts: 1000,
     };
-    Options { axes: axes.iter().map(axis).collect(), ..Options::default() }
+    RehearsalOptions { axes: axes.iter().map(axis).collect(), ..RehearsalOptions::default() }
 }
 
-fn axis<'r>(found: &'r RehearsalResult, name: &str) -> &'r AxisChange {
+fn axis<'r>(found: &'r RehearsalResult, name: &str) -> &'r AxisCorrectionChange {
     found.axes.iter().find(|a| a.axis == name).unwrap()
 }
 
@@ -134,7 +134,7 @@ fn axes_of_shift_and_models_are_counted_once_and_are_no_more_than_the_engines() 
         let columns = names[..of_shift].iter().map(|n| position(n, vec![0.0, 100.0])).collect();
         let models: String = names[..of_model].iter().map(|n| scale(n, 100.0)).collect();
         let record = shift(vec![0.0, 1.0], columns);
-        rehearse(&machine(&models), &machine(&models), &record, &Options::default())
+        rehearse(&machine(&models), &machine(&models), &record, &RehearsalOptions::default())
     };
     let found = run(2, MAX_AXES).unwrap();
     assert_eq!(found.axes.iter().map(|a| a.axis.as_str()).collect::<Vec<_>>(), names[..MAX_AXES]);

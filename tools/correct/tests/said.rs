@@ -8,11 +8,11 @@ mod bench;
 
 use bench::{Bench, GROWTH, LAG, SCALE, TICK_S, machine, part, part_errors, sensor};
 use rtec_correct::part_table::PartTable;
-use rtec_correct::{AxisSetup, Corrector};
+use rtec_correct::{AxisCorrectionSettings, Corrector};
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
-use rtec_rt::link_messages::Mode;
+use rtec_rt::link_messages::CorrectorMode;
 use std::path::Path;
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ const FIT: &str = "[[fit]]\nresponse = \"error.z\"\ndate = \"1970-01-01\"\nvalid
 
 /// Counts of half a micrometre, so that counts and micrometres cannot be confused.
 fn fine(lead_s: f64) -> Bench {
-    let axis = |name: &str| AxisSetup {
+    let axis = |name: &str| AxisCorrectionSettings {
         name: name.to_owned(),
         count_um: 0.5,
         increment_counts: 2,
@@ -103,7 +103,7 @@ fn what_a_preview_says_comes_to_pass() {
     // off.
     bench.run(30.0, 1, |_| None);
     assert_eq!(names(&bench, 1), ["warm_up.y", "rounding"]);
-    bench.status.mode = Mode::Disabled;
+    bench.status.mode = CorrectorMode::Disabled;
     bench.tick();
     assert_eq!(names(&bench, 1), ["warm_up.y", "not followed now"]);
     assert_eq!(bench.corrector.running_model().unwrap().fits, [fit]);
@@ -160,7 +160,7 @@ fn a_models_clock_begins_with_the_daemon() {
         bench.run(100.0, 1, |_| None);
         let y = bench.status.axes[1].requested;
         assert!((124..=128).contains(&y), "{y}");
-        bench.status.mode = Mode::Probe;
+        bench.status.mode = CorrectorMode::Probe;
         bench.status.axes[1].position_counts = 200_000;
         bench.tick();
         let at = |n: usize| bench.corrector.error_um_at(n, bench.status.t_ns, 20.0).unwrap();
@@ -200,7 +200,7 @@ fn an_effect_of_the_probe_is_taken_out_of_captures_and_of_nothing_else() {
     };
     moves(&mut bench);
     assert_eq!((bench.status.axes[0].requested, of(&bench, 0, "probe_latency.x")), (0, 0.0));
-    bench.status.mode = Mode::Probe;
+    bench.status.mode = CorrectorMode::Probe;
     moves(&mut bench);
     let um = bench.corrector.error_um_at(0, bench.status.t_ns, 4.0).unwrap();
     assert!((um - 20.0).abs() < 1e-9, "20 mm/s for a millisecond: {um}");

@@ -6,12 +6,12 @@
 
 mod bench;
 
-use rtec_correct::rehearse::{Options, rehearse};
-use rtec_correct::{AxisSetup, Corrector};
+use rtec_correct::rehearse::{RehearsalOptions, rehearse};
+use rtec_correct::{AxisCorrectionSettings, Corrector};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_rt::link_messages::{Mode, Status};
+use rtec_rt::link_messages::{CorrectorMode, CorrectorStatus};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::path::Path;
 
@@ -53,7 +53,7 @@ fn machine() -> Machine {
     Machine::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/shift/machine.toml")).unwrap()
 }
 
-fn axes() -> Vec<AxisSetup> {
+fn axes() -> Vec<AxisCorrectionSettings> {
     ["x", "y", "z"].map(bench::axis).to_vec()
 }
 
@@ -64,7 +64,7 @@ fn the_law_asks_for_what_was_recorded() {
     let mut law = Corrector::new(axes(), rtec_correct::RAMP_UM_S, LEAD_S, 0.0);
     law.sense(0.0, &watches);
     law.load(machine(), &|_| Vec::new()).unwrap();
-    let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+    let mut status = CorrectorStatus { mode: CorrectorMode::Run, axes_used: 3, ..CorrectorStatus::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let mut moved = [0; 3];
     for (row, t_s) in shift[0].iter().copied().enumerate() {
@@ -99,7 +99,7 @@ fn a_rehearsal_of_it_shows_the_same_totals() {
         Column::new("T18", Role::Temperature, shift[5].clone()),
     ];
     let record = Record::of_checked(Path::new("shift.run.toml"), RunKind::Drift, columns);
-    let options = Options { axes: axes(), lead_s: LEAD_S, ..Options::default() };
+    let options = RehearsalOptions { axes: axes(), lead_s: LEAD_S, ..RehearsalOptions::default() };
     let found = rehearse(&Machine::ideal("no model"), &machine(), &record, &options).unwrap();
     assert_eq!(found.axes.iter().map(|a| a.axis.as_str()).collect::<Vec<_>>(), ["x", "y", "z"]);
     for (n, axis) in found.axes.iter().enumerate() {

@@ -6,17 +6,19 @@
 //! `rtecctl demo` runs it with options; the program `rtec-demo` has none and needs few crates, so it is built quickly.
 
 use anyhow::Context as _;
-use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
+use rtec_correct::{AxisCorrectionSettings, Corrector, RAMP_UM_S};
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Monotonic;
-use rtec_driver::mock::MockCard;
-use rtec_files::format_stamp::signed;
+use rtec_driver::mock_card::MockCard;
+use rtec_files::file_format_stamp::signed;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Fault, Mode, Request, Status};
-use rtec_rt::thread::{RunningThread, ThreadOptions, spawn};
-use rtec_sim::strokes::{MovingAxes, StrokeMotion, TrueAxisState, moving_axes};
+use rtec_rt::link_messages::{
+    AxisStatus, CorrectorMode, CorrectorStatus, Event, EventKind, Fault, RequestToRt,
+};
+use rtec_rt::pinned_rt_thread::{RtThreadHandle, ThreadOptions, spawn};
+use rtec_sim::stroking_axes::{MovingAxes, StrokeMotion, TrueAxisState, moving_axes};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -29,7 +31,7 @@ use std::time::{Duration, Instant};
 #[cfg_attr(feature = "clap", derive(clap::Args))]
 pub struct Options {
     /// How long to run
-    #[cfg_attr(feature = "clap", arg(long, default_value = "10s", value_parser = rtec_files::cli_options::duration))]
+    #[cfg_attr(feature = "clap", arg(long, default_value = "10s", value_parser = rtec_files::cli_option_parsers::duration))]
     pub duration: Duration,
     /// Print one JSON document at the end instead of the live view
     #[cfg_attr(feature = "clap", arg(long))]
@@ -144,7 +146,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let (begun, mut drawn) = (Instant::now(), Duration::ZERO);
     let mut squares = SquaredErrors::default();
     let mut errors = "t_s,without_um,with_um\n".to_owned();
-    let mut view = View { live, lines: 0 };
+    let mut view = ProgressView { live, lines: 0 };
     if !options.json {
         print(&format!(
             "axis X: {STROKE_MM} mm strokes at {FEED_MM_S} mm/s, {COUNT_UM} µm per count, mock card, simulated MTC\n"
@@ -155,7 +157,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         running.control.beat();
         let status = running.control.status();
         if let Some(total_counts) = law.tick(begun.elapsed().as_secs_f64(), &status, &[])[0] {
-            running.control.send(Request::Correct { axis: 0, total_counts, large: false })?;
+            running.control.send(RequestToRt::Correct { axis: 0, total_counts, large: false })?;
         }
         let (without, with) = tool_error_um(&truth[0]);
         squares.add(without, with);
@@ -169,7 +171,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         }
     }
     if let Some(file) = &options.errors {
-        rtec_files::write::write_atomically(file, errors.as_bytes())
+        rtec_files::atomic_write::write_atomically(file, errors.as_bytes())
             .with_context(|| format!("writing {}", file.display()))?;
     }
     let (ended, mut control) = running.stop();
@@ -218,7 +220,7 @@ fn print(text: &str) -> anyhow::Result<()> {
 
 /// Control law of the axis with a model.
 fn build_corrector(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> {
-    let setup = AxisSetup {
+    let setup = AxisCorrectionSettings {
         name: "x".to_owned(),
         count_um: COUNT_UM,
         increment_counts: INCREMENT_COUNTS,
@@ -231,9 +233,9 @@ fn build_corrector(axis: &AxisConfig, model: &str) -> anyhow::Result<Corrector> 
 }
 
 /// Homes the axis, reads the home position back, then enables corrections.
-fn start(running: &mut RunningThread<Card>) -> anyhow::Result<()> {
+fn start(running: &mut RtThreadHandle<Card>) -> anyhow::Result<()> {
     let control = &mut running.control;
-    control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
+    control.send(RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true })?;
     loop {
         let Some(event) = control.event() else {
             anyhow::ensure!(!control.ended(), "the real-time thread has ended");
@@ -247,10 +249,10 @@ fn start(running: &mut RunningThread<Card>) -> anyhow::Result<()> {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 let position_counts = control.status().axes[0].position_counts;
-                control.send(Request::ConfirmHome { axis: 0, position_counts })?;
+                control.send(RequestToRt::ConfirmHome { axis: 0, position_counts })?;
             }
-            EventKind::Homed { .. } => control.send(Request::Enable)?,
-            EventKind::Mode(Mode::Run) => return Ok(()),
+            EventKind::Homed { .. } => control.send(RequestToRt::Enable)?,
+            EventKind::Mode(CorrectorMode::Run) => return Ok(()),
             EventKind::Refused { why, .. } => anyhow::bail!("the corrector was not enabled: {why:?}"),
             _ => {}
         }
@@ -266,13 +268,19 @@ fn tool_error_um(truth: &TrueAxisState) -> (f64, f64) {
 
 /// The printed progress.
 /// On a terminal its rows are redrawn; otherwise there is one line per second.
-struct View {
+struct ProgressView {
     live: bool,
     lines: usize,
 }
 
-impl View {
-    fn draw(&mut self, at: Duration, status: &Status, without_um: f64, with_um: f64) -> anyhow::Result<()> {
+impl ProgressView {
+    fn draw(
+        &mut self,
+        at: Duration,
+        status: &CorrectorStatus,
+        without_um: f64,
+        with_um: f64,
+    ) -> anyhow::Result<()> {
         let AxisStatus { position_counts, requested, completed, insertions, edge_rate_hz, .. } =
             status.axes[0];
         let (seconds, mm) = (at.as_secs_f64(), position_counts as f64 * COUNT_UM / 1000.0);
@@ -323,7 +331,7 @@ mod tests {
                      period_mm = 10.0\num = 4.0\nphase_rad = 0.3\n";
         let axis = AxisConfig { window_counts: 50, max_correction_counts: 1000, ..AxisConfig::default() };
         let mut demo = build_corrector(&axis, known).unwrap();
-        let setup = |name: &str| AxisSetup {
+        let setup = |name: &str| AxisCorrectionSettings {
             name: name.to_owned(),
             count_um: COUNT_UM,
             increment_counts: 2,
@@ -335,7 +343,8 @@ mod tests {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift/shift.csv");
         let mut reader = Reader::open(&file).unwrap();
         let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
-        let mut both = [Status { mode: Mode::Run, axes_used: 1, ..Status::default() }; 2];
+        let mut both =
+            [CorrectorStatus { mode: CorrectorMode::Run, axes_used: 1, ..CorrectorStatus::default() }; 2];
         both[0].axes[0].homed = true;
         both[1].axes[0].homed = true;
         let mut asked = 0;

@@ -1,18 +1,20 @@
 //! Alternates noise and search until both settle; then gives values and intervals.
 
-mod candidates;
+mod candidates_for_member;
 mod final_fit;
 
-use crate::contribution::UnnamedShape;
-use crate::hypothesis_family::HypothesisFamilies;
+use crate::candidate_hypotheses::CandidateHypotheses;
+use crate::hypothesis_contribution::UnnamedShape;
+use crate::measurement_model::{EstimationProblem, UnitAssumption, with_corrected_periods};
 use crate::priors::{KNOWN_SHARE, MOST_PHI};
-use crate::problem::{EstimationProblem, UnitAssumption, with_corrected_periods};
-use crate::rows::{Noise, Rows};
-use crate::search::{HypothesisSearch, HypothesisSet, Member, converted_members, profile_log_likelihood};
+use crate::rows_and_noise::{MeasuredRows, ResponseNoise};
+use crate::search::{
+    HypothesisSearch, HypothesisSet, HypothesisSetMember, converted_members, profile_log_likelihood,
+};
 use crate::search_limits::{HOPELESS, NOISE_STEPS, REMEMBERS, ROUNDS, SETTLED, STRONG, UNDER_NOISE};
-use crate::setup;
+use crate::set_up_terms;
 use crate::wander::{self, Wander, wanders};
-use candidates::place;
+use candidates_for_member::place;
 use final_fit::FinalFit;
 use rtec_least_squares::dot;
 use rtec_model::effect::{Dictionary, Effect, TemperatureDifference};
@@ -20,7 +22,7 @@ use rtec_model::record::{Record, Role};
 
 /// An alternative explanation of the same errors.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Rival {
+pub struct RivalExplanation {
     /// Name of the effect.
     pub name: String,
     /// Its temperature difference, if it has one.
@@ -31,7 +33,7 @@ pub struct Rival {
     pub margin: f64,
 }
 
-impl Rival {
+impl RivalExplanation {
     /// Its name, with its sensors or the value that differs.
     #[must_use]
     pub fn label(&self) -> String {
@@ -43,7 +45,7 @@ impl Rival {
 
 /// A member of the likeliest set.
 #[derive(Debug, Clone)]
-pub struct EstimatedMember {
+pub struct EstimatedHypothesis {
     /// The effect with its values; none for a shape.
     pub effect: Option<Effect>,
     /// The shape; none for an effect.
@@ -68,12 +70,12 @@ pub struct EstimatedMember {
     /// The joint 95 % region of its coefficients then excludes zero.
     pub has_size: bool,
     /// Alternative explanations, likeliest first.
-    pub rivals: Vec<Rival>,
+    pub rivals: Vec<RivalExplanation>,
 }
 
 /// A known effect of the model that the rows correct.
 #[derive(Debug, Clone)]
-pub struct RefinedEffect {
+pub struct CorrectedKnownEffect {
     /// Its index in the model.
     pub place: usize,
     /// The effect as estimated from the rows.
@@ -92,7 +94,7 @@ pub struct SetUpEstimate {
     /// The response.
     pub response: String,
     /// Kind of the term.
-    pub what: setup::SetUpTermKind,
+    pub what: set_up_terms::SetUpTermKind,
     /// Its value, in its unit.
     pub value: f64,
     /// Half width of its 95 % interval.
@@ -115,15 +117,15 @@ pub struct TriedExplanation {
 
 /// Result of the estimation.
 #[derive(Debug, Clone)]
-pub struct Estimate {
+pub struct EstimationResult {
     /// The members of the likeliest set, strongest first.
-    pub found: Vec<EstimatedMember>,
+    pub found: Vec<EstimatedHypothesis>,
     /// The model's own effects as estimated from the rows.
-    pub known: Vec<RefinedEffect>,
+    pub known: Vec<CorrectedKnownEffect>,
     /// The set-up terms.
     pub set_up: Vec<SetUpEstimate>,
     /// The noise.
-    pub noise: Noise,
+    pub noise: ResponseNoise,
     /// The whitened residual.
     pub residual: Vec<f64>,
     /// log p(y, S), up to a constant of the rows.
@@ -131,7 +133,7 @@ pub struct Estimate {
     /// Names that were tried.
     pub tried: Vec<TriedExplanation>,
     /// The members of the likeliest set, as a start for the analysis of other records.
-    pub members: Vec<Member>,
+    pub members: Vec<HypothesisSetMember>,
 }
 
 /// Estimates what the records support in addition to a model.
@@ -142,12 +144,12 @@ pub fn estimate(
     dictionary: &Dictionary,
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],
-) -> Estimate {
-    let rows = Rows::new(records);
+) -> EstimationResult {
+    let rows = MeasuredRows::new(records);
     let given = model;
     let model = &with_corrected_periods(&rows, model)[..];
     let mut problem = EstimationProblem::new(&rows, model, intervals);
-    let mut families = HypothesisFamilies::new(&rows, dictionary, model);
+    let mut families = CandidateHypotheses::new(&rows, dictionary, model);
     let noise = problem.first_noise();
     let (mut found, mut left) = settle(&problem, &mut families, noise.clone(), None, model);
     // A slow signal is autocorrelated noise or an effect. Both are tried, and the likelier one is kept.
@@ -167,7 +169,7 @@ pub fn estimate(
             (found, _) = settle(&problem, &mut families, found.noise, Some(left), model);
         }
         for w in &wanders {
-            found.found.push(EstimatedMember::wander(&rows, w));
+            found.found.push(EstimatedHypothesis::wander(&rows, w));
         }
     }
     for k in &mut found.known {
@@ -184,14 +186,14 @@ pub fn score(
     dictionary: &Dictionary,
     model: &[Effect],
     intervals: &[Vec<Option<f64>>],
-    start: &[Member],
+    start: &[HypothesisSetMember],
     units: UnitAssumption,
     enough: f64,
 ) -> f64 {
-    let rows = Rows::new(records);
+    let rows = MeasuredRows::new(records);
     let model = &with_corrected_periods(&rows, model)[..];
     let problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
-    let mut families = HypothesisFamilies::new(&rows, dictionary, model);
+    let mut families = CandidateHypotheses::new(&rows, dictionary, model);
     let start = converted_members(&families, start);
     let noise = under(&problem, &start, problem.first_noise()).1;
     let mut best = f64::NEG_INFINITY;
@@ -207,11 +209,11 @@ pub fn score(
 /// Returns the estimate and its members.
 fn settle(
     problem: &EstimationProblem<'_>,
-    families: &mut HypothesisFamilies,
-    first: Noise,
-    start: Option<Vec<Member>>,
+    families: &mut CandidateHypotheses,
+    first: ResponseNoise,
+    start: Option<Vec<HypothesisSetMember>>,
     model: &[Effect],
-) -> (Estimate, Vec<Member>) {
+) -> (EstimationResult, Vec<HypothesisSetMember>) {
     settled(
         problem,
         families,
@@ -226,9 +228,9 @@ fn settle(
 /// After each round `goes_on` decides whether to continue; `then` is called once both have settled.
 fn settled<T>(
     problem: &EstimationProblem<'_>,
-    families: &mut HypothesisFamilies,
-    first: Noise,
-    start: Option<Vec<Member>>,
+    families: &mut CandidateHypotheses,
+    first: ResponseNoise,
+    start: Option<Vec<HypothesisSetMember>>,
     mut goes_on: impl FnMut(&HypothesisSearch<'_>, &HypothesisSet) -> bool,
     then: impl Fn(&HypothesisSearch<'_>, &HypothesisSet) -> T,
 ) -> T {
@@ -277,13 +279,17 @@ fn settled<T>(
 }
 
 /// Log evidence of a set under the noise that it leaves, with that noise.
-fn with_own_noise(search: &HypothesisSearch<'_>, set: &HypothesisSet) -> (f64, Noise) {
+fn with_own_noise(search: &HypothesisSearch<'_>, set: &HypothesisSet) -> (f64, ResponseNoise) {
     under(search.problem, &set.members, search.problem.renewed(&search.base.noise, &set.factor))
 }
 
 /// Log evidence of members under the noise that they leave, with that noise.
 /// It starts from a first guess of the noise.
-fn under(problem: &EstimationProblem<'_>, members: &[Member], mut noise: Noise) -> (f64, Noise) {
+fn under(
+    problem: &EstimationProblem<'_>,
+    members: &[HypothesisSetMember],
+    mut noise: ResponseNoise,
+) -> (f64, ResponseNoise) {
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
         let base = problem.base(noise.clone());
@@ -311,13 +317,16 @@ fn under(problem: &EstimationProblem<'_>, members: &[Member], mut noise: Noise) 
 /// A likelier set with one member more or less.
 /// Each set is compared under the noise that it leaves, and returned with that noise. Noise may have absorbed
 /// a member, and a member may have absorbed noise.
-fn under_own_noise(search: &HypothesisSearch<'_>, set: &HypothesisSet) -> Option<(HypothesisSet, Noise)> {
+fn under_own_noise(
+    search: &HypothesisSearch<'_>,
+    set: &HypothesisSet,
+) -> Option<(HypothesisSet, ResponseNoise)> {
     let seeds = search.screened(set, false);
     let (now, _) = with_own_noise(search, set);
     let more = seeds.iter().take(UNDER_NOISE).filter(|s| s.score > -HOPELESS);
     let more = more.filter_map(|seed| search.with(set, &search.refined(&set.factor, seed)));
     let less = (0..set.members.len()).map(|i| search.without(set, i)).filter(|s| search.possible(s));
-    let mut best: Option<(f64, HypothesisSet, Noise)> = None;
+    let mut best: Option<(f64, HypothesisSet, ResponseNoise)> = None;
     for other in more.chain(less) {
         let (total, noise) = with_own_noise(search, &other);
         if total > best.as_ref().map_or(now, |b| b.0) {
@@ -334,7 +343,7 @@ fn label(effect: &Effect) -> String {
     }
 }
 
-fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) -> Estimate {
+fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) -> EstimationResult {
     let mut set = set.clone();
     let (mut found, mut tried) = (Vec::new(), Vec::new());
     let mut i = 0;
@@ -368,7 +377,7 @@ fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) 
             true
         }
     });
-    Estimate {
+    EstimationResult {
         found,
         known,
         set_up,
@@ -380,9 +389,9 @@ fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) 
     }
 }
 
-impl EstimatedMember {
+impl EstimatedHypothesis {
     /// A walk without a name.
-    fn wander(rows: &Rows<'_>, w: &Wander) -> Self {
+    fn wander(rows: &MeasuredRows<'_>, w: &Wander) -> Self {
         let shape = UnnamedShape {
             response: rows.responses[w.response].to_string(),
             against: vec!["time".to_owned()],
@@ -405,7 +414,7 @@ impl EstimatedMember {
     }
 }
 
-impl Estimate {
+impl EstimationResult {
     /// Whether rows are correlated for longer than the noise model allows.
     /// The rows are then closer together than the noise's correlation length.
     #[must_use]
@@ -421,7 +430,7 @@ impl Estimate {
 /// Residuals of a record after model and set-up, response by response.
 #[must_use]
 pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
-    let rows = Rows::new(std::slice::from_ref(record));
+    let rows = MeasuredRows::new(std::slice::from_ref(record));
     let mut left = rows.measured.clone();
     for effect in model {
         rtec_least_squares::add(&mut left, -1.0, &rows.predict(effect));
@@ -433,7 +442,7 @@ pub fn unexplained(record: &Record, model: &[Effect]) -> Vec<f64> {
 /// That machine has the model's effects in any sizes.
 #[must_use]
 pub fn of_other_machine(record: &Record, model: &[Effect]) -> f64 {
-    let rows = Rows::new(std::slice::from_ref(record));
+    let rows = MeasuredRows::new(std::slice::from_ref(record));
     let mut problem = EstimationProblem::new(&rows, model, &[]);
     // Instead of a share of each size, all of it.
     problem.known.iter_mut().flat_map(|k| &mut k.column).for_each(|x| *x /= KNOWN_SHARE);
@@ -441,9 +450,9 @@ pub fn of_other_machine(record: &Record, model: &[Effect]) -> f64 {
 }
 
 /// Log evidence of one record without hypotheses, with the noise that is left.
-fn without_hypotheses(mut problem: EstimationProblem<'_>) -> (f64, Noise) {
+fn without_hypotheses(mut problem: EstimationProblem<'_>) -> (f64, ResponseNoise) {
     // Relative to other records the plate may be rotated.
-    problem.terms.extend(setup::turns(problem.rows));
+    problem.terms.extend(set_up_terms::turns(problem.rows));
     let mut noise = problem.first_noise();
     let mut total = f64::NEG_INFINITY;
     for _ in 0..NOISE_STEPS {
@@ -465,7 +474,7 @@ pub fn evidence_without_hypotheses(
     intervals: &[Vec<Option<f64>>],
     units: UnitAssumption,
 ) -> (f64, Vec<(Role, f64)>) {
-    let rows = Rows::new(std::slice::from_ref(record));
+    let rows = MeasuredRows::new(std::slice::from_ref(record));
     let problem = EstimationProblem::new(&rows, model, intervals).in_units(units);
     let (total, noise) = without_hypotheses(problem);
     (total, rows.responses.iter().cloned().enumerate().map(|(j, r)| (r, noise.scatter(&rows, j))).collect())

@@ -2,14 +2,14 @@
 //! Several sets grow in parallel, one member at a time. Then members are exchanged (one for one, two for two)
 //! and left out, until nothing improves the set.
 
-mod grow;
+mod grow_and_exchange;
 mod screening;
 
-use crate::contribution::Contribution;
-use crate::hypothesis_columns::ScreeningProducts;
-use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
+use crate::candidate_hypotheses::{CandidateHypotheses, HypothesesOfOneName, HypothesisSearchSpace};
+use crate::hypothesis_column_bank::ScreeningProducts;
+use crate::hypothesis_contribution::HypothesisContribution;
+use crate::measurement_model::{EstimationProblem, WhitenedBaseline};
 use crate::priors::{AGAIN, LEVELS, SAME_PERIOD};
-use crate::problem::{Baseline, EstimationProblem};
 use crate::search_limits::{MOST_MEMBERS, MOST_SHAPES};
 use rtec_least_squares::{QrFactor, add, dot, prior_terms};
 use rtec_model::effect::{Effect, TemperatureDifference};
@@ -20,13 +20,13 @@ use std::rc::Rc;
 
 /// A member of a set.
 #[derive(Debug, Clone)]
-pub struct Member {
+pub struct HypothesisSetMember {
     /// Its family.
     pub family: usize,
     /// Index of the model's effect that it replaces.
     pub replaces: Option<usize>,
     /// Its contribution, with its non-linear parameters.
-    pub cause: Contribution,
+    pub cause: HypothesisContribution,
     /// Size of its prior, in typical sizes.
     pub level: f64,
     /// Log prior: name, grid point, level.
@@ -41,7 +41,7 @@ pub struct Member {
     shares: Rc<OnceCell<Columns>>,
 }
 
-impl Member {
+impl HypothesisSetMember {
     /// Number of columns.
     #[must_use]
     pub fn width(&self) -> usize {
@@ -74,7 +74,7 @@ fn mark(family: usize, columns: &Columns, level: f64) -> u64 {
 #[derive(Debug, Clone)]
 pub struct HypothesisSet {
     /// The members.
-    pub members: Vec<Member>,
+    pub members: Vec<HypothesisSetMember>,
     /// The base's columns, then the members'.
     pub factor: QrFactor,
     /// log p(y | S) + log p(S), up to a constant.
@@ -87,7 +87,7 @@ pub struct ScreenedHypothesis {
     /// Its family.
     pub family: usize,
     /// Its contribution, with its non-linear parameters.
-    pub cause: Contribution,
+    pub cause: HypothesisContribution,
     /// Log weight of its grid point.
     pub weight: f64,
     /// Log odds by the quick look, including the family's prior.
@@ -99,19 +99,19 @@ pub struct HypothesisSearch<'p> {
     /// The rows and the model, to be explained.
     pub problem: &'p EstimationProblem<'p>,
     /// The hypotheses that may explain them.
-    pub families: &'p HypothesisFamilies,
+    pub families: &'p CandidateHypotheses,
     /// Set-up terms and known effects.
-    pub base: Baseline,
+    pub base: WhitenedBaseline,
     /// The quick look after the base only.
     pub look: ScreeningProducts,
     /// Rounding errors that rows share; they widen intervals.
-    pub rounding: Vec<crate::setup::SetUpTerm>,
-    cache: Cache,
+    pub rounding: Vec<crate::set_up_terms::SetUpTerm>,
+    cache: SearchCache,
 }
 
 /// What a search computes once.
 #[derive(Default)]
-struct Cache {
+struct SearchCache {
     /// Columns of waves, whitened, and their products with the base's columns.
     waves: RefCell<Waves>,
     /// Seeds of sets. Exchanges and removals come back to the same sets.
@@ -189,13 +189,17 @@ impl<'p> HypothesisSearch<'p> {
     /// A search of a problem under a noise.
     /// The families' columns must be whitened already.
     #[must_use]
-    pub fn new(problem: &'p EstimationProblem<'p>, families: &'p HypothesisFamilies, base: Baseline) -> Self {
+    pub fn new(
+        problem: &'p EstimationProblem<'p>,
+        families: &'p CandidateHypotheses,
+        base: WhitenedBaseline,
+    ) -> Self {
         let look = families.bank.screening_products(&base.factor);
-        let rounding = crate::setup::rounding(problem.rows);
-        Self { problem, families, base, look, rounding, cache: Cache::default() }
+        let rounding = crate::set_up_terms::rounding(problem.rows);
+        Self { problem, families, base, look, rounding, cache: SearchCache::default() }
     }
 
-    fn family(&self, family: usize) -> &HypothesisFamily {
+    fn family(&self, family: usize) -> &HypothesesOfOneName {
         &self.families.list[family]
     }
 
@@ -208,7 +212,7 @@ impl<'p> HypothesisSearch<'p> {
 
     /// Whitened columns of a cause.
     #[must_use]
-    pub fn columns(&self, cause: &Contribution) -> Vec<Vec<f64>> {
+    pub fn columns(&self, cause: &HypothesisContribution) -> Vec<Vec<f64>> {
         self.whitened(cause.columns(self.problem.rows))
     }
 
@@ -290,7 +294,7 @@ impl<'p> HypothesisSearch<'p> {
 
     /// One more member of a set, and the set's score with it.
     /// The score is without the correction for whole counts.
-    fn weighed(&self, set: &HypothesisSet, seed: &ScreenedHypothesis) -> Option<(f64, Member)> {
+    fn weighed(&self, set: &HypothesisSet, seed: &ScreenedHypothesis) -> Option<(f64, HypothesisSetMember)> {
         rtec_files::cancellable_computation::step();
         if set.members.len() >= MOST_MEMBERS {
             return None;
@@ -300,7 +304,7 @@ impl<'p> HypothesisSearch<'p> {
         let prior = self.prior(set, seed.family) + seed.weight + gain.total - gain.best;
         let level_weight =
             LEVELS.iter().find(|l| l.0.to_bits() == gain.level.to_bits()).map_or(0.0, |l| l.1.ln());
-        let member = Member {
+        let member = HypothesisSetMember {
             family: seed.family,
             replaces: self.family(seed.family).replaces,
             cause: seed.cause.clone(),
@@ -315,7 +319,7 @@ impl<'p> HypothesisSearch<'p> {
     }
 
     /// The set with that member.
-    fn built(&self, set: &HypothesisSet, member: Member) -> Option<HypothesisSet> {
+    fn built(&self, set: &HypothesisSet, member: HypothesisSetMember) -> Option<HypothesisSet> {
         let mut factor = set.factor.clone();
         push(&mut factor, &member);
         let mut members = set.members.clone();
@@ -324,7 +328,7 @@ impl<'p> HypothesisSearch<'p> {
         self.possible(&set).then_some(set)
     }
 
-    fn scored(&self, members: Vec<Member>, factor: QrFactor) -> HypothesisSet {
+    fn scored(&self, members: Vec<HypothesisSetMember>, factor: QrFactor) -> HypothesisSet {
         let prior: f64 = members.iter().map(|m| m.prior).sum();
         let det = factor.half_log_det() - self.base.factor.half_log_det();
         let score = profile_log_likelihood(factor.left(), self.base.freedom) - det
@@ -335,10 +339,10 @@ impl<'p> HypothesisSearch<'p> {
 
     /// Correction to the likelihood for lost counts, which are whole numbers.
     /// There are fewer whole numbers than real ones.
-    fn whole_count_correction(&self, members: &[Member], factor: &QrFactor) -> f64 {
+    fn whole_count_correction(&self, members: &[HypothesisSetMember], factor: &QrFactor) -> f64 {
         let count_um = self.problem.rows.records.iter().find_map(|r| r.count_um);
         let Some(count_um) = count_um else { return 0.0 };
-        let of = |m: &Member| m.cause.effect().is_some_and(|e| e.description().whole_counts);
+        let of = |m: &HypothesisSetMember| m.cause.effect().is_some_and(|e| e.description().whole_counts);
         if !members.iter().any(of) {
             return 0.0;
         }
@@ -348,7 +352,7 @@ impl<'p> HypothesisSearch<'p> {
         for m in members {
             if of(m)
                 && let Some(size) =
-                    m.cause.effect().and_then(|e| crate::contribution::sizes(e).first().copied())
+                    m.cause.effect().and_then(|e| crate::hypothesis_contribution::sizes(e).first().copied())
             {
                 let unit = size * m.level;
                 let (um, sd) = (beta[at] * unit, dot(&inverse[at], &inverse[at]).sqrt() * unit);
@@ -363,7 +367,7 @@ impl<'p> HypothesisSearch<'p> {
 
     /// The fit of the members of another search, unchanged.
     #[must_use]
-    pub fn set_of_members(&self, mut members: Vec<Member>) -> HypothesisSet {
+    pub fn set_of_members(&self, mut members: Vec<HypothesisSetMember>) -> HypothesisSet {
         for m in &mut members {
             m.set_columns(self.columns(&m.cause));
         }
@@ -371,7 +375,12 @@ impl<'p> HypothesisSearch<'p> {
     }
 
     /// The fit of members, of which the first `done` are in the factor already.
-    fn grown_from(&self, mut factor: QrFactor, members: Vec<Member>, done: usize) -> HypothesisSet {
+    fn grown_from(
+        &self,
+        mut factor: QrFactor,
+        members: Vec<HypothesisSetMember>,
+        done: usize,
+    ) -> HypothesisSet {
         for m in &members[done..] {
             push(&mut factor, m);
         }
@@ -380,7 +389,7 @@ impl<'p> HypothesisSearch<'p> {
 
     /// The factor of a set's first `count` members.
     fn first(&self, set: &HypothesisSet, count: usize) -> QrFactor {
-        let width: usize = set.members[..count].iter().map(Member::width).sum();
+        let width: usize = set.members[..count].iter().map(HypothesisSetMember::width).sum();
         set.factor.first(self.base.factor.len() + width)
     }
 
@@ -407,8 +416,8 @@ impl<'p> HypothesisSearch<'p> {
 
     /// Whether a member that only accompanies waves has its wave.
     /// The wave is in the set or in the model.
-    fn is_accompanied(&self, set: &HypothesisSet, member: &Member) -> bool {
-        let (Scan::Beside { law, known }, Some(own)) =
+    fn is_accompanied(&self, set: &HypothesisSet, member: &HypothesisSetMember) -> bool {
+        let (HypothesisSearchSpace::Beside { law, known }, Some(own)) =
             (&self.family(member.family).scan, member.cause.effect())
         else {
             return true;
@@ -453,8 +462,7 @@ impl<'p> HypothesisSearch<'p> {
     fn may_join(&self, set: &HypothesisSet, family: usize) -> bool {
         let f = self.family(family);
         if let Some(shape) = f.shape.as_ref().filter(|_| !f.set_up) {
-            let same =
-                |m: &&Member| matches!(&m.cause, Contribution::Shape(s) if s.0.response == shape.response);
+            let same = |m: &&HypothesisSetMember| matches!(&m.cause, HypothesisContribution::Shape(s) if s.0.response == shape.response);
             let already = set.members.iter().filter(same).count();
             if already >= MOST_SHAPES {
                 return false;
@@ -482,7 +490,8 @@ impl<'p> HypothesisSearch<'p> {
     pub fn without(&self, set: &HypothesisSet, member: usize) -> HypothesisSet {
         let mut members = set.members.clone();
         let width = members.remove(member).width();
-        let from = self.base.factor.len() + set.members[..member].iter().map(Member::width).sum::<usize>();
+        let from = self.base.factor.len()
+            + set.members[..member].iter().map(HypothesisSetMember::width).sum::<usize>();
         self.scored(members, set.factor.without(from..from + width))
     }
 
@@ -511,10 +520,13 @@ impl<'p> HypothesisSearch<'p> {
 /// Converts members of another search into members of these families.
 /// Members that depend on the rows themselves are dropped.
 #[must_use]
-pub fn converted_members(families: &HypothesisFamilies, members: &[Member]) -> Vec<Member> {
-    let of = |m: &Member| {
+pub fn converted_members(
+    families: &CandidateHypotheses,
+    members: &[HypothesisSetMember],
+) -> Vec<HypothesisSetMember> {
+    let of = |m: &HypothesisSetMember| {
         let effect = m.cause.effect()?;
-        let same = |f: &HypothesisFamily| {
+        let same = |f: &HypothesesOfOneName| {
             f.replaces == m.replaces && f.effect.as_ref().is_some_and(|e| e.name() == effect.name())
         };
         let mut m = m.clone();
@@ -530,7 +542,7 @@ pub(crate) fn same_period(a: &Effect, b: &Effect) -> bool {
 }
 
 /// Adds a member's columns to a factor.
-fn push(factor: &mut QrFactor, member: &Member) {
+fn push(factor: &mut QrFactor, member: &HypothesisSetMember) {
     for c in member.columns.iter() {
         factor.push(&c.iter().map(|x| x * member.level).collect::<Vec<_>>());
     }

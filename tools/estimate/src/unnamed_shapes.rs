@@ -1,16 +1,16 @@
 //! Shapes without a name: errors that no effect of the dictionary describes.
 //! Each kind has one function; a new one needs its function and a line in [`SHAPES`].
 
-use crate::contribution::UnnamedShape;
 use crate::gaussian_process::{Kernel, directions, knots, shares};
+use crate::hypothesis_contribution::UnnamedShape;
 use crate::priors::{CONTRIBUTION, KNOTS, LENGTHS};
-use crate::rows::{Rows, Segment};
+use crate::rows_and_noise::{MeasuredRows, ResponseSegment};
 use crate::search_limits::{
     CHANGING, CREEPS, FEWEST_CYCLES, MOST_PLACES, MOST_SENSORS, PLACE_RAD, PLANE_RANK, SHAPE_FEWEST_ROWS,
     SHAPE_RANK,
 };
-use crate::setup::place_of;
-use crate::wave::Periodogram;
+use crate::set_up_terms::place_of;
+use crate::wave_periodogram::Periodogram;
 use rtec_least_squares::{add, dot};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Role};
@@ -23,15 +23,15 @@ type Curve = fn(f64) -> f64;
 pub type Shaped = (UnnamedShape, Vec<Vec<f64>>);
 
 /// A response and the quantities that its rows log.
-pub struct Response<'r> {
-    rows: &'r Rows<'r>,
+pub struct ResponseWithInputs<'r> {
+    rows: &'r MeasuredRows<'r>,
     number: usize,
     name: String,
     axis: Option<Axis>,
     own: Vec<usize>,
 }
 
-type Make = fn(&Response<'_>, &mut Vec<Shaped>);
+type Make = fn(&ResponseWithInputs<'_>, &mut Vec<Shaped>);
 
 /// All kinds of shapes.
 pub const SHAPES: [Make; 12] = [
@@ -51,10 +51,10 @@ pub const SHAPES: [Make; 12] = [
 
 /// All shapes that these rows could show.
 #[must_use]
-pub fn shapes(rows: &Rows<'_>) -> Vec<Shaped> {
+pub fn shapes(rows: &MeasuredRows<'_>) -> Vec<Shaped> {
     let mut out = Vec::new();
     for number in 0..rows.responses.len() {
-        let response = Response::new(rows, number);
+        let response = ResponseWithInputs::new(rows, number);
         for make in SHAPES {
             make(&response, &mut out);
         }
@@ -63,8 +63,8 @@ pub fn shapes(rows: &Rows<'_>) -> Vec<Shaped> {
     out
 }
 
-impl<'r> Response<'r> {
-    fn new(rows: &'r Rows<'r>, number: usize) -> Self {
+impl<'r> ResponseWithInputs<'r> {
+    fn new(rows: &'r MeasuredRows<'r>, number: usize) -> Self {
         let own =
             rows.segments.iter().filter(|s| s.response == number).flat_map(|s| s.rows.clone()).collect();
         let role = &rows.responses[number];
@@ -231,7 +231,7 @@ fn unit(x: &[f64], own: &[usize]) -> Vec<f64> {
     x.iter().map(|x| if hi > lo { (2.0 * x - lo - hi) / (hi - lo) } else { 0.0 }).collect()
 }
 
-fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn along_scalars(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     for (label, data) in r.scalars() {
         for length in LENGTHS {
             // Named effects explain a line in temperature, speed or load, but not in time. Friction has several names.
@@ -250,17 +250,17 @@ fn along_scalars(r: &Response<'_>, out: &mut Vec<Shaped>) {
 }
 
 /// A slow walk over time that does not repeat.
-fn wander(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn wander(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let columns = r.smooth(&r.time(), &|range| Kernel::Rough(0.1 * range), false);
     out.push((r.shape(&["time"], "wanders"), columns));
 }
 
 /// Creep of stands, glue and magnetic bases with the logarithm of time.
 /// In each run it starts at the beginning and has its own size.
-fn creep(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn creep(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let own: Vec<_> = r.rows.segments.iter().filter(|s| s.response == r.number).collect();
     for share in CREEPS {
-        let of = |s: &&Segment| {
+        let of = |s: &&ResponseSegment| {
             let t = r.rows.record(s).time_s();
             let (Some(first), Some(last)) = (t.first(), t.last()) else { return vec![0.0; r.rows.n] };
             let whole = share.recip().ln_1p();
@@ -274,7 +274,7 @@ fn creep(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-fn with_position(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn with_position(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some((p_name, p)) = r.axis_role(Role::Position) else { return };
     let u = unit(&p, &r.own);
     for (label, data) in r.scalars() {
@@ -296,7 +296,7 @@ fn with_position(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-fn with_direction(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn with_direction(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     for (axis, name, d) in r.other_directions() {
         let signs = r.over(&|i| CONTRIBUTION * d[i]);
         out.push((r.shape(&[&name], &format!("differs by the direction of {axis}")), vec![signs]));
@@ -312,7 +312,7 @@ fn with_direction(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-fn with_velocity(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn with_velocity(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some((name, v)) = r.axis_role(Role::Velocity) else { return };
     let top = r.own.iter().fold(1e-12_f64, |m, i| m.max(v[*i].abs()));
     // Friction, lag and backlash have names, so the shape is orthogonal to them.
@@ -352,7 +352,7 @@ fn with_velocity(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-fn with_load(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn with_load(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some((name, f)) = r.axis_role(Role::Load) else { return };
     if let Some((p_name, p)) = r.axis_role(Role::Position) {
         let (u, w) = (unit(&p, &r.own), unit(&f, &r.own));
@@ -362,7 +362,7 @@ fn with_load(r: &Response<'_>, out: &mut Vec<Shaped>) {
 }
 
 /// Around a circle: harmonics, from the second on.
-fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn around(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some(angle) = r.role(&Role::Angle) else { return };
     let turns = r.own.windows(2).map(|w| (angle[w[1]] - angle[w[0]]).abs()).sum::<f64>() / TAU;
     for harmonics in [4_i32, 10, 30].into_iter().filter(|h| 2.0 * f64::from(*h) * turns < r.own.len() as f64)
@@ -384,7 +384,7 @@ fn around(r: &Response<'_>, out: &mut Vec<Shaped>) {
     }
 }
 
-fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn over_plane(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some((p_name, p)) = r.axis_role(Role::Position) else { return };
     let u = unit(&p, &r.own);
     let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
@@ -415,7 +415,7 @@ fn over_plane(r: &Response<'_>, out: &mut Vec<Shaped>) {
 }
 
 /// A separate level at each position that was measured at several times.
-fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn place_by_place(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some(first) = r.rows.segments.iter().find(|s| s.response == r.number) else { return };
     let mut labels: Vec<String> = Vec::new();
     let mut places: Vec<Vec<i64>> = Vec::new();
@@ -453,7 +453,7 @@ fn place_by_place(r: &Response<'_>, out: &mut Vec<Shaped>) {
 
 /// A separate level in each cycle of each record.
 /// It was clamped or homed again before the cycle.
-fn cycle_by_cycle(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn cycle_by_cycle(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let Some(cycle) = r.role(&Role::Cycle) else { return };
     let mut groups: BTreeMap<(usize, i64), Vec<usize>> = BTreeMap::new();
     for (number, s) in r.rows.segments.iter().enumerate().filter(|(_, s)| s.response == r.number) {
@@ -467,7 +467,7 @@ fn cycle_by_cycle(r: &Response<'_>, out: &mut Vec<Shaped>) {
     out.push((r.shape(&["cycle"], "differs from cycle to cycle"), r.levels(groups.into_values())));
 }
 
-fn two_temperatures(r: &Response<'_>, out: &mut Vec<Shaped>) {
+fn two_temperatures(r: &ResponseWithInputs<'_>, out: &mut Vec<Shaped>) {
     let warm: Vec<(String, Vec<f64>)> =
         r.scalars().into_iter().filter(|(l, _)| l.starts_with("temperature")).collect();
     if warm.len() > MOST_SENSORS {

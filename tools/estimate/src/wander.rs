@@ -3,12 +3,12 @@
 //! is flat for noise alone (Whittle 1953).
 
 use crate::gaussian_process::{Kernel, directions, knots, shares};
+use crate::measurement_model::EstimationProblem;
 use crate::priors::{NAMED_SHARE, PRICE, WALK_KINDS};
-use crate::problem::EstimationProblem;
-use crate::rows::{Noise, Rows, Segment};
+use crate::rows_and_noise::{MeasuredRows, ResponseNoise, ResponseSegment};
 use crate::search_limits::{WALK_FEWEST_ROWS, WALK_MEMORIES, WALK_RANK, WALK_SIZES};
-use crate::setup::{SetUpTerm, SetUpTermKind};
-use crate::wave::transformed;
+use crate::set_up_terms::{SetUpTerm, SetUpTermKind};
+use crate::wave_periodogram::transformed;
 use realfft::RealFftPlanner;
 
 /// A walk found in a response.
@@ -27,7 +27,7 @@ pub struct Wander {
 /// The likeliest walk of each response, if it is likelier than none.
 /// It is searched in a whitened residual.
 #[must_use]
-pub fn wanders(problem: &EstimationProblem<'_>, noise: &Noise, residual: &[f64]) -> Vec<Wander> {
+pub fn wanders(problem: &EstimationProblem<'_>, noise: &ResponseNoise, residual: &[f64]) -> Vec<Wander> {
     let rows = problem.rows;
     let mut planner = RealFftPlanner::new();
     let mut out = Vec::new();
@@ -35,7 +35,7 @@ pub fn wanders(problem: &EstimationProblem<'_>, noise: &Noise, residual: &[f64])
     for response in 0..rows.responses.len() {
         // Each with its noise's autocorrelation.
         let mut spectra: Vec<(f64, Vec<f64>)> = Vec::new();
-        let own = |((s, floor), _): &((&Segment, &f64), &f64)| {
+        let own = |((s, floor), _): &((&ResponseSegment, &f64), &f64)| {
             s.response == response && **floor <= 0.0 && s.rows.len() >= WALK_FEWEST_ROWS
         };
         for ((s, _), phi) in rows.segments.iter().zip(&problem.floors).zip(&noise.phi).filter(own) {
@@ -97,7 +97,7 @@ fn frequency(k: usize, half: usize) -> f64 {
 
 /// Columns of a walk; with them nothing else needs to explain it.
 #[must_use]
-pub fn terms(rows: &Rows<'_>, wander: &Wander) -> Vec<SetUpTerm> {
+pub fn terms(rows: &MeasuredRows<'_>, wander: &Wander) -> Vec<SetUpTerm> {
     let mut out = Vec::new();
     let all: usize = rows.count(wander.response);
     for s in rows.segments.iter().filter(|s| s.response == wander.response) {

@@ -2,13 +2,13 @@
 //!
 //! For tests beside the code Cargo compiles all of it a second time, which takes far longer than they run.
 
+use rtec_estimate::candidate_hypotheses::CandidateHypotheses;
 use rtec_estimate::gaussian_process::{Kernel, directions, knots};
-use rtec_estimate::hypothesis_family::HypothesisFamilies;
-use rtec_estimate::problem::EstimationProblem;
-use rtec_estimate::rows::{Rows, needs_place};
-use rtec_estimate::search::{HypothesisSearch, Member};
-use rtec_estimate::setup::step_of;
-use rtec_estimate::wave::Periodogram;
+use rtec_estimate::measurement_model::EstimationProblem;
+use rtec_estimate::rows_and_noise::{MeasuredRows, needs_place};
+use rtec_estimate::search::{HypothesisSearch, HypothesisSetMember};
+use rtec_estimate::set_up_terms::step_of;
+use rtec_estimate::wave_periodogram::Periodogram;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::Dictionary;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -49,9 +49,9 @@ fn the_look_beside_a_set_is_that_beside_its_factor() {
         column("e", Role::Error(Axis::new("z").unwrap()), &|i| 30.0 * warm(i) + 0.05 * (i * 1.7).sin()),
     ];
     let records = [Record::new(std::path::Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()];
-    let rows = Rows::new(&records);
+    let rows = MeasuredRows::new(&records);
     let problem = EstimationProblem::new(&rows, &[], &[]);
-    let mut families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
+    let mut families = CandidateHypotheses::new(&rows, &Dictionary::default(), &[]);
     let mut noise = problem.first_noise();
     (noise.sigma, noise.phi) = (vec![0.05], vec![0.0]);
     families.bank.whiten(&rows, &noise);
@@ -88,16 +88,16 @@ fn only_what_is_impossible_leaves_a_set() {
         ];
         [Record::new(std::path::Path::new("r.run.toml"), RunKind::Drift, columns).unwrap()]
     };
-    let searched = |records: &[Record], then: &dyn Fn(&HypothesisSearch<'_>) -> Vec<Member>| {
-        let rows = Rows::new(records);
+    let searched = |records: &[Record], then: &dyn Fn(&HypothesisSearch<'_>) -> Vec<HypothesisSetMember>| {
+        let rows = MeasuredRows::new(records);
         let problem = EstimationProblem::new(&rows, &[], &[]);
-        let mut families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
+        let mut families = CandidateHypotheses::new(&rows, &Dictionary::default(), &[]);
         let mut noise = problem.first_noise();
         (noise.sigma, noise.phi) = (vec![0.05; 2], vec![0.0; 2]);
         families.bank.whiten(&rows, &noise);
         then(&HypothesisSearch::new(&problem, &families, problem.base(noise)))
     };
-    let axes = |members: &[Member]| -> Vec<String> {
+    let axes = |members: &[HypothesisSetMember]| -> Vec<String> {
         let mut axes: Vec<String> = members.iter().filter_map(|m| Some(m.cause.effect()?.name())).collect();
         axes.sort();
         axes
@@ -164,8 +164,8 @@ fn a_circle_of_unknown_centre_shows_all_that_needs_no_place() {
     let names = |centre_mm| {
         let plane = ["x", "y"].map(|a| Axis::new(a).unwrap());
         let records = [record.clone().with_circle(Circle { radius_mm: 100.0, plane, centre_mm }).unwrap()];
-        let rows = Rows::new(&records);
-        let families = HypothesisFamilies::new(&rows, &Dictionary::default(), &[]);
+        let rows = MeasuredRows::new(&records);
+        let families = CandidateHypotheses::new(&rows, &Dictionary::default(), &[]);
         let effects = families.list.into_iter().filter_map(|f| f.effect);
         effects.filter(|e| !needs_place(e)).map(|e| e.name()).collect::<Vec<_>>()
     };

@@ -2,7 +2,7 @@
 //! Run it with `cargo bench -p rtec-files --bench trace_speed [-- ROWS]`.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::quadrature_trace::{TraceFormat, TraceReader, TraceWriter};
 use std::path::Path;
 use std::time::Instant;

@@ -20,7 +20,7 @@ thread_local! {
 }
 
 /// The payload that unwinds an abandoned computation; no panic hook runs for it.
-struct GivenUp;
+struct AbandonedComputationPanic;
 
 impl ComputationHandle {
     /// Steps so far.
@@ -41,7 +41,7 @@ impl ComputationHandle {
         HERE.set(before);
         match done {
             Ok(answer) => Some(answer),
-            Err(why) if why.is::<GivenUp>() => None,
+            Err(why) if why.is::<AbandonedComputationPanic>() => None,
             Err(why) => resume_unwind(why),
         }
     }
@@ -57,7 +57,7 @@ pub fn step() {
         })
     });
     if given_up {
-        resume_unwind(Box::new(GivenUp));
+        resume_unwind(Box::new(AbandonedComputationPanic));
     }
 }
 

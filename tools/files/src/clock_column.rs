@@ -8,7 +8,7 @@ pub const DAY_NS: i128 = 86_400_000_000_000;
 
 /// Whether the first number of a date with slashes is the day or the month.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SlashOrder {
+pub enum SlashDateOrder {
     /// `13/8/2022`.
     DayFirst,
     /// `8/13/2022`.
@@ -96,13 +96,13 @@ fn basic_ns(text: &str) -> Option<i128> {
 }
 
 /// The order of dates with slashes, if one of them has a day above 12.
-pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<SlashOrder> {
+pub fn slash_order<'t>(texts: impl IntoIterator<Item = &'t str>) -> Option<SlashDateOrder> {
     // A date may have a column of its own.
     let of =
         |text: &str| if is_day(text) { absolute_ns(&format!("{text} 00:00:00")) } else { absolute_ns(text) };
     texts.into_iter().find_map(|text| match of(text) {
-        [Some(_), None] => Some(SlashOrder::DayFirst),
-        [None, Some(_)] => Some(SlashOrder::MonthFirst),
+        [Some(_), None] => Some(SlashDateOrder::DayFirst),
+        [None, Some(_)] => Some(SlashDateOrder::MonthFirst),
         _ => None,
     })
 }
@@ -145,12 +145,12 @@ pub struct ClockColumn {
     start: Option<([Option<i128>; 2], String)>,
     /// For times of the day: midnights so far, and the last time.
     of_day: Option<(i128, i128)>,
-    order: Option<SlashOrder>,
+    order: Option<SlashDateOrder>,
 }
 
 impl ClockColumn {
     /// A column whose dates have this order of day and month.
-    pub fn of_order(order: Option<SlashOrder>) -> Self {
+    pub fn of_order(order: Option<SlashDateOrder>) -> Self {
         Self { order, ..Self::default() }
     }
 
@@ -195,8 +195,8 @@ impl ClockColumn {
         let [day_first, month_first] = absolute_ns(text);
         match self.order {
             None => [day_first, month_first],
-            Some(SlashOrder::DayFirst) => [day_first; 2],
-            Some(SlashOrder::MonthFirst) => [month_first; 2],
+            Some(SlashDateOrder::DayFirst) => [day_first; 2],
+            Some(SlashDateOrder::MonthFirst) => [month_first; 2],
         }
     }
 

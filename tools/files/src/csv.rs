@@ -23,12 +23,12 @@ pub use header::Header;
 pub use row::{Cell, Cells, Row};
 pub use writing::{CsvStyle, cell, header_line};
 
-use crate::decimal::decimal;
+use crate::decimal_parser::decimal;
 use crate::file_kind::FileKind;
 use crate::input_error::InputError;
-use crate::lines::LineReader;
+use crate::line_reader::LineReader;
 use crate::message_text::quoted;
-use crate::text::{UTF8, WESTERN, is_western, not_utf8, opened, western};
+use crate::text_file::{UTF8, WESTERN, is_western, not_utf8, opened, western};
 use comments::{
     content, is_cell_separator, is_foreign_comment, looks_like_a_row, outside_quotes, width_of_rows,
 };
@@ -54,7 +54,7 @@ pub struct Reader<R> {
 /// Oddities of a table so far, which a note reports.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Oddities {
-    pub(crate) commented: Option<CommentedRows>,
+    pub(crate) commented: Option<RowsCommentedOut>,
     /// Rows that end with extra separators after the last named column, and others.
     pub(crate) beyond: TrailingSeparators,
     /// Number of another program's lines before the columns' names.
@@ -81,7 +81,7 @@ enum Encoding {
 
 /// Lines that begin with `#` but look like rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct CommentedRows {
+pub(crate) struct RowsCommentedOut {
     /// The first such line, from 1.
     pub(crate) line: usize,
     /// The number of such lines.
@@ -91,7 +91,7 @@ pub(crate) struct CommentedRows {
 /// A row that [`Reader::plain_row`] has found.
 /// Lengths of its text, and of its line with the end, bytes.
 #[derive(Debug, Clone, Copy)]
-pub struct PlainRow {
+pub struct FastPathRow {
     text: usize,
     line: usize,
 }
@@ -143,7 +143,7 @@ impl<R: Read> Reader<R> {
                 break (range, length);
             }
             if looks_like_a_row(line, self.by, self.width) {
-                let first = CommentedRows { line: self.lines.line, lines: 0 };
+                let first = RowsCommentedOut { line: self.lines.line, lines: 0 };
                 self.oddities.commented.get_or_insert(first).lines += 1;
             }
         };
@@ -196,7 +196,7 @@ impl<R: Read> Reader<R> {
     /// `None`, with undefined values in `row`, if the row needs the careful reader. It then has a quote, a
     /// comment, blanks or a mistake, or exceeds the buffer.
     #[inline]
-    pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<PlainRow> {
+    pub fn plain_row(&self, row: &mut [f64], skip: impl Fn(usize) -> bool) -> Option<FastPathRow> {
         let (ahead, by) = (self.lines.unread(), self.by);
         let (last, mut at) = (row.len().checked_sub(1)?, 0);
         // A blank separator may also end the row. A single field that is skipped may be no row at all.
@@ -219,8 +219,8 @@ impl<R: Read> Reader<R> {
             }
         }
         match &ahead[at - 1..] {
-            [b'\n', ..] => Some(PlainRow { text: at - 1, line: at }),
-            [b'\r', b'\n', ..] => Some(PlainRow { text: at - 1, line: at + 1 }),
+            [b'\n', ..] => Some(FastPathRow { text: at - 1, line: at }),
+            [b'\r', b'\n', ..] => Some(FastPathRow { text: at - 1, line: at + 1 }),
             _ => None,
         }
     }
@@ -228,7 +228,7 @@ impl<R: Read> Reader<R> {
     /// Consumes the row that [`Reader::plain_row`] has just found.
     /// Returns its text, which is ASCII.
     #[inline]
-    pub fn take(&mut self, row: PlainRow) -> &[u8] {
+    pub fn take(&mut self, row: FastPathRow) -> &[u8] {
         self.oddities.beyond.others += 1;
         self.lines.take_line(row.line, row.text).trim_ascii_end()
     }
@@ -422,7 +422,7 @@ impl<R: Read> Reader<R> {
 
     /// The finding that there is no row, only comments that look like rows.
     pub fn rows_are_comments(&self) -> Option<InputError> {
-        let CommentedRows { line, lines } = self.oddities.commented?;
+        let RowsCommentedOut { line, lines } = self.oddities.commented?;
         let found = format!("{lines} lines that begin with # and have a row's cells, and no other row");
         let expected =
             "rows: a line that begins with # is a comment; put its first cell in quotes if it is a row";
@@ -642,7 +642,7 @@ mod tests {
         let mut reader = reader("n;e\n#1;2,5\n# 2;2,5\n#3;2,5\n## 4;5\n#5;a\n6;1\n");
         reader.header_with("names", &[]).unwrap();
         assert_eq!(reader.row().unwrap().unwrap().text(), "6;1");
-        assert_eq!(reader.oddities.commented, Some(CommentedRows { line: 2, lines: 2 }));
+        assert_eq!(reader.oddities.commented, Some(RowsCommentedOut { line: 2, lines: 2 }));
     }
 
     #[test]

@@ -8,19 +8,19 @@
 //! Other programs use other names, and times in seconds: [`ColumnAssignment`] assigns them. If a table has other
 //! columns too, rows in which neither a nor b changes belong to those, and are skipped.
 
+use crate::atomic_write::AtomicFile;
 use crate::clock_column::{self, ClockColumn};
+use crate::column_units;
 use crate::csv::{self, Cell, Header};
+use crate::csv_table::ColumnAssignment;
 use crate::file_kind::FileKind;
 use crate::input_error::InputError;
-use crate::lines::BUFFER;
-use crate::numbers::{DecimalMarks, TableNumberFormat};
-use crate::sheet::ColumnAssignment;
-use crate::text::{open_regular, opened};
-use crate::units;
+use crate::line_reader::BUFFER;
+use crate::table_number_format::{DecimalMarks, TableNumberFormat};
+use crate::text_file::{open_regular, opened};
 use crate::vcd::VcdReader;
-use crate::write::AtomicFile;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{RequestedTotal, TracePoint};
+use rtec_driver::trace_replay::{RequestedTotal, TracePoint};
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -63,14 +63,14 @@ impl TraceFormat {
 pub struct TraceReader<R> {
     rows: csv::Reader<R>,
     last: Option<TracePoint>,
-    points: PointSource,
+    points: TracePointSource,
     /// The latest time that is accepted, ns.
     latest_ns: u64,
     done: bool,
 }
 
 #[derive(Debug)]
-enum PointSource {
+enum TracePointSource {
     /// Rows of a table.
     /// It is plain if it has `t_ns,a,b` in this order and nothing else.
     Csv {
@@ -146,7 +146,7 @@ impl<const N: usize> TraceColumns<N> {
             return Err(header.finding("one column for two names", "every column once"));
         }
         let time = header.names().nth(places[0]).unwrap_or_default();
-        let stated = units::stated(time).and_then(|s| TIMES.iter().find(|(t, _)| t[2..] == *s.unit));
+        let stated = column_units::stated(time).and_then(|s| TIMES.iter().find(|(t, _)| t[2..] == *s.unit));
         if let Some((name, _)) = stated.filter(|(_, decimals)| *decimals != shift) {
             let found = format!("the column {time} as {}", TIMES[shift / 3].0);
             return Err(header.finding(found, format!("its own unit: {option} {name}={time}")));
@@ -202,7 +202,7 @@ impl<const N: usize> TraceColumns<N> {
         let is_open = shift == 0 && numbers.leaves_open(cell.text());
         let plain = numbers.plain(cell.text()).filter(|_| !is_open);
         if n == 0 {
-            let is_number = plain.as_deref().and_then(crate::decimal::number).is_some();
+            let is_number = plain.as_deref().and_then(crate::decimal_parser::number).is_some();
             if !is_number && (first || self.moments.start().is_some()) {
                 let ns = self.moments.absolute(cell.text()).and_then(|ns| ns.to_string().parse().ok());
                 let expected = clock_column::expected_instead(cell.text()).unwrap_or(expected);
@@ -264,7 +264,7 @@ impl<const N: usize> TraceColumns<N> {
 fn shifted(plain: &str, places: usize) -> Option<String> {
     if plain.contains(['e', 'E']) {
         // Above 2^53 a float cannot hold every whole number.
-        let number = crate::decimal::number(plain)? * 10_f64.powi(places as i32);
+        let number = crate::decimal_parser::number(plain)? * 10_f64.powi(places as i32);
         return (number.abs() < 9_007_199_254_740_992.0).then(|| format!("{number:.0}"));
     }
     let (whole, fraction) = plain.split_once('.').unwrap_or((plain, ""));
@@ -304,11 +304,11 @@ impl TraceReader<File> {
         // Requests also count from the first time, so it is read in advance. Its faults are reported when it
         // is read.
         if again.is_some()
-            && let PointSource::Csv { table, is_plain } = &mut reader.points
+            && let TracePointSource::Csv { table, is_plain } = &mut reader.points
         {
             let mut ahead = open()?;
             let _ = ahead.next_point();
-            if let PointSource::Csv { table: read, .. } = ahead.points
+            if let TracePointSource::Csv { table: read, .. } = ahead.points
                 && read.origin_ns != 0
             {
                 (table.origin_ns, table.at_start, *is_plain) = (read.origin_ns, false, false);
@@ -355,7 +355,7 @@ impl<R: Read> TraceReader<R> {
             TraceFormat::Csv => {
                 let table = TraceColumns::new(&mut rows, COLUMNS, columns, again)?;
                 let is_plain = table.places == [0, 1, 2] && table.shift == 0 && !table.has_others();
-                PointSource::Csv { table: Box::new(table), is_plain }
+                TracePointSource::Csv { table: Box::new(table), is_plain }
             }
             TraceFormat::Vcd => {
                 let begin = rows.lines.unread();
@@ -366,7 +366,7 @@ impl<R: Read> TraceReader<R> {
                     return Err(InputError::whole(Path::new("--columns"), "a time's column", expected));
                 }
                 let vcd = VcdReader::definitions(&mut rows.lines, names);
-                PointSource::Vcd(vcd.map_err(|e| FileKind::instead_of(Some(FileKind::Vcd), &begin, e))?)
+                TracePointSource::Vcd(vcd.map_err(|e| FileKind::instead_of(Some(FileKind::Vcd), &begin, e))?)
             }
         };
         Ok(Self { rows, last: None, points, latest_ns: u64::MAX, done: false })
@@ -382,15 +382,15 @@ impl<R: Read> TraceReader<R> {
     /// How the file's format differs from the documented one.
     /// It may be UTF-16 or have another separator.
     pub fn written(&self) -> Option<String> {
-        (!matches!(self.points, PointSource::Vcd(_))).then(|| written(&self.rows))?
+        (!matches!(self.points, TracePointSource::Vcd(_))).then(|| written(&self.rows))?
     }
 
     /// Notes for the user about what was read so far.
     /// They give the zero of dates, and levels that were unknown at first.
     pub fn notes(&self) -> Option<String> {
         match &self.points {
-            PointSource::Csv { table, .. } => table.notes(),
-            PointSource::Vcd(vcd) => {
+            TracePointSource::Csv { table, .. } => table.notes(),
+            TracePointSource::Vcd(vcd) => {
                 Some(format!("{}: {}", self.rows.lines.file.display(), vcd.unknown_level_note()?))
             }
         }
@@ -398,7 +398,7 @@ impl<R: Read> TraceReader<R> {
 
     /// A note if the rows so far are samples, not changes.
     pub fn sampled(&self) -> Option<String> {
-        let PointSource::Csv { table, .. } = &self.points else { return None };
+        let TracePointSource::Csv { table, .. } = &self.points else { return None };
         let file = self.rows.lines.file.display();
         table
             .is_sampled
@@ -411,7 +411,7 @@ impl<R: Read> TraceReader<R> {
     /// The first row that does not suit the format.
     #[inline]
     pub fn next_point(&mut self) -> Result<Option<TracePoint>, InputError> {
-        if matches!(self.points, PointSource::Csv { is_plain: true, .. })
+        if matches!(self.points, TracePointSource::Csv { is_plain: true, .. })
             && let Some(last) = self.last
             && let Some(row) = self.rows.lines.ahead::<PLAIN_ROW>()
             && let Some((point, length)) = plain_row(row)
@@ -433,8 +433,8 @@ impl<R: Read> TraceReader<R> {
             return Ok(None);
         }
         let next = match &mut self.points {
-            PointSource::Vcd(vcd) => vcd.next(&mut self.rows.lines, self.last),
-            PointSource::Csv { table, is_plain } => {
+            TracePointSource::Vcd(vcd) => vcd.next(&mut self.rows.lines, self.last),
+            TracePointSource::Csv { table, is_plain } => {
                 let row = csv_row(&mut self.rows, table, self.last);
                 *is_plain &= table.origin_ns == 0;
                 row
@@ -511,7 +511,7 @@ impl RequestedTotalReader<File> {
         trace: &TraceReader<impl Read>,
     ) -> Result<Self, InputError> {
         let mut reader = Self::open_columns(file, columns)?;
-        if let PointSource::Csv { table, .. } = &trace.points {
+        if let TracePointSource::Csv { table, .. } = &trace.points {
             reader.table.origin_ns = table.origin_ns;
         }
         Ok(reader)

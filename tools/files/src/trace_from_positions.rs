@@ -1,13 +1,13 @@
 //! The quadrature trace that a scale gives along a measured position record.
 
-mod jumps;
+mod impossible_jumps;
 mod rows;
 mod simulated_scale;
 
 use crate::InputError;
-use jumps::PositionJumps;
+use impossible_jumps::PositionJumps;
 use rows::PositionRows;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use simulated_scale::SimulatedScale;
 use std::path::PathBuf;
 
@@ -25,14 +25,14 @@ pub struct PositionRecord {
     /// What one count is worth, µm.
     pub count_um: f64,
     /// Its columns, and how they are read.
-    pub options: PositionOptions,
+    pub options: PositionRecordOptions,
 }
 
 // The documentation of the fields is the help of `rtecctl trace from-position`.
 /// Columns of a position record, and how they are read
 #[derive(Debug, Clone)]
 #[cfg_attr(feature = "clap", derive(clap::Args))]
-pub struct PositionOptions {
+pub struct PositionRecordOptions {
     /// The position column, by its name or number from 1 [default: the one whose name begins with "position"]
     #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
     pub column: Option<String>,
@@ -48,7 +48,7 @@ pub struct PositionOptions {
     /// Way back, in counts, before a count edge is undone, as in a scale's interpolator: noise at rest below
     /// this gives no edges
     #[cfg_attr(feature = "clap", arg(long, value_name = "COUNTS", default_value_t = 0.25,
-        value_parser = crate::cli_options::number(|n| n.is_finite() && n >= 0.0, "expected a number from 0")))]
+        value_parser = crate::cli_option_parsers::number(|n| n.is_finite() && n >= 0.0, "expected a number from 0")))]
     pub hysteresis_counts: f64,
     /// The position is a counter of so many bits that begins again at zero; 0: it is none [default: found in the record]
     #[cfg_attr(feature = "clap", arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(0..=48)))]

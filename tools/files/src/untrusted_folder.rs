@@ -2,7 +2,7 @@
 //! Examples are a shop's share, a spool, and the target of a restored backup. Every step uses an open folder
 //! (openat(2)) and follows no link, so that nobody can redirect a write or a read.
 
-use crate::write::sync_folder;
+use crate::atomic_write::sync_folder;
 use nix::dir::Dir;
 use nix::errno::Errno;
 use nix::fcntl::{AtFlags, Flock, FlockArg, OFlag, RenameFlags, openat, renameat, renameat2};

@@ -2,10 +2,10 @@
 //! Simulators and logic analysers write them.
 
 use crate::input_error::InputError;
-use crate::lines::LineReader;
+use crate::line_reader::LineReader;
 use crate::message_text::quoted;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use std::fmt::Write as _;
 use std::io::Read;
 

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::quadrature_trace::{TraceReader, trace_columns};
 use rtec_files::{CsvTable, InputError};
 use std::path::Path;

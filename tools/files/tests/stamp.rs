@@ -1,6 +1,6 @@
 //! A program that states its commit. It does so once: a process of its own.
 
-use rtec_files::format_stamp::{built_from, signed, writer};
+use rtec_files::file_format_stamp::{built_from, signed, writer};
 
 #[test]
 fn documents_name_the_commit() {

@@ -5,7 +5,7 @@
 
 use proptest::prelude::*;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{RequestedTotal, TracePoint};
+use rtec_driver::trace_replay::{RequestedTotal, TracePoint};
 use rtec_files::InputError;
 use rtec_files::quadrature_trace::{
     AtomicTraceFile, RequestedTotalReader, TraceFormat, TraceReader, TraceWriter,

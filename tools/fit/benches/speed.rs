@@ -1,7 +1,7 @@
 //! Speed of reading a record, and of fitting 78 h of sixteen sensors.
 //! Prints the times and asserts nothing: `cargo bench -p rtec-fit`.
 
-use rtec_fit::thermal::{self, Options};
+use rtec_fit::thermal::{self, ThermalFitOptions};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::hint::black_box;
 use std::path::Path;
@@ -59,15 +59,18 @@ fn main() {
     for (rows, sensors) in [(5000, 23), (4681, 16)] {
         let mut record = log(rows, sensors);
         record.path = dir.path().join("log.run.toml");
-        rtec_measure::record::write(&mut record).expect("a writable directory");
+        rtec_measure::run_record_files::write(&mut record).expect("a writable directory");
         let ns = median_ns(20, || {
-            black_box(rtec_measure::record::read(&record.path).expect("what was written"));
+            black_box(rtec_measure::run_record_files::read(&record.path).expect("what was written"));
         });
         println!("record: {rows} rows x {} columns read in {:.2} ms", sensors + 2, ns / 1e6);
     }
     let record = log(4681, 16);
     let ns = median_ns(5, || {
-        black_box(thermal::fit(&[&record], &[], &Options::default()).expect("a record that can be fitted"));
+        black_box(
+            thermal::fit(&[&record], &[], &ThermalFitOptions::default())
+                .expect("a record that can be fitted"),
+        );
     });
     println!("fit: 78 h x 16 sensors with selection and nested cross-validation in {:.3} s", ns / 1e9);
 }

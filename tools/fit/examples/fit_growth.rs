@@ -1,5 +1,5 @@
 //! Which of three sensors does a spindle's growth follow, and with what lag?
-use rtec_fit::thermal::{self, Options};
+use rtec_fit::thermal::{self, ThermalFitOptions};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         columns.push(Column::new(name, Role::Temperature, degc));
     }
     let run = Record::new(Path::new("warm_up.run.toml"), RunKind::Drift, columns)?;
-    let (_, reports) = thermal::fit(&[&run], &[], &Options::default())?;
+    let (_, reports) = thermal::fit(&[&run], &[], &ThermalFitOptions::default())?;
     println!("{:#?}", reports[0].effects);
     assert_eq!(reports[0].effects[1].sensor.as_deref(), Some("bearing"));
     Ok(())

@@ -11,12 +11,13 @@ use crate::statistics::quantile;
 use crate::thermal::{FittedEffect, Intervals, jackknife_interval, provenance};
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_files::text::short;
+use rtec_files::text_file::short;
 use rtec_least_squares::{Solution, compress_rows};
 use rtec_measure::ballbar::in_motion;
 use rtec_measure::gauge_resolution::{ReadingResolution, is_coarse_cause, step_of};
 use rtec_model::effect::{
-    AffectedQuantity, Dictionary, Effect, MissingInput, ParameterSearch, RequiredInput, TemperatureDifference,
+    AffectedQuantity, Dictionary, Effect, MissingInput, ParameterFitMethod, RequiredInput,
+    TemperatureDifference,
 };
 use rtec_model::machine::{FitNote, Machine, NORMAL_95, SourceRecord};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, span};
@@ -50,7 +51,7 @@ pub(crate) struct LinearProblem {
     /// Readings of a coarse gauge, by response of a record.
     rounded: Vec<QuantisedResponse>,
     /// Causes that were read in coarse steps.
-    causes: Vec<CoarseCause>,
+    causes: Vec<QuantisedInput>,
     /// Position of an axis at every row, mm, by its name; `None` if it stood still.
     at_mm: BTreeMap<String, Vec<Option<f64>>>,
 }
@@ -66,7 +67,7 @@ struct QuantisedResponse {
 
 /// A cause (a temperature, a position in motion) that was read in coarse steps.
 #[derive(Debug)]
-struct CoarseCause {
+struct QuantisedInput {
     /// The first row of its piece.
     start: usize,
     /// Change of every column per standard deviation of rounding, row by row.
@@ -184,7 +185,7 @@ impl LinearProblem {
                 Some(start..*from)
             });
             let alike = alike.collect();
-            self.causes.push(CoarseCause { start: piece.start, moves, alike });
+            self.causes.push(QuantisedInput { start: piece.start, moves, alike });
             let [low, high] = span(&column.data);
             if is_coarse_cause(column, step, high - low) {
                 let unit = if column.role == Role::Temperature { "K" } else { column.unit.as_str() };
@@ -377,7 +378,7 @@ fn without(equal: &[(Vec<Vec<f64>>, Vec<f64>)], block: usize) -> Result<Solution
 
 /// A record's own zero of a response, set by its gauge or its homing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Zero {
+pub struct RecordResponseZero {
     /// The record's file.
     pub record: String,
     /// The response.
@@ -396,7 +397,7 @@ pub struct EffectFitReport {
     pub rms_um: Vec<(String, [f64; 2])>,
     /// The records' own zeros that were subtracted.
     /// They belong neither to the model nor to an interval.
-    pub zeros: Vec<Zero>,
+    pub zeros: Vec<RecordResponseZero>,
     /// Messages about residuals that are not noise, by response.
     pub warnings: Vec<String>,
 }
@@ -431,7 +432,7 @@ fn effect_of(text: &str, dictionary: &Dictionary) -> Result<Effect, InputError> 
     let usage = |found: String, expected: String| InputError::whole(Path::new("--effects"), found, expected);
     let (name, delta) = text.split_once(':').map_or((text, None), |(n, d)| (n, Some(d)));
     let mut effect = dictionary.effect(name).map_err(|e| usage(e.found, e.expected))?;
-    if effect.description().parameters.iter().any(|p| p.search != ParameterSearch::Linear || p.array) {
+    if effect.description().parameters.iter().any(|p| p.search != ParameterFitMethod::Linear || p.array) {
         let found = format!("`{name}`, which is not linear in one number per parameter");
         return Err(usage(
             found,
@@ -630,7 +631,11 @@ pub fn fit_named(
     let fitted = written(&mut machine, effects, &found, records, date)?;
     let zero = |(piece, (record, (role, _))): (usize, (&&Record, &(Role, Option<String>)))| {
         let name = record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        Some(Zero { record: name, response: role.to_string(), um: problem.zero_um(&found, piece)? })
+        Some(RecordResponseZero {
+            record: name,
+            response: role.to_string(),
+            um: problem.zero_um(&found, piece)?,
+        })
     };
     let zeros = owners.iter().zip(&piece_of).enumerate().filter_map(zero).collect();
     Ok((machine, EffectFitReport { effects: fitted, rms_um, zeros, warnings }))

@@ -4,8 +4,8 @@
 use crate::thermal::prediction_chart;
 use rtec_files::date;
 use rtec_files::{InputError, InputNotice};
-use rtec_measure::derivatives;
 use rtec_measure::gauge_resolution;
+use rtec_measure::motion_from_positions;
 use rtec_measure::plausible;
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine, RecordRanges};
@@ -17,7 +17,7 @@ const HOLDS: f64 = 0.9;
 
 /// The results: one entry for each response of each record.
 #[derive(Debug)]
-pub struct Validation {
+pub struct ValidationResults {
     /// `{"responses", "no_better", "suspicions"}`: output of `model validate --json`.
     pub document: Value,
     /// Responses that the model predicts no better than zero does.
@@ -34,7 +34,7 @@ pub fn validate(
     machine: &Machine,
     records: &[Record],
     say: &mut dyn FnMut(InputNotice),
-) -> Result<Validation, InputError> {
+) -> Result<ValidationResults, InputError> {
     let (mut found, mut no_better, mut charts) = (Vec::new(), Vec::new(), Vec::new());
     let doubts = plausible::report_suspicions(records, say);
     for (record, all) in plausible::in_figures(records, &doubts).iter().zip(records) {
@@ -44,7 +44,7 @@ pub fn validate(
         for note in gauge_resolution::resolution_notes(record, true) {
             say(InputNotice::Warning(format!("{path}: {note}")));
         }
-        let (prediction, notes) = derivatives::predict(machine, record)?;
+        let (prediction, notes) = motion_from_positions::predict(machine, record)?;
         for note in notes {
             say(InputNotice::Note(format!("{path}: {note}")));
         }
@@ -71,7 +71,7 @@ pub fn validate(
     }
     let mut document = json!({ "responses": found, "no_better": no_better });
     plausible::enter(&mut document, &doubts);
-    Ok(Validation { document, no_better, charts })
+    Ok(ValidationResults { document, no_better, charts })
 }
 
 /// The result for one response.

@@ -3,7 +3,7 @@
 //! document for programs.
 
 use crate::linear_least_squares::{self, EffectFitReport};
-use crate::thermal::{self, Options, ThermalFitReport};
+use crate::thermal::{self, ThermalFitOptions, ThermalFitReport};
 use rtec_files::date;
 use rtec_files::{InputError, InputNotice};
 use rtec_measure::gauge_resolution;
@@ -28,12 +28,12 @@ pub struct FitRequest {
     /// Whether to fit even if a record's unit, sign, direction or column looks wrong.
     pub despite_suspicions: bool,
     /// The other options; their sensors and date are not read.
-    pub options: Options,
+    pub options: ThermalFitOptions,
 }
 
 /// A fit, and the suspicions against its records.
 #[derive(Debug)]
-pub struct ThermalFit {
+pub struct ThermalFitResult {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// A report per response.
@@ -46,7 +46,7 @@ pub struct ThermalFit {
 
 /// A fit of named effects.
 #[derive(Debug)]
-pub struct EffectFit {
+pub struct NamedEffectFitResult {
     /// The model with the fitted effects.
     pub machine: Machine,
     /// The report of the fit.
@@ -63,7 +63,7 @@ pub struct EffectFit {
 const SHORT_S: f64 = 1800.0;
 
 /// Selects sensors and fits growth. `holdout` only affects the last figures.
-/// Messages go to `say`. A model of suspicious records is only for inspection: call [`ThermalFit::is_to_be_written`]
+/// Messages go to `say`. A model of suspicious records is only for inspection: call [`ThermalFitResult::is_to_be_written`]
 /// before it is kept.
 ///
 /// # Errors
@@ -73,7 +73,7 @@ pub fn fit(
     holdout: Vec<Record>,
     asked: &FitRequest,
     say: &mut dyn FnMut(InputNotice),
-) -> Result<ThermalFit, InputError> {
+) -> Result<ThermalFitResult, InputError> {
     let doubts = plausible::report_suspicions(&[train.as_slice(), &holdout].concat(), say);
     let (train, holdout) = plausible::once(train, holdout);
     if train.is_empty() {
@@ -112,8 +112,11 @@ pub fn fit(
             "--sensors: {d} is the sum of others of them: which of these the machine grows with no record tells; leave one out"
         )));
     }
-    let options =
-        Options { sensors, date: asked.date.unwrap_or_else(|| day_of(&train)), ..asked.options.clone() };
+    let options = ThermalFitOptions {
+        sensors,
+        date: asked.date.unwrap_or_else(|| day_of(&train)),
+        ..asked.options.clone()
+    };
     let (machine, reports) =
         thermal::fit(&train.iter().collect::<Vec<_>>(), &holdout.iter().collect::<Vec<_>>(), &options)?;
     for r in &reports {
@@ -121,7 +124,7 @@ pub fn fit(
             say(InputNotice::Warning(format!("{}: {w}", r.response)));
         }
     }
-    Ok(ThermalFit { machine, reports, doubts, records: train })
+    Ok(ThermalFitResult { machine, reports, doubts, records: train })
 }
 
 /// Fits effects by their names, in addition to those of the base.
@@ -135,7 +138,7 @@ pub fn fit_named(
     effects: &[String],
     asked: &FitRequest,
     say: &mut dyn FnMut(InputNotice),
-) -> Result<EffectFit, InputError> {
+) -> Result<NamedEffectFitResult, InputError> {
     let paths: Vec<_> = records.iter().map(|r| r.path.clone()).collect();
     let doubts = plausible::report_suspicions(&records, say);
     let (records, _) = plausible::once(records, Vec::new());
@@ -158,10 +161,10 @@ pub fn fit_named(
     for w in &report.warnings {
         say(InputNotice::Warning(w.clone()));
     }
-    Ok(EffectFit { machine, report, doubts, records })
+    Ok(NamedEffectFitResult { machine, report, doubts, records })
 }
 
-impl ThermalFit {
+impl ThermalFitResult {
     /// Whether the model may be kept.
     /// It may not if a unit, a sign, a direction or a column of a training record looks wrong.
     ///
@@ -202,7 +205,7 @@ impl ThermalFit {
     }
 }
 
-impl EffectFit {
+impl NamedEffectFitResult {
     /// The fit as a document for programs.
     ///
     /// # Errors

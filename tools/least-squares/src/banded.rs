@@ -1,4 +1,5 @@
-//! Factors of symmetric matrices with two bands beside the diagonal, as smooth series have them.
+//! Factors of symmetric matrices with two bands beside the diagonal.
+//! Smooth series have such matrices.
 
 /// `LDLᵀ` factor of a positive definite matrix with two bands beside the diagonal.
 #[derive(Debug, Clone)]
@@ -63,7 +64,8 @@ impl BandedFactor {
         x
     }
 
-    /// Correlated errors whose precision is this matrix, from independent standard normal numbers.
+    /// Correlated errors whose precision is this matrix.
+    /// They are made of independent standard normal numbers.
     pub fn with_this_precision(&self, mut normal: impl FnMut() -> f64) -> Vec<f64> {
         let white = self.d.iter().map(|d| normal() / d.sqrt()).collect();
         self.back(white)

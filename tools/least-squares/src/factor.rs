@@ -120,9 +120,8 @@ pub fn products_beside(orthonormal: &DMatrix<f64>, columns: &[Vec<f64>]) -> Vec<
     (&own * own.transpose() - &shares * shares.transpose()).as_slice().to_vec()
 }
 
-/// ½ log |I + tS| and t hᵀ(I + tS)⁻¹h of columns whose products among each other (S, row by row) and with
-/// a residual (h) are known.
-/// These are what a prior of variance t adds to the evidence.
+/// ½ log |I + tS| and t hᵀ(I + tS)⁻¹h: what a prior of variance t adds.
+/// S holds the products of columns among each other, row by row; h those with a residual.
 #[must_use]
 pub fn prior_terms(along: &[f64], among: &[f64], t: f64) -> (f64, f64) {
     let p = along.len();
@@ -495,7 +494,9 @@ mod tests {
         let along: Vec<f64> = columns.iter().map(|c| dot(c, &y)).collect();
         let among: Vec<f64> = columns.iter().flat_map(|a| columns.iter().map(|b| dot(a, b))).collect();
         let mut factor = QrFactor::new(&y);
-        columns.iter().for_each(|c| factor.push(&c.iter().map(|x| 1.7 * x).collect::<Vec<_>>()));
+        for c in &columns {
+            factor.push(&c.iter().map(|x| 1.7 * x).collect::<Vec<_>>());
+        }
         let (half_log_det, less) = prior_terms(&along, &among, 1.7 * 1.7);
         assert!((half_log_det - factor.half_log_det()).abs() < 1e-9);
         assert!((dot(&y, &y) - less - factor.left()).abs() < 1e-9);

@@ -7,16 +7,18 @@
 //! | [`factor`] | factors that grow column by column, with or without a prior | the estimator, and [`solve`] |
 //! | [`solution`] | values, covariance, residual; equal rows for jackknives | fits, plates, circles |
 //! | [`banded`] | smooth series: matrices with two bands beside the diagonal | temperatures without noise |
-//! | [`directions`] | values of dependent columns; the smallest of several solutions; eigenvalues | ballbar, smooth functions |
+//! | [`rank_deficient_least_squares`] | values of dependent columns; the smallest of several solutions; eigenvalues | ballbar, smooth functions |
 
 pub mod banded;
-pub mod directions;
 pub mod factor;
+pub mod rank_deficient_least_squares;
 pub mod solution;
 
 pub use banded::BandedFactor;
-pub use directions::{Directions, orthonormal, principal, projected_eigen, projected_out};
 pub use factor::{QrFactor, add, dot, prior_terms, products_beside};
+pub use rank_deficient_least_squares::{
+    DeterminedDirections, orthonormal, principal, projected_eigen, projected_out,
+};
 pub use solution::{Solution, compress_rows, solve};
 
 #[cfg(test)]

@@ -14,10 +14,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let readings = std::env::args().find_map(|a| a.parse().ok()).unwrap_or(1_u32).max(1);
     let (mut ours, mut theirs) = (Duration::MAX, Duration::MAX);
-    let (mut record, mut columns) = (rtec_measure::record::read(&file)?, Vec::new());
+    let (mut record, mut columns) = (rtec_measure::run_record_files::read(&file)?, Vec::new());
     for _ in 0..readings {
         let begun = Instant::now();
-        record = rtec_measure::record::read(&file)?;
+        record = rtec_measure::run_record_files::read(&file)?;
         ours = ours.min(begun.elapsed());
         let begun = Instant::now();
         columns = by_crate(&file.with_file_name(&record.file))?;

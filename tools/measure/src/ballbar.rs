@@ -11,9 +11,9 @@
 //! The diagnosis fits effects of the model (scale, squareness, reversal, spike, following error, screw) to
 //! the radial errors of all records of a plane. Each record has its own centre and mean radius.
 
-use crate::derivatives::noise;
 use crate::gauge_resolution::step_of;
 use crate::iso230::{CircleAndDriftUncertainty, FittedCircle, error_axes, lacks};
+use crate::motion_from_positions::noise;
 use rtec_files::Result;
 use rtec_model::ballbar_circle::{Circle, rates, turn_rad};
 use rtec_model::effect::{Dictionary, Effect, sign};
@@ -24,11 +24,11 @@ use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 mod diagnosis;
-mod search;
+mod effect_search;
 mod spike_interval;
 mod unexplained_structure;
 
-pub use diagnosis::{Contribution, Cyclic, Diagnosis, Spike};
+pub use diagnosis::{CauseContribution, Diagnosis, FittedCyclicError, FittedReversalSpike};
 
 /// One contour: a run in one direction of rotation at one feed.
 /// Values in µm unless named otherwise.
@@ -107,7 +107,7 @@ pub struct BallbarResult {
 
 /// A record as a circle: angle and radial error, with plane and radius if known.
 #[derive(Clone)]
-pub(crate) struct Trace {
+pub(crate) struct CircleTrace {
     pub(crate) record: Record,
     name: String,
     plane: String,
@@ -127,9 +127,9 @@ pub(crate) struct Trace {
 /// # Errors
 /// A record that is no circle, or has less than half a turn.
 pub fn evaluate(records: &[Record]) -> Result<Vec<BallbarResult>> {
-    let mut planes: Vec<(String, Vec<Trace>)> = Vec::new();
+    let mut planes: Vec<(String, Vec<CircleTrace>)> = Vec::new();
     for record in records {
-        let trace = Trace::of(record)?;
+        let trace = CircleTrace::of(record)?;
         match planes.iter_mut().find(|(name, _)| same_plane(name, &trace.plane)) {
             Some((_, traces)) => traces.push(trace),
             None => planes.push((trace.plane.clone(), vec![trace])),
@@ -153,8 +153,8 @@ fn same_plane(a: &str, b: &str) -> bool {
     a == b || a.split_once('-').is_some_and(|(x, y)| format!("{y}-{x}") == b)
 }
 
-fn plane_of(plane: String, traces: &[Trace]) -> Result<BallbarResult> {
-    let contours: Vec<ContourResult> = traces.iter().flat_map(Trace::evaluate).collect();
+fn plane_of(plane: String, traces: &[CircleTrace]) -> Result<BallbarResult> {
+    let contours: Vec<ContourResult> = traces.iter().flat_map(CircleTrace::evaluate).collect();
     let largest =
         |of: &dyn Fn(&ContourResult) -> Option<f64>| contours.iter().filter_map(of).reduce(f64::max);
     let way = |w: &'static str| move |c: &ContourResult| (c.direction == w).then_some(c.g);
@@ -178,7 +178,7 @@ fn plane_of(plane: String, traces: &[Trace]) -> Result<BallbarResult> {
             "circles of different radii ({list} mm): each figure is the largest of any; evaluate them one by one for the figures of each"
         ));
     }
-    let off = |t: &Trace| {
+    let off = |t: &CircleTrace| {
         let mm = t.record.circle()?.radius_mm;
         t.evaluate().into_iter().map(|c| c.radius_um).find(|um| um.abs() > FAR_OFF * mm)
     };
@@ -210,8 +210,8 @@ type Row = (f64, f64, f64);
 
 /// Rows of each record with both directions.
 /// If there is none, of all records of one radius together.
-fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
-    let rows = |t: &Trace, centred: bool| -> Vec<Row> {
+fn bidirectional(traces: &[CircleTrace]) -> Vec<Vec<Row>> {
+    let rows = |t: &CircleTrace, centred: bool| -> Vec<Row> {
         let of = |(rows, turn): &(Range<usize>, f64)| {
             let points: Vec<(f64, f64)> = rows.clone().map(|i| (t.angle[i], t.radial[i])).collect();
             // Records of one direction were set up separately, so each is centred.
@@ -223,10 +223,11 @@ fn bidirectional(traces: &[Trace]) -> Vec<Vec<Row>> {
     let goes_both = |rows: &[Row]| rows.iter().any(|r| r.2 > 0.0) && rows.iter().any(|r| r.2 < 0.0);
     let mut found: Vec<_> = traces.iter().map(|t| rows(t, false)).filter(|r| goes_both(r)).collect();
     if found.is_empty() {
-        let radius = |t: &Trace| t.record.circle().map_or(1.0, |c| c.radius_mm);
-        let mut left: Vec<&Trace> = traces.iter().collect();
+        let radius = |t: &CircleTrace| t.record.circle().map_or(1.0, |c| c.radius_mm);
+        let mut left: Vec<&CircleTrace> = traces.iter().collect();
         while let Some(first) = left.first().map(|t| radius(t)) {
-            let (own, others): (Vec<&Trace>, _) = left.into_iter().partition(|t| alike(radius(t), first));
+            let (own, others): (Vec<&CircleTrace>, _) =
+                left.into_iter().partition(|t| alike(radius(t), first));
             let all: Vec<_> = own.into_iter().flat_map(|t| rows(t, true)).collect();
             found.extend(Some(all).filter(|r| goes_both(r)));
             left = others;
@@ -291,7 +292,7 @@ fn hysteresis(rows: &[Row]) -> Option<f64> {
     sectors.iter().filter_map(|[cw, ccw]| Some((mean(*cw)? - mean(*ccw)?).abs())).reduce(f64::max)
 }
 
-impl Trace {
+impl CircleTrace {
     fn of(record: &Record) -> Result<Self> {
         let (record, plane) = as_circle(record)?;
         let get = |role: &Role| record.data(role).map(<[f64]>::to_vec).unwrap_or_default();

@@ -5,7 +5,7 @@
 //! a disc, the first fit takes part of the quadrupole. [`AffineFit`] fits all linear terms at once and does not.
 
 use crate::iso230::moments;
-use crate::plot::Vectors;
+use crate::plot::VectorPlot;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Record, Role};
@@ -182,7 +182,7 @@ impl AffineFit {
 
 /// Loss function of a plate's fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Norm {
+pub enum PlateFitLoss {
     /// Sum of squared residual lengths.
     Squares,
     /// Sum of their fourth powers, as in some published fits.
@@ -196,7 +196,7 @@ type Solved = (DVector<f64>, DVector<f64>, DMatrix<f64>);
 /// Fits two rows per hole; `of` gives the entries of a hole in a column.
 fn solve(
     record: &Record,
-    norm: Norm,
+    norm: PlateFitLoss,
     columns: usize,
     of: &dyn Fn(usize, usize) -> [f64; 2],
     to: &DVector<f64>,
@@ -210,7 +210,7 @@ fn solve(
     let fitted = |fit: &DVector<f64>, i: usize| a.iter().zip(fit).map(|(a, f)| a[i] * f).sum::<f64>();
     let rest = |fit: &DVector<f64>| DVector::from_fn(2 * n, |i, _| to[i] - fitted(fit, i));
     let mut left = rest(&fit);
-    if norm == Norm::Fourth {
+    if norm == PlateFitLoss::Fourth {
         // Newton's step for Σ r⁴ is a third of the way to the fit with weights r².
         for _ in 0..100 {
             let w: Vec<f64> = (0..2 * n).map(|i| left[i - i % 2].hypot(left[i - i % 2 + 1])).collect();
@@ -234,7 +234,7 @@ fn solve(
 ///
 /// # Errors
 /// The record lacks position or error of x or y, has fewer than three holes, or holes on one line only.
-pub fn evaluate(record: &Record, norm: Norm) -> Result<DrilledPlateFit> {
+pub fn evaluate(record: &Record, norm: PlateFitLoss) -> Result<DrilledPlateFit> {
     let get = |role: fn(Axis) -> Role, name: &str| {
         let expected = "columns position and error of x and y";
         let error = || InputError::whole(&record.path, format!("no {name} of a plate"), expected);
@@ -324,10 +324,10 @@ impl DrilledPlateFit {
     }
 
     /// Residuals as arrows on the plate, enlarged.
-    pub fn plot(&self, record: &Record) -> Vectors {
+    pub fn plot(&self, record: &Record) -> VectorPlot {
         let data = |name: &str| Axis::new(name).and_then(|a| record.position(&a)).unwrap_or_default();
         let places = data("x").iter().zip(data("y")).map(|(x, y)| [*x, *y]);
-        Vectors {
+        VectorPlot {
             title: "Residuals after offset, scale and rotation".to_owned(),
             axes: ["x".to_owned(), "y".to_owned()],
             at: places.zip(self.residual_um.iter().copied()).collect(),

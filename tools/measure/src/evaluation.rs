@@ -2,12 +2,12 @@
 //! The results are a document for programs and a report for people.
 
 use crate::gauge_resolution;
-use crate::iso230::{self, Conditions, Options, StreamedDriftTest};
+use crate::iso230::{self, PositioningOptions, StreamedDriftTest, TestConditions};
 use crate::plausible::{self, Suspicion};
 use crate::plot::PlotError;
 use crate::report::{self, Report, ReportedRecord};
-use crate::{Sink, ballbar, drilled_plate, record};
-use rtec_files::text::short;
+use crate::{Sink, ballbar, drilled_plate, run_record_files};
+use rtec_files::text_file::short;
 use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::record::{Column, Record, Role, RunKind, median, sha256_of};
 use serde_json::{Value, json};
@@ -59,7 +59,7 @@ impl Standard {
     }
 
     /// Conditions that this evaluation does not use.
-    fn unused(self, conditions: &Conditions, records: &[Record]) -> Option<String> {
+    fn unused(self, conditions: &TestConditions, records: &[Record]) -> Option<String> {
         let lengths = records.iter().flat_map(Record::responses).any(|c| matches!(c.role, Role::Error(_)));
         if matches!(self, Self::Iso230_2 | Self::Iso230_6) && lengths {
             // A scale alone is right with an interferometer. A workpiece is compared with a scale, and both
@@ -94,7 +94,7 @@ pub struct EvaluationRequest {
     /// The evaluation; `None`: the one for the first record's kind.
     pub standard: Option<Standard>,
     /// Conditions of the test.
-    pub conditions: Conditions,
+    pub conditions: TestConditions,
     /// Positioning: accept targets approached from one side only.
     pub one_way: bool,
     /// Plates: minimise the sum of fourth powers instead of squares.
@@ -159,14 +159,14 @@ pub fn evaluate(records: &[Record], asked: &EvaluationRequest, say: Sink<'_>) ->
 /// those of the whole; suspicions are found per piece.
 ///
 /// # Errors
-/// As [`evaluate`], and as [`record::read`].
+/// As [`evaluate`], and as [`run_record_files::read`].
 pub fn evaluate_files(paths: &[PathBuf], asked: &EvaluationRequest, say: Sink<'_>) -> Result<Evaluation> {
     if let [path] = paths
         && let Some(mut long) = long_drift(path, asked, MOST_ROWS)?
     {
         return in_pieces(path, &mut long, asked, MOST_ROWS, say);
     }
-    evaluate(&paths.iter().map(|p| record::read(p)).collect::<Result<Vec<_>, _>>()?, asked, say)
+    evaluate(&paths.iter().map(|p| run_record_files::read(p)).collect::<Result<Vec<_>, _>>()?, asked, say)
 }
 
 /// Most rows of a drift test in memory: three days at one row per second.
@@ -176,7 +176,7 @@ pub const MOST_ROWS: usize = 1 << 18;
 fn long_drift(path: &Path, asked: &EvaluationRequest, more_than: usize) -> Result<Option<StreamedDriftTest>> {
     let drift = match asked.standard {
         Some(standard) => standard == Standard::Iso230_3,
-        None => record::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == RunKind::Drift),
+        None => run_record_files::RecordPieceReader::of(path)?.is_some_and(|p| p.kind() == RunKind::Drift),
     };
     if drift { StreamedDriftTest::of(path, more_than) } else { Ok(None) }
 }
@@ -190,7 +190,7 @@ fn in_pieces(
 ) -> Result<Evaluation> {
     // Pieces of equal length, so that none is too short for the checks.
     let pieces = long.rows.div_ceil(most_rows);
-    let mut looked_at = plausible::RecordPieceSuspicions::default();
+    let mut looked_at = plausible::LongRecordSuspicions::default();
     let rows_at_once = long.rows.div_ceil(pieces);
     let mut all = long.drift(rows_at_once, |piece| looked_at.see(piece))?;
     let doubts = looked_at.report_suspicions(say);
@@ -314,12 +314,14 @@ fn single_figures(place: &str, value: &Value) -> Vec<(String, f64)> {
 }
 
 /// Refuses a bad sensor, which would spoil every figure reduced to 20 °C.
-fn reducible(conditions: &Conditions, doubts: &[Suspicion]) -> Result<()> {
+fn reducible(conditions: &TestConditions, doubts: &[Suspicion]) -> Result<()> {
     let bodies = [&conditions.scale, &conditions.workpiece].into_iter().flatten();
     let bodies = bodies.map(|body| (body.sensor.as_str(), "[thermal]", "reduced to 20 °C"));
     let air = conditions.air.iter().filter_map(|air| match &air.temperature {
-        iso230::AirTemperature::Sensor(sensor) => Some((sensor.as_str(), "[air]", "corrected for the air")),
-        iso230::AirTemperature::Degc(_) => None,
+        iso230::AirTemperatureSource::Sensor(sensor) => {
+            Some((sensor.as_str(), "[air]", "corrected for the air"))
+        }
+        iso230::AirTemperatureSource::Degc(_) => None,
     });
     for (sensor, table, why) in bodies.chain(air) {
         if let Some(doubt) = doubts.iter().find(|d| d.is_of_sensor() && d.column == sensor) {
@@ -352,7 +354,7 @@ fn evaluate_by(
     say: Sink<'_>,
 ) -> Result<(Value, Report)> {
     let file = &records[0].path;
-    let options = Options { one_way: asked.one_way, conditions: asked.conditions.clone() };
+    let options = PositioningOptions { one_way: asked.one_way, conditions: asked.conditions.clone() };
     let conditions = &asked.conditions;
     Ok(match standard {
         Standard::Iso230_2 => {
@@ -360,7 +362,7 @@ fn evaluate_by(
             for record in records {
                 all.extend(iso230::positioning_with(record, &options).map_err(|e| {
                     // If only the conditions are wrong, the record is one of positioning.
-                    let bare = Options { one_way: asked.one_way, ..Options::default() };
+                    let bare = PositioningOptions { one_way: asked.one_way, ..PositioningOptions::default() };
                     let is_other = iso230::positioning_with(record, &bare).is_err();
                     let hint = "; where the machine only returned to one position, --standard repeatability";
                     InputError { expected: e.expected + if is_other { hint } else { "" }, ..e }
@@ -409,8 +411,11 @@ fn evaluate_by(
         }
         Standard::Plate => {
             let record = single(records)?;
-            let norm =
-                if asked.fourth_powers { drilled_plate::Norm::Fourth } else { drilled_plate::Norm::Squares };
+            let norm = if asked.fourth_powers {
+                drilled_plate::PlateFitLoss::Fourth
+            } else {
+                drilled_plate::PlateFitLoss::Squares
+            };
             let found = drilled_plate::evaluate(record, norm)?;
             let report = drawn(file, report::plate(&found, record, conditions))?;
             (figures(file, "", &[found])?, report)
@@ -419,7 +424,7 @@ fn evaluate_by(
     })
 }
 
-fn returns(record: &Record, conditions: &Conditions) -> Result<(Value, Report)> {
+fn returns(record: &Record, conditions: &TestConditions) -> Result<(Value, Report)> {
     let axes = iso230::returns(record);
     if axes.is_empty() {
         let expected = "a column of role error.AXIS with two returns at least";
@@ -561,7 +566,8 @@ mod tests {
     }
 
     fn held(path: &Path) -> Evaluation {
-        evaluate(&[record::read(path).unwrap()], &EvaluationRequest::default(), &mut |_| ()).unwrap()
+        evaluate(&[run_record_files::read(path).unwrap()], &EvaluationRequest::default(), &mut |_| ())
+            .unwrap()
     }
 
     /// Reading piece by piece gives the same figures, phases, tables and plots.

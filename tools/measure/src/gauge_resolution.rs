@@ -5,7 +5,7 @@
 //! exp(−2π²σ²/q²) (Widrow, "A study of rough amplitude quantization", 1956).
 
 use crate::iso230::targets;
-use rtec_files::text::short;
+use rtec_files::text_file::short;
 use rtec_model::ballbar_circle::tick;
 use rtec_model::record::{Column, Record, Role, RunKind, shared_step, span};
 

@@ -4,33 +4,33 @@
 //! |---|---|---|
 //! | `table` | any table with named columns, units, factors and times | |
 //! | `user_format` | the same, described by the user's file | |
-//! | `renishaw` | `.rtl`: linear targets of a laser interferometer | programs that read it; no original file was available |
+//! | `renishaw_rtl` | `.rtl`: linear targets of a laser interferometer | programs that read it; no original file was available |
 //! | `etalon` | Etalon's exchange format | ISG kernel documentation, 296430091 |
 //! | `halsampler` | LinuxCNC's `halsampler` | its source, `sampler_usr.c` |
 //! | `shdr` | a log of `MTConnect`'s SHDR lines | the agent's own logs |
-//! | `linuxcnc` | LinuxCNC's compensation file | its loader, `usrmotintf.cc` |
+//! | `linuxcnc_compensation` | LinuxCNC's compensation file | its loader, `usrmotintf.cc` |
 //! | `ecmc` | ecmc's ISO 230-2 test | |
-//! | `cmm` | tables of holes | |
+//! | `cmm_hole_table` | tables of holes | |
 //!
 //! `request` holds the options of an import. For times see `rtec_files::clock`.
 
-mod cmm;
+mod cmm_hole_table;
 mod ecmc;
 mod etalon;
 mod halsampler;
-mod linuxcnc;
-mod renishaw;
+mod linuxcnc_compensation;
+mod renishaw_rtl;
 pub mod request;
 mod shdr;
 mod table;
 mod user_format;
 
-pub use cmm::cmm_plate;
+pub use cmm_hole_table::cmm_plate;
 pub use ecmc::ecmc_dat;
 pub use etalon::etalon;
 pub use halsampler::{Sampling, halsampler};
-pub use linuxcnc::linuxcnc_comp;
-pub use renishaw::{any_text, rtl};
+pub use linuxcnc_compensation::linuxcnc_comp;
+pub use renishaw_rtl::{any_text, rtl};
 pub use shdr::shdr;
 pub use table::{ImportColumn, TableSyntax, table};
 pub use user_format::UserTableFormat;

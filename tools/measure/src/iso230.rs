@@ -6,25 +6,28 @@
 //! | [`drift()`] | ISO 230-3: thermal effects, phase by phase |
 //! | [`straightness()`] | ISO 230-1: straightness of an axis's motion |
 //! | [`diagonals()`] | ISO 230-6: body and face diagonals |
-//! | [`Conditions`] | conditions of a test, and the uncertainty that follows |
+//! | [`TestConditions`] | conditions of a test, and the uncertainty that follows |
 
-mod air;
+mod air_refraction;
 mod conditions;
 mod diagonals;
 mod drift;
 mod positioning;
 mod straightness;
 
-pub use air::{Air, AirState, AirTemperature};
-pub use conditions::{CircleAndDriftUncertainty, Conditions, Contributor, Expansion, PositioningUncertainty};
-pub use diagonals::{Diagonal, Diagonals, diagonals};
-pub use drift::{Drift, Figures, Phase, SensorDrift, drift, drift_charts};
+pub use air_refraction::{AirState, AirTemperatureSource, LaserPathAir};
+pub use conditions::{
+    CircleAndDriftUncertainty, ExpandingBody, PositioningUncertainty, TestConditions, UncertaintyContributor,
+};
+pub use diagonals::{DiagonalResult, DiagonalTestResult, diagonals};
+pub use drift::{DriftFigures, DriftPhaseResult, DriftResult, SensorDrift, drift, drift_charts};
 pub(crate) use drift::{StreamedDriftTest, state_budget};
 pub(crate) use positioning::{LONG_AXIS_MM, LONG_INTERVAL_MM, fewest_targets};
 pub use positioning::{
-    Options, Positioning, Step, Target, Trend, has_positioning, positioning, positioning_with,
+    PositioningOptions, PositioningResult, SharedDrift, SharedStep, TargetResult, has_positioning,
+    positioning, positioning_with,
 };
-pub use straightness::{StraightPlace, Straightness, has_straightness, straightness};
+pub use straightness::{StraightnessPoint, StraightnessResult, has_straightness, straightness};
 
 use rtec_files::InputError;
 use rtec_least_squares::dot;

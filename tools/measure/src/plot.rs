@@ -1,12 +1,12 @@
 //! Plots as SVG text without fonts or scripts; the legend is beside the data.
 
+mod point_thinning;
 mod polar;
 mod series_style;
-mod thin;
 mod vectors;
 
-pub use polar::Polar;
-pub use vectors::Vectors;
+pub use polar::PolarPlot;
+pub use vectors::VectorPlot;
 
 use plotters::prelude::*;
 use plotters::style::RGBColor;
@@ -126,9 +126,9 @@ pub enum PlotSpec {
     /// Series over an axis.
     Chart(Chart),
     /// Deviations from a circle.
-    Polar(Polar),
+    Polar(PolarPlot),
     /// Displacements on a plane.
-    Vectors(Vectors),
+    Vectors(VectorPlot),
 }
 
 impl PlotSpec {
@@ -206,7 +206,7 @@ impl Chart {
     }
 
     fn bounds(&self) -> Option<([f64; 2], [f64; 2])> {
-        let points = || self.series.iter().flat_map(|s| thin::finite(&s.points));
+        let points = || self.series.iter().flat_map(|s| point_thinning::finite(&s.points));
         let zeros = self.series.iter().filter(|s| s.style == Style::Bars).map(|_| 0.0);
         let (mut x, mut y) = (span(points().map(|p| p.0)), span(points().map(|p| p.1).chain(zeros)));
         if !self.x_names.is_empty() {
@@ -276,9 +276,9 @@ impl Chart {
             let (colour, place) = (s.colour.rgb(i), s.colour.place(i));
             let pixel = |p: &(f64, f64)| chart.plotting_area().map_coordinate(p);
             let points = match s.style {
-                Style::Line => thin::line(&s.points, pixel),
-                Style::Dots => thin::dots(&s.points, pixel),
-                Style::Bars | Style::Band => thin::finite(&s.points).collect(),
+                Style::Line => point_thinning::line(&s.points, pixel),
+                Style::Dots => point_thinning::dots(&s.points, pixel),
+                Style::Bars | Style::Band => point_thinning::finite(&s.points).collect(),
             }
             .into_iter();
             match (s.style, series_style::dash(place)) {
@@ -300,7 +300,8 @@ impl Chart {
                 }
                 (Style::Band, _) => {
                     let (lower, upper) = s.points.split_at(s.points.len() / 2);
-                    let (lower, upper) = (thin::line(lower, pixel), thin::line(upper, pixel));
+                    let (lower, upper) =
+                        (point_thinning::line(lower, pixel), point_thinning::line(upper, pixel));
                     let around: Vec<_> = lower.into_iter().chain(upper.into_iter().rev()).collect();
                     chart.draw_series(std::iter::once(Polygon::new(around, colour.mix(0.2).filled())))?;
                 }

@@ -1,8 +1,10 @@
 //! Predictions of a machine model for a record, with notes on their assumptions.
 
-use crate::{Sink, derivatives, plausible, record};
+use crate::{Sink, motion_from_positions, plausible, run_record_files};
 use rtec_files::{InputError, InputNotice, Result};
-use rtec_model::machine::{FitRangeCheck, HalfWidthPredictor, Machine, RecordPiecePredictor, RecordRanges};
+use rtec_model::machine::{
+    ChunkedHalfWidthPredictor, ChunkedRecordPredictor, FitRangeCheck, Machine, RecordRanges,
+};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -14,7 +16,7 @@ use std::path::Path;
 /// # Errors
 /// An effect reads a sensor or channel that the record does not have.
 pub fn predict(machine: &Machine, record: &Record, say: Sink<'_>) -> Result<Vec<(String, Vec<f64>)>> {
-    let (prediction, notes) = derivatives::predict(machine, record)?;
+    let (prediction, notes) = motion_from_positions::predict(machine, record)?;
     for note in notes {
         say(InputNotice::Note(format!("{}: {note}", record.path.display())));
     }
@@ -45,19 +47,19 @@ pub fn write(
     out: &mut impl Write,
     say: Sink<'_>,
 ) -> Result<(), PredictionFailure> {
-    let Some(mut pieces) = record::RecordPieceReader::of(path)? else {
-        return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
+    let Some(mut pieces) = run_record_files::RecordPieceReader::of(path)? else {
+        return Ok(out.write_all(csv(machine, &run_record_files::read(path)?, interval, say)?.as_bytes())?);
     };
     // Derived motion needs the positions of all rows, so the record is read as a whole.
     let first = pieces.next_record(PIECE_ROWS)?;
-    if first.is_some_and(|first| derivatives::reads_more_motion(machine, &first)) {
-        return Ok(out.write_all(csv(machine, &record::read(path)?, interval, say)?.as_bytes())?);
+    if first.is_some_and(|first| motion_from_positions::reads_more_motion(machine, &first)) {
+        return Ok(out.write_all(csv(machine, &run_record_files::read(path)?, interval, say)?.as_bytes())?);
     }
     pieces.rewind()?;
-    let (mut running, mut asked) = (RecordPiecePredictor::of(machine), FitRangeCheck::of(machine));
+    let (mut running, mut asked) = (ChunkedRecordPredictor::of(machine), FitRangeCheck::of(machine));
     let looked_over = if interval { Some(look_over(&mut pieces, &mut asked)?) } else { None };
     pieces.rewind()?;
-    let mut widths: Vec<HalfWidthPredictor<'_>> = Vec::new();
+    let mut widths: Vec<ChunkedHalfWidthPredictor<'_>> = Vec::new();
     let style = pieces.style();
     let (mut rows, mut taken_as_zero, mut text) = (0, Vec::new(), String::new());
     let (mut not_taken, mut held) = (0, BTreeMap::new());
@@ -120,7 +122,7 @@ fn warn_of_readings(file: &Path, not_taken: usize, say: Sink<'_>) {
 
 /// The range of a record, and its number of rows.
 fn look_over(
-    pieces: &mut record::RecordPieceReader,
+    pieces: &mut run_record_files::RecordPieceReader,
     asked: &mut FitRangeCheck<'_>,
 ) -> Result<(RecordRanges, usize)> {
     let (mut reach, mut rows, mut held) = (RecordRanges::default(), 0, BTreeMap::new());
@@ -138,9 +140,10 @@ fn half_widths<'m>(
     machine: &'m Machine,
     reach: &RecordRanges,
     record: &Record,
-) -> Result<Vec<HalfWidthPredictor<'m>>> {
-    let of =
-        |role: &Role| HalfWidthPredictor::of(machine, reach, role).ok_or_else(|| no_interval(machine, role));
+) -> Result<Vec<ChunkedHalfWidthPredictor<'m>>> {
+    let of = |role: &Role| {
+        ChunkedHalfWidthPredictor::of(machine, reach, role).ok_or_else(|| no_interval(machine, role))
+    };
     record.responses().map(|response| of(&response.role)).collect()
 }
 
@@ -184,5 +187,5 @@ pub fn csv(machine: &Machine, record: &Record, interval: bool, say: Sink<'_>) ->
         }
         columns.push((format!("predicted_{name}"), data));
     }
-    crate::record::csv_with(record, &columns)
+    crate::run_record_files::csv_with(record, &columns)
 }

@@ -7,7 +7,7 @@ pub(crate) use evaluation_reports::{
     ballbar, diagonals, drift, history, plate, positioning, repeatability, short, straightness,
 };
 
-use crate::iso230::Conditions;
+use crate::iso230::TestConditions;
 use crate::plot::{PlotError, PlotSpec};
 use rtec_files::message_text::escaped;
 use rtec_model::record::{Column, Record, span};
@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 
 /// A table; columns whose name starts with `#` hold numbers and are right-aligned.
 #[derive(Debug, Clone, PartialEq, Default)]
-struct Table {
+struct ReportTable {
     title: String,
     /// Names of the columns, with units.
     head: Vec<String>,
@@ -23,7 +23,7 @@ struct Table {
     rows: Vec<Vec<String>>,
 }
 
-impl Table {
+impl ReportTable {
     fn numeric(&self, column: usize) -> bool {
         self.head.get(column).is_some_and(|h| h.starts_with('#'))
     }
@@ -68,8 +68,8 @@ pub fn signed_line(instrument: &str, name: &str, date: &str) -> String {
 
 /// A section: a table, or a plot with its data.
 #[derive(Debug, Clone, PartialEq)]
-enum Section {
-    Table(Table),
+enum ReportSection {
+    Table(ReportTable),
     Plot { svg: String, picture: PlotSpec },
 }
 
@@ -117,7 +117,7 @@ pub struct Report {
     warnings: Vec<String>,
     /// Number of warnings that are suspicions against the input.
     doubts: usize,
-    sections: Vec<Section>,
+    sections: Vec<ReportSection>,
     /// The verb that makes the page.
     by: &'static str,
     /// Days of the runs, each once.
@@ -143,11 +143,11 @@ impl Report {
         self.warnings.push(text.to_owned());
     }
 
-    fn new(title: &str, records: &[Record], conditions: &Conditions) -> Self {
+    fn new(title: &str, records: &[Record], conditions: &TestConditions) -> Self {
         Self::of_runs(title, &records.iter().map(ReportedRecord::of).collect::<Vec<_>>(), conditions)
     }
 
-    fn of_runs(title: &str, runs: &[ReportedRecord], conditions: &Conditions) -> Self {
+    fn of_runs(title: &str, runs: &[ReportedRecord], conditions: &TestConditions) -> Self {
         let mut facts = Vec::new();
         for r in runs {
             let date = r.date.as_ref().map(|d| format!(", {d}")).unwrap_or_default();
@@ -186,7 +186,7 @@ impl Report {
         let cells = |row: C| row.into_iter().map(Into::into).collect();
         let rows: Vec<Vec<String>> = rows.into_iter().map(cells).collect();
         if !rows.is_empty() {
-            self.sections.push(Section::Table(Table { title: title.to_owned(), head, rows }));
+            self.sections.push(ReportSection::Table(ReportTable { title: title.to_owned(), head, rows }));
         }
     }
 
@@ -198,7 +198,7 @@ impl Report {
     fn plot(&mut self, picture: impl Into<PlotSpec>) -> Result<(), PlotError> {
         let picture = picture.into();
         let svg = picture.svg(PLOT_PX.0, PLOT_PX.1)?;
-        self.sections.push(Section::Plot { svg, picture });
+        self.sections.push(ReportSection::Plot { svg, picture });
         Ok(())
     }
 
@@ -214,8 +214,8 @@ impl Report {
 
     fn drawn(&self) -> impl Iterator<Item = (&str, &PlotSpec)> {
         self.sections.iter().filter_map(|s| match s {
-            Section::Plot { svg, picture } => Some((svg.as_str(), picture)),
-            Section::Table(_) => None,
+            ReportSection::Plot { svg, picture } => Some((svg.as_str(), picture)),
+            ReportSection::Table(_) => None,
         })
     }
 
@@ -228,7 +228,7 @@ impl Report {
     pub fn text(&self) -> String {
         let mut out = format!("{}\n", self.title);
         for s in &self.sections {
-            let Section::Table(t) = s else { continue };
+            let ReportSection::Table(t) = s else { continue };
             let _ = write!(out, "\n{}\n", t.title);
             let width = |c: usize| {
                 let cells = t.rows.iter().filter_map(|r| r.get(c)).map(|x| x.chars().count());
@@ -277,8 +277,8 @@ impl Report {
         }
         for s in &self.sections {
             match s {
-                Section::Plot { svg, .. } => h.extend(["<figure>", svg, "</figure>"]),
-                Section::Table(t) => table_html(&mut h, t),
+                ReportSection::Plot { svg, .. } => h.extend(["<figure>", svg, "</figure>"]),
+                ReportSection::Table(t) => table_html(&mut h, t),
             }
         }
         if self.is_signed {
@@ -289,13 +289,13 @@ impl Report {
             let instrument = all(&["instrument kind", "instrument name", "instrument serial"]);
             h.push_str(&signed_line(&instrument, &all(&["operator"]), &self.days.join(", ")));
         }
-        let stamp = rtec_files::format_stamp::writer();
+        let stamp = rtec_files::file_format_stamp::writer();
         let _ = writeln!(h, "<p><small>{stamp}, {}</small></p></body></html>", self.by);
         h
     }
 }
 
-fn table_html(h: &mut String, t: &Table) {
+fn table_html(h: &mut String, t: &ReportTable) {
     let class = |c: usize| if t.numeric(c) { " class=\"n\"" } else { "" };
     let _ = write!(h, "<h2>{}</h2><table><thead><tr>", escaped(&t.title));
     for c in 0..t.head.len() {
@@ -326,13 +326,13 @@ mod tests {
             sha256: String::new(),
             ranges_degc: Vec::new(),
         };
-        let conditions = Conditions {
+        let conditions = TestConditions {
             words: vec![("operator".into(), "N. <N>".into())],
             instrument: ["kind", "ballbar", "name", "B2", "serial", "12", "calibrated", "2026-01-15"]
                 .chunks(2)
                 .map(|c| (c[0].to_owned(), c[1].to_owned()))
                 .collect(),
-            ..Conditions::default()
+            ..TestConditions::default()
         };
         let runs = [run("2026-05-04"), run("2026-05-05"), run("2026-05-04")];
         let page = Report::of_runs("Circles", &runs, &conditions).html();

@@ -3,8 +3,8 @@
 //! Prints the times and asserts nothing: `cargo bench --workspace --bench live`.
 
 use rtec_builders::axis;
-use rtec_model::effect::{Dictionary, Effect, Naming, RequiredInput, TemperatureDifference};
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::effect::{Dictionary, Effect, EffectNameAxes, RequiredInput, TemperatureDifference};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -15,11 +15,11 @@ fn every_law() -> Vec<Effect> {
     for law in d.laws() {
         let name = &law.describe().name;
         let name = match law.describe().naming {
-            Naming::Plain => name.clone(),
-            Naming::One => format!("{name}.x"),
-            Naming::Two | Naming::Pair => format!("{name}.x.z"),
-            Naming::Three => format!("{name}.x.y.z"),
-            Naming::Channel => format!("{name}.x.load"),
+            EffectNameAxes::Plain => name.clone(),
+            EffectNameAxes::One => format!("{name}.x"),
+            EffectNameAxes::Two | EffectNameAxes::Pair => format!("{name}.x.z"),
+            EffectNameAxes::Three => format!("{name}.x.y.z"),
+            EffectNameAxes::Channel => format!("{name}.x.load"),
         };
         let mut e = d.effect(&name).expect("the dictionary's own names");
         if e.description().needs.contains(&RequiredInput::Delta) {
@@ -33,7 +33,7 @@ fn every_law() -> Vec<Effect> {
 /// A model of `count` effects: one of every law, repeated as often as needed.
 fn live(count: usize) -> LiveModel {
     let effects: Vec<Effect> = every_law().into_iter().cycle().take(count).collect();
-    let layout = StateLayout {
+    let layout = MachineStateLayout {
         axes: vec![axis("x"), axis("y"), axis("z")],
         sensors: vec!["T1".into(), "T2".into()],
         channels: vec!["load".into()],

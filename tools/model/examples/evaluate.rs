@@ -1,5 +1,5 @@
 //! Evaluates one machine model over the rows of a run, and at one instant.
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
@@ -20,7 +20,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("z over the run, µm: {:?}", model.predict(&run)?.columns[0].1); // 1.2, then 6 + 12
 
     let sensors = vec!["T8".to_owned(), "T18".to_owned()]; // the order of the temperatures below
-    let mut live = LiveModel::of(&model, StateLayout { axes: vec![z], sensors, channels: Vec::new() })?;
+    let mut live =
+        LiveModel::of(&model, MachineStateLayout { axes: vec![z], sensors, channels: Vec::new() })?;
     let axes = [AxisMotionState::moving(500.0, 20.0)];
     live.evaluate(&MachineState { axes: &axes, temperatures_degc: &[28.0, 20.0], ..MachineState::default() });
     assert!((live.errors_um()[0] - 18.0).abs() < 1e-9);

@@ -22,7 +22,7 @@ pub struct Circle {
 
 /// Columns that are computed from the angle, row by row.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Derived {
+pub(crate) struct ColumnsFromAngle {
     /// Share of each axis' error in the radial one: cos θ and sin θ.
     pub(crate) share: [Vec<f64>; 2],
     /// Positions, velocities and directions that the record does not log.
@@ -35,7 +35,12 @@ const AT_REST: f64 = 1e-9;
 impl Circle {
     /// Computes the columns of the two axes that the record does not log.
     /// Velocities need the time.
-    pub(crate) fn derive(&self, angle: &[f64], time_s: Option<&[f64]>, logged: &[Column]) -> Derived {
+    pub(crate) fn derive(
+        &self,
+        angle: &[f64],
+        time_s: Option<&[f64]>,
+        logged: &[Column],
+    ) -> ColumnsFromAngle {
         let share = [angle.iter().map(|a| a.cos()).collect(), angle.iter().map(|a| a.sin()).collect()];
         let rows: Vec<f64> = (0..angle.len()).map(|row| row as f64).collect();
         let rate = rates(angle, time_s.unwrap_or(&rows));
@@ -62,7 +67,7 @@ impl Circle {
                 add(Role::Direction, "direction", &|row| sign(slope(row)) * crate::role::sign(rate[row]));
             }
         }
-        Derived { share, columns }
+        ColumnsFromAngle { share, columns }
     }
 }
 

@@ -4,9 +4,9 @@
 //! | module | what |
 //! |---|---|
 //! | [`effect`] | the dictionary: every effect's law, parameters, channels, derivative and experiment |
-//! | [`chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
+//! | [`kinematic_chain`] | the other way to build a model: error components of each joint, combined by homogeneous transforms |
 //! | [`machine`] | `machine.toml`: a list of named effects, read strictly, written without losing a comment |
-//! | [`live`] | a model evaluated at one instant, without allocation |
+//! | [`live_evaluation`] | a model evaluated at one instant, without allocation |
 //! | [`record`] | a run in memory, column by column, over which effects are evaluated |
 //! | `role` | the role and axis of a column |
 //! | [`ballbar_circle`] | a circular run measured by a bar: the errors of its two axes from the angle |
@@ -18,11 +18,11 @@
 //! An example: `cargo run -p rtec-model --example evaluate`. The tests run it too.
 
 pub mod ballbar_circle;
-pub mod chain;
 pub mod effect;
+pub mod kinematic_chain;
 pub use rtec_files::file_kind;
 pub mod disconnected_sensor_codes;
-pub mod live;
+pub mod live_evaluation;
 pub mod machine;
 pub mod record;
 mod role;

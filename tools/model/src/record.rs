@@ -2,9 +2,9 @@
 //!
 //! In a file it is a run record (guide, "Run records"), which `rtec-measure` reads and writes.
 
-use crate::ballbar_circle::{Circle, Derived};
+use crate::ballbar_circle::{Circle, ColumnsFromAngle};
 use rtec_files::InputError;
-use rtec_files::text::{open_regular, unreadable};
+use rtec_files::text_file::{open_regular, unreadable};
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ pub struct Record {
     /// Empty if it has all rows.
     selected: Vec<usize>,
     /// For a circle measured by a bar: the circle and the columns from its angle.
-    circle: Option<(Circle, Derived)>,
+    circle: Option<(Circle, ColumnsFromAngle)>,
 }
 
 /// Where the axis of a positioning run turned back.
@@ -380,7 +380,7 @@ impl Record {
         // Columns from the angle depend on neighbouring rows, so each row keeps its values.
         let circle = self.circle.as_ref().map(|(circle, d)| {
             let share = [pick(&d.share[0]), pick(&d.share[1])];
-            (circle.clone(), Derived { share, columns: of(&d.columns) })
+            (circle.clone(), ColumnsFromAngle { share, columns: of(&d.columns) })
         });
         let place = |row: &usize| self.selected.get(*row).copied().unwrap_or(*row);
         let selected = rows.iter().map(place).collect();

@@ -75,7 +75,7 @@ pub enum Role {
 }
 
 /// All that holds for every column of a role.
-struct RoleProperties {
+struct RoleUnitAndLimit {
     /// Its name in a sidecar, before the axis.
     name: &'static str,
     unit: Option<&'static str>,
@@ -122,8 +122,8 @@ impl Role {
     }
 
     /// All that holds for every column of this role.
-    fn facts(&self) -> RoleProperties {
-        let facts = |name, unit, most, expected| RoleProperties { name, unit, most, expected };
+    fn facts(&self) -> RoleUnitAndLimit {
+        let facts = |name, unit, most, expected| RoleUnitAndLimit { name, unit, most, expected };
         match self {
             // Three hundred thousand years: an epoch in ms passes and is questioned, one in ns does not.
             Self::Time => facts("time", Some("s"), 1e13, "a time within ±1e13 s"),
@@ -161,7 +161,7 @@ impl Role {
     /// It is wider than any machine by orders of magnitude, so that sums and squares stay finite. Possible but
     /// unlikely values are the concern of `rtec_measure::plausible`.
     pub(crate) fn possible(&self) -> ([f64; 2], &'static str) {
-        let RoleProperties { most, expected, .. } = self.facts();
+        let RoleUnitAndLimit { most, expected, .. } = self.facts();
         ([-most, most], expected)
     }
 

@@ -1,9 +1,9 @@
 //! The chain model against exact rational arithmetic and a first-order sum.
 //! The exact values are from `data/chain_reference.py`; the sum is the well-known one of a turning centre.
 
-use rtec_model::chain::{Chain, Transform, transform};
-use rtec_model::effect::{DifferenceReference, STANDARD_DEGC, TemperatureDifference};
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::effect::{ReferenceTemperature, STANDARD_DEGC, TemperatureDifference};
+use rtec_model::kinematic_chain::{KinematicChain, Transform, transform};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
@@ -20,14 +20,14 @@ fn equal_to_the_symbolic_reference() {
     for line in text.lines() {
         let words: Vec<&str> = line.split(',').collect();
         let numbers: Vec<f64> = words[1..].iter().map(|w| w.parse().unwrap()).collect();
-        let chain = Chain::read(&data(words[0])).unwrap();
+        let chain = KinematicChain::read(&data(words[0])).unwrap();
         let degc = |s: &str| numbers[3 + names.iter().position(|n| *n == s).unwrap()];
         let delta = |d: &TemperatureDifference| {
             degc(&d.sensor)
                 - match &d.against {
-                    DifferenceReference::Sensor(m) => degc(m),
-                    DifferenceReference::Reference(t) => *t,
-                    DifferenceReference::Standard => STANDARD_DEGC,
+                    ReferenceTemperature::Sensor(m) => degc(m),
+                    ReferenceTemperature::Reference(t) => *t,
+                    ReferenceTemperature::Standard => STANDARD_DEGC,
                 }
         };
         let axis = |a: &rtec_model::record::Axis| {
@@ -45,7 +45,7 @@ fn equal_to_the_symbolic_reference() {
 /// The expected value is the first-order sum by hand.
 #[test]
 fn turning_centre_by_hand() {
-    let chain = Chain::read(&data("turning_centre.toml")).unwrap();
+    let chain = KinematicChain::read(&data("turning_centre.toml")).unwrap();
     let at = |x: f64, z: f64| {
         let axis = move |a: &rtec_model::record::Axis| if a.as_str() == "x" { x } else { z };
         // All temperatures equal and at 20 °C: geometry only.
@@ -67,12 +67,12 @@ fn turning_centre_by_hand() {
 /// Sensors and axes are in another order than in the chain, with one more of each.
 #[test]
 fn live_and_by_rows_it_is_what_its_names_say() {
-    let chain = Chain::read(&data("turning_centre.toml")).unwrap();
+    let chain = KinematicChain::read(&data("turning_centre.toml")).unwrap();
     let machine =
         Machine::parse(Path::new("m.toml"), "name = \"m\"\n").unwrap().with_chain(Some(chain.clone()));
     let (axes, sensors) = (["z", "y", "x"], ["T18", "T3", "T6", "T9", "T2", "T8"]);
     let axis = |name: &str| Axis::new(name).unwrap();
-    let layout = StateLayout {
+    let layout = MachineStateLayout {
         axes: axes.map(axis).into(),
         sensors: sensors.map(String::from).into(),
         channels: vec![],
@@ -94,9 +94,9 @@ fn live_and_by_rows_it_is_what_its_names_say() {
         let at = |n: usize| value(row, n);
         let degc = |s: &str| at(3 + sensors.iter().position(|n| *n == s).unwrap());
         let delta = |d: &TemperatureDifference| match &d.against {
-            DifferenceReference::Sensor(m) => degc(&d.sensor) - degc(m),
-            DifferenceReference::Reference(t) => degc(&d.sensor) - t,
-            DifferenceReference::Standard => degc(&d.sensor) - STANDARD_DEGC,
+            ReferenceTemperature::Sensor(m) => degc(&d.sensor) - degc(m),
+            ReferenceTemperature::Reference(t) => degc(&d.sensor) - t,
+            ReferenceTemperature::Standard => degc(&d.sensor) - STANDARD_DEGC,
         };
         let want = chain.error_um(|a| at(axes.iter().position(|n| *n == a.as_str()).unwrap()), delta);
         assert!(want.iter().any(|e| e.abs() > 1.0), "{want:?}");
@@ -114,7 +114,7 @@ fn live_and_by_rows_it_is_what_its_names_say() {
 
 #[test]
 fn nothing_wrong_gives_nothing() {
-    let chain = Chain { joints: Vec::new(), tool_mm: [1.0, 2.0, 3.0] };
+    let chain = KinematicChain { joints: Vec::new(), tool_mm: [1.0, 2.0, 3.0] };
     assert!(chain.error_um(|_| 7.0, |_| 3.0).iter().all(|e| *e == 0.0));
     assert_eq!(transform([0.0; 3], [0.0; 3]), Transform::IDENTITY);
 }
@@ -135,7 +135,7 @@ fn findings_carry_their_place() {
         ("joints = 1\n", 1, "unknown key"),
     ] {
         std::fs::write(&path, text).unwrap();
-        let e = Chain::read(&path).unwrap_err();
+        let e = KinematicChain::read(&path).unwrap_err();
         assert!(e.line == line && e.found.contains(found), "{e}");
     }
 }

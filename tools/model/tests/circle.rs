@@ -320,7 +320,7 @@ fn a_chain_is_projected_too() {
          component = [{ of = \"dx\", terms = [{ p = 1, value = 2.0 }] }]\n",
     )
     .unwrap();
-    let chain = rtec_model::chain::Chain::read(&chain).unwrap();
+    let chain = rtec_model::kinematic_chain::KinematicChain::read(&chain).unwrap();
     let mut out = vec![0.0; ROWS];
     chain.add(&record(vec![]), &Role::parse("error.r").unwrap(), &mut out).unwrap();
     // 2 µm per 100 mm.

@@ -6,10 +6,10 @@
 
 use proptest::prelude::*;
 use rtec_model::effect::{
-    AffectedQuantity, Dictionary, DifferenceReference, Effect, EffectState, Input, Naming, ProbingDependence,
-    RequiredInput, STANDARD_DEGC, TemperatureDifference,
+    AffectedQuantity, Dictionary, Effect, EffectMemory, EffectNameAxes, Input, ProbingDependence,
+    ReferenceTemperature, RequiredInput, STANDARD_DEGC, TemperatureDifference,
 };
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::record::Axis;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -18,7 +18,7 @@ const SENSORS: [&str; 3] = ["T1", "T2", "T3"];
 /// One effect in its plain form: every name is looked up at every instant.
 struct Plain {
     effect: Effect,
-    state: EffectState,
+    state: EffectMemory,
     thermal: (f64, f64),
 }
 
@@ -36,9 +36,9 @@ impl Plain {
         if let Some(d) = effect.delta.as_ref().filter(|_| law.needs.contains(&RequiredInput::Delta)) {
             if !(0..3).any(held) {
                 let from = match &d.against {
-                    DifferenceReference::Sensor(s) => degc(s),
-                    DifferenceReference::Reference(t) => *t,
-                    DifferenceReference::Standard => STANDARD_DEGC,
+                    ReferenceTemperature::Sensor(s) => degc(s),
+                    ReferenceTemperature::Reference(t) => *t,
+                    ReferenceTemperature::Standard => STANDARD_DEGC,
                 };
                 self.thermal = (degc(&d.sensor) - from, frame.t_s);
             }
@@ -59,7 +59,7 @@ impl Plain {
             channel: effect.channel().map_or(0.0, |_| frame.channels[0]),
         };
         let before = self.state;
-        for component in 0..if law.naming == Naming::Pair { 2 } else { 1 } {
+        for component in 0..if law.naming == EffectNameAxes::Pair { 2 } else { 1 } {
             self.state = before;
             let coefficients = effect.coefficients();
             let mut basis = vec![0.0; coefficients.len()];
@@ -86,7 +86,7 @@ impl Plain {
             match (place(component), law.quantity) {
                 (Some(a), AffectedQuantity::Error) => sums.0[a] += value,
                 (Some(a), AffectedQuantity::Force) => sums.1[a] += value,
-                (None, _) if law.naming == Naming::Plain => sums.2 += value,
+                (None, _) if law.naming == EffectNameAxes::Plain => sums.2 += value,
                 (None, _) => {}
             }
         }
@@ -101,11 +101,11 @@ fn effect(n: usize, seed: u64) -> Effect {
     let letters = ["x", "y", "z", "w"];
     let axis = |k: usize| letters[(seed as usize + k) % 4];
     let name = match law.naming {
-        Naming::Plain => law.name.clone(),
-        Naming::One => format!("{}.{}", law.name, axis(0)),
-        Naming::Two | Naming::Pair => format!("{}.{}.{}", law.name, axis(0), axis(1)),
-        Naming::Three => format!("{}.{}.{}.{}", law.name, axis(0), axis(1), axis(2)),
-        Naming::Channel => format!("{}.{}.load", law.name, axis(0)),
+        EffectNameAxes::Plain => law.name.clone(),
+        EffectNameAxes::One => format!("{}.{}", law.name, axis(0)),
+        EffectNameAxes::Two | EffectNameAxes::Pair => format!("{}.{}.{}", law.name, axis(0), axis(1)),
+        EffectNameAxes::Three => format!("{}.{}.{}.{}", law.name, axis(0), axis(1), axis(2)),
+        EffectNameAxes::Channel => format!("{}.{}.load", law.name, axis(0)),
     };
     let mut e = d.effect(&name).unwrap();
     let value = |k: usize, [lo, hi]: [f64; 2]| {
@@ -124,8 +124,10 @@ fn effect(n: usize, seed: u64) -> Effect {
     if law.needs.contains(&RequiredInput::Delta) {
         e.delta = Some(match seed % 4 {
             0 => TemperatureDifference::pair("T1", "T2"),
-            1 => TemperatureDifference { sensor: "T3".into(), against: DifferenceReference::Reference(21.5) },
-            2 => TemperatureDifference { sensor: "T2".into(), against: DifferenceReference::Standard },
+            1 => {
+                TemperatureDifference { sensor: "T3".into(), against: ReferenceTemperature::Reference(21.5) }
+            }
+            2 => TemperatureDifference { sensor: "T2".into(), against: ReferenceTemperature::Standard },
             _ => TemperatureDifference::pair("T3", "T1"),
         });
         e.range_k = seed.is_multiple_of(3).then_some([-1.0, 2.0]);
@@ -153,14 +155,14 @@ proptest! {
         let count = Dictionary::default().laws().count();
         let effects: Vec<Effect> = (0..count).map(|n| effect(n, chosen[n % chosen.len()].1))
             .chain(chosen.iter().map(|(n, seed)| effect(*n, *seed))).collect();
-        let layout = StateLayout {
+        let layout = MachineStateLayout {
             axes: AXES.map(|a| Axis::new(a).unwrap()).to_vec(),
             sensors: SENSORS.map(String::from).to_vec(),
             channels: vec!["load".into()],
         };
         let mut live = LiveModel::new(&effects, layout).unwrap();
         let mut plain: Vec<Plain> = effects.into_iter()
-            .map(|effect| Plain { effect, state: EffectState::default(), thermal: (0.0, 0.0) }).collect();
+            .map(|effect| Plain { effect, state: EffectMemory::default(), thermal: (0.0, 0.0) }).collect();
         let mut t_s = 0.0;
         for (axes, temperatures_degc, [step, channel, rpm, coolant, angle_rad], [hx, hy, hz, probing]) in instants {
             t_s += step.max(0.0);

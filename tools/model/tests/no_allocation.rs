@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_model::effect::{Dictionary, TemperatureDifference};
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::record::Axis;
 use std::alloc::{GlobalAlloc, Layout as Memory, System};
 use std::cell::Cell;
@@ -52,7 +52,7 @@ fn evaluating_a_model_allocates_nothing() {
         effects.push(e);
     }
     let axes = vec![Axis::new("x").unwrap(), Axis::new("z").unwrap()];
-    let layout = StateLayout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec![] };
+    let layout = MachineStateLayout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec![] };
     let mut live = LiveModel::new(&effects, layout).unwrap();
     let before = ALLOCATIONS.with(Cell::get);
     let mut sum = 0.0;

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use rtec_model::effect::{
-    AffectedQuantity, Dictionary, LawDescription, MechanicalParameter, Naming, Owner, Parameter,
-    ProbingDependence, RequiredInput, ThermalDependence,
+    AffectedQuantity, Dictionary, EffectNameAxes, EffectOwner, LawDescription, LawParameter,
+    MechanicalParameter, ProbingDependence, RequiredInput, ThermalDependence,
 };
 use std::fmt::Write as _;
 use std::path::Path;
@@ -38,11 +38,11 @@ fn the_page_of_effects_is_what_the_dictionary_says() {
 
 fn name(law: &LawDescription) -> String {
     let rest = match law.naming {
-        Naming::Plain => "",
-        Naming::One => ".A",
-        Naming::Two | Naming::Pair => ".A.B",
-        Naming::Three => ".A.B.C",
-        Naming::Channel => ".A.NAME",
+        EffectNameAxes::Plain => "",
+        EffectNameAxes::One => ".A",
+        EffectNameAxes::Two | EffectNameAxes::Pair => ".A.B",
+        EffectNameAxes::Three => ".A.B.C",
+        EffectNameAxes::Channel => ".A.NAME",
     };
     format!("{}{rest}", law.name)
 }
@@ -58,10 +58,10 @@ fn describe(page: &mut String, law: &LawDescription) {
     row("law", &law.law);
     let on = match (law.quantity, law.naming) {
         (AffectedQuantity::Force, _) => "the drive force of A, N",
-        (AffectedQuantity::Error, Naming::Plain) => {
+        (AffectedQuantity::Error, EffectNameAxes::Plain) => {
             "the radial error (`error.r`), or the record's only error, µm"
         }
-        (AffectedQuantity::Error, Naming::Pair) => "the errors of A and of B, µm",
+        (AffectedQuantity::Error, EffectNameAxes::Pair) => "the errors of A and of B, µm",
         (AffectedQuantity::Error, _) => "the error of A, µm",
     };
     row("acts on", on);
@@ -70,9 +70,9 @@ fn describe(page: &mut String, law: &LawDescription) {
     row("shown by", &law.experiment);
     let mut notes = Vec::new();
     match law.owner {
-        Owner::Machine => {}
-        Owner::Probe => notes.push("of the probe: in what is probed, not in the part"),
-        Owner::Part => notes.push("of the part's own form"),
+        EffectOwner::Machine => {}
+        EffectOwner::Probe => notes.push("of the probe: in what is probed, not in the part"),
+        EffectOwner::Part => notes.push("of the part's own form"),
     }
     match law.probing {
         ProbingDependence::Alike => {}
@@ -96,7 +96,7 @@ fn describe(page: &mut String, law: &LawDescription) {
     if law.symmetric {
         notes.push("the axes behind the first may change places: written alphabetically");
     }
-    if law.naming == Naming::Pair {
+    if law.naming == EffectNameAxes::Pair {
         notes.push("one effect for both orders of its axes: written alphabetically");
     }
     if law.searched.repeats {
@@ -153,7 +153,7 @@ fn need(need: RequiredInput) -> &'static str {
     }
 }
 
-fn bounds(p: &Parameter) -> String {
+fn bounds(p: &LawParameter) -> String {
     if p.bounds.iter().all(|b| b.is_infinite()) { "none".to_owned() } else { range(p.bounds) }
 }
 

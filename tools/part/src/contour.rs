@@ -2,7 +2,7 @@
 
 use crate::edge_tree::EdgeTree;
 use crate::geometric_fit::Zx;
-use crate::svg::Svg;
+use crate::turning_plane_svg::SvgDrawing;
 use serde::Serialize;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -468,7 +468,7 @@ impl Contour {
     }
 
     /// Draws the outline, the axis and the features' names.
-    pub fn draw(&self, svg: &mut Svg, names: bool) {
+    pub fn draw(&self, svg: &mut SvgDrawing, names: bool) {
         let (mut low, mut high) = (f64::MAX, f64::MIN);
         for (_, chords) in &self.chords {
             svg.polyline(chords, "outline");

@@ -258,7 +258,7 @@ fn entity(record: &[Group]) -> Entity {
 fn of_text(file: &Path, bytes: &[u8]) -> Result<Vec<Group>, InputError> {
     // Since AutoCAD 2007 the text is UTF-8, before that in the computer's code page, mostly Windows-1252. In
     // another code page names are wrong, but no number.
-    let decoded = rtec_files::text::decode_western(file, bytes);
+    let decoded = rtec_files::text_file::decode_western(file, bytes);
     let text = decoded.map_or_else(|_| String::from_utf8_lossy(bytes).into_owned(), |(text, _)| text);
     let text = if text.contains('\n') { text } else { text.replace('\r', "\n") };
     let mut groups = Vec::new();

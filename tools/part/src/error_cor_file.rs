@@ -51,12 +51,12 @@ pub enum FeatureErrors {
     /// Errors of an arc, angles ascending.
     Arc(Vec<PointError>),
     /// Errors of a straight feature, places ascending.
-    Line(Vec<StraightPointError>),
+    Line(Vec<StraightFeaturePointError>),
 }
 
 /// One line of a straight feature's `error.cor`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StraightPointError {
+pub struct StraightFeaturePointError {
     /// Direction of the surface normal from the part's +Z axis, in rad.
     pub angle_rad: f64,
     /// Deviation along that normal, in µm.
@@ -78,7 +78,7 @@ impl FeatureErrors {
     /// A line with another count of numbers, or with numbers that no part has. Angles or places that do not
     /// ascend, or are not along the feature. No line at all.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        let (text, _) = rtec_files::text::decode_western(file, &rtec_files::text::bytes(file)?)?;
+        let (text, _) = rtec_files::text_file::decode_western(file, &rtec_files::text_file::bytes(file)?)?;
         Self::parse(file, &text)
     }
 
@@ -152,12 +152,12 @@ const ARC: &str = "angle in rad and error in µm";
 
 /// A line that is not empty: its number and its words.
 /// Numbers have decimal points.
-struct Row {
+struct LineWords {
     line: usize,
     words: Vec<String>,
 }
 
-impl Row {
+impl LineWords {
     fn text(&self) -> String {
         format!("'{}'", self.words.join(" "))
     }
@@ -188,7 +188,7 @@ impl Row {
 /// The lines with words.
 /// A comma separates words, or is the decimal mark if the separator is another: semicolons, tabs, or blanks.
 /// With blanks, commas are decimal marks if they are within words and no word has a point.
-fn rows(text: &str) -> Vec<Row> {
+fn rows(text: &str) -> Vec<LineWords> {
     let contents = || {
         text.lines().enumerate().filter_map(|(i, line)| {
             let content = line.split('#').next().unwrap_or_default().trim();
@@ -210,12 +210,12 @@ fn rows(text: &str) -> Vec<Row> {
             let bare = w.strip_prefix('"').and_then(|w| w.strip_suffix('"')).unwrap_or(w);
             bare.replace('\u{2212}', "-").replace(',', ".")
         };
-        Row { line, words: words.map(word).collect() }
+        LineWords { line, words: words.map(word).collect() }
     };
     contents().map(row).collect()
 }
 
-fn arc_of(file: &Path, rows: &[Row]) -> Result<Vec<PointError>, InputError> {
+fn arc_of(file: &Path, rows: &[LineWords]) -> Result<Vec<PointError>, InputError> {
     let mut errors: Vec<PointError> = Vec::new();
     for row in rows {
         let [angle_rad, error_um] = row.numbers(file, ARC)?;
@@ -234,8 +234,8 @@ fn arc_of(file: &Path, rows: &[Row]) -> Result<Vec<PointError>, InputError> {
     Ok(errors)
 }
 
-fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<StraightPointError>, InputError> {
-    let mut errors: Vec<StraightPointError> = Vec::new();
+fn lines_of(file: &Path, rows: &[LineWords]) -> Result<Vec<StraightFeaturePointError>, InputError> {
+    let mut errors: Vec<StraightFeaturePointError> = Vec::new();
     for row in rows {
         let expected = "angle in rad, error in µm, place along the feature, Z and X in mm";
         let [angle_rad, error_um, along_mm, z, x] = row.numbers(file, expected)?;
@@ -258,7 +258,7 @@ fn lines_of(file: &Path, rows: &[Row]) -> Result<Vec<StraightPointError>, InputE
                 return Err(InputError::at(file, row.line, 1, row.text(), expected));
             }
         }
-        errors.push(StraightPointError { angle_rad, error_um, along_mm, place });
+        errors.push(StraightFeaturePointError { angle_rad, error_um, along_mm, place });
     }
     if errors.len() < 2 {
         return Err(InputError::whole(file, "one point", "two points of a straight feature at least"));

@@ -321,7 +321,8 @@ pub fn standard_errors(fitted: &FittedShape, points: &[Zx], sd_um: f64) -> Optio
     }
 }
 
-/// How the distances change with the radius and the centre, from points' directions seen from the centre.
+/// How the distances change with the radius and with the centre.
+/// The points' directions are those seen from the centre.
 fn circle_columns(units: &[Zx]) -> [Vec<f64>; 3] {
     let column = |f: fn(&Zx) -> f64| units.iter().map(f).collect();
     [column(|_| 1.0), column(|u| u.z), column(|u| u.x)]

@@ -2,17 +2,17 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | [`contour`], [`mod@unit`], `drawing` | the part's features in probing order; read from DXF |
+//! | [`contour`], [`length_unit`], `drawing` | the part's features in probing order; read from DXF |
 //! | [`probe_path`] | probing points, the probe's path, collisions |
 //! | [`probing_program`] | the NC probing program: template, parameters, dialects |
-//! | [`trip_check`] | captured trips compared with the plan |
+//! | [`probe_trip_check`] | captured trips compared with the plan |
 //! | [`geometric_fit`], [`part_errors`] | circle and line through points; probed points to errors and whiskers |
-//! | [`error_determination`] | errors from probed points as users give them
+//! | [`part_error_request`] | errors from probed points as users give them
 //! | [`error_cor_file`] | `error.cor`, read and written |
-//! | [`finish_table`], [`straight_table`] | the finish cut's corrections, or the same as G01 moves |
-//! | [`batch`] | the post-process loop: a batch measured off the machine |
-//! | [`svg`] | drawings as SVG |
-//! | [`comparison_page`] | two probing sessions side by side |
+//! | [`arc_finish_cut_table`], [`straight_finish_cut_table`] | the finish cut's corrections, or the same as G01 moves |
+//! | [`batch_evaluation`] | the post-process loop: a batch measured off the machine |
+//! | [`turning_plane_svg`] | drawings as SVG |
+//! | [`session_comparison_html`] | two probing sessions side by side |
 //!
 //! Only geometry belongs here: no machine that moves (`rtec-sim`), no engine, no control law, no server.
 //!
@@ -21,22 +21,22 @@
 //!
 //! An example: `cargo run -p rtec-part --example fit_nose`. The tests run it too.
 
-pub mod batch;
-pub mod comparison_page;
+pub mod arc_finish_cut_table;
+pub mod batch_evaluation;
 pub mod contour;
-pub mod drawing;
+pub mod contour_from_dxf;
 mod dxf;
 mod edge_tree;
 pub mod error_cor_file;
-pub mod error_determination;
-pub mod finish_table;
 pub mod geometric_fit;
+pub mod length_unit;
+pub mod part_error_request;
 pub mod part_errors;
 pub mod probe_path;
+pub mod probe_trip_check;
 pub mod probing_program;
-mod repeats;
-pub mod straight_table;
-pub mod svg;
-pub mod trip_check;
-pub mod unit;
-mod written_step;
+mod reading_resolution;
+mod repeated_touches;
+pub mod session_comparison_html;
+pub mod straight_finish_cut_table;
+pub mod turning_plane_svg;

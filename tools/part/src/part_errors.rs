@@ -7,12 +7,12 @@ use crate::geometric_fit::{
     self, FitError, FitShape, FittedShape, OutlierRejectionFit, RobustFit, Zx, sequence,
 };
 use crate::probe_path::{PathPoint, touches};
-use crate::repeats::{self, RepeatedTouches};
-use crate::svg::Svg;
-use crate::written_step::written_step_mm;
+use crate::reading_resolution::written_step_mm;
+use crate::repeated_touches::{self, RepeatedTouches};
+use crate::turning_plane_svg::SvgDrawing;
 use rtec_files::{ColumnAssignment, CsvTable, InputError};
 use rtec_model::effect::{Effect, RequiredInput};
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, span};
 use serde::Serialize;
@@ -225,7 +225,7 @@ impl ProbedPoints {
         let sensors = sensors.into_iter().map(bare).collect();
         let times = self.sheet.optional("t_s")?;
         let axes = ["z", "x"].into_iter().filter_map(Axis::new).collect();
-        let layout = StateLayout { axes, sensors, channels: Vec::new() };
+        let layout = MachineStateLayout { axes, sensors, channels: Vec::new() };
         let mut live = LiveModel::of(machine, layout).map_err(|m| {
             let found = format!("{} reads {}, the record has: {}", m.effect, m.what, m.has);
             InputError::whole(self.sheet.file(), found, "a column for every sensor of the model")
@@ -428,7 +428,7 @@ impl ProbedPoints {
         let points = &self.tip_centre;
         let mut robust = geometric_fit::robust(shape, points).map_err(as_input)?;
         let plain = geometric_fit::least_squares(shape, points, None).map_err(as_input)?;
-        let repeats = repeats::find(&plain, points, shape.parameters());
+        let repeats = repeated_touches::find(&plain, points, shape.parameters());
         let mut two = second_fit(shape, points, &robust, repeats.as_ref()).map_err(as_input)?;
         let side = self.side(&two.fitted)?;
         if let FittedShape::Line { normal, .. } = two.fitted {
@@ -784,7 +784,7 @@ impl PartErrorReport {
     /// The feature with its error bars, magnified as in figures 5 and 6 of NISTIR 4854.
     pub fn whisker_svg(&self) -> String {
         let w = self.whiskers();
-        let mut svg = Svg::default();
+        let mut svg = SvgDrawing::default();
         svg.polyline(&w.outline, "outline");
         for (i, &(foot, head)) in w.bars.iter().enumerate() {
             svg.polyline(&[foot, head], "whisker");

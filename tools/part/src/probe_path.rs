@@ -4,8 +4,8 @@
 use crate::contour::{Contour, SurfacePlace};
 use crate::error_cor_file::MOST_MM;
 use crate::geometric_fit::Zx;
-use crate::svg::Svg;
-use crate::unit::Unit;
+use crate::length_unit::LengthUnit;
+use crate::turning_plane_svg::SvgDrawing;
 use rtec_files::{CsvTable, InputError};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -79,7 +79,7 @@ pub struct ProbeGeometry {
 
 /// A gauging point and the path of the probe to it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct GaugingPoint {
+pub struct GaugingPointWithBypass {
     /// The place on the nominal surface that is touched.
     pub place: SurfacePlace,
     /// Intermediate points from the previous gauging point.
@@ -89,7 +89,7 @@ pub struct GaugingPoint {
 /// The role of a record in the path file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum PathRole {
+pub enum PathPointRole {
     /// Start of a touch.
     Start,
     /// End of the touch of this gauging point (from 1).
@@ -104,7 +104,7 @@ pub enum PathRole {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PathPoint {
     /// The role of the place: start, touch, finish or by-pass.
-    pub role: PathRole,
+    pub role: PathPointRole,
     /// Target of the tip's centre, mm.
     pub at: Zx,
 }
@@ -130,7 +130,7 @@ pub struct ProbingPlan {
     /// The probe that the path is made for.
     pub probe: ProbeGeometry,
     /// Gauging points in probing order.
-    pub points: Vec<GaugingPoint>,
+    pub points: Vec<GaugingPointWithBypass>,
 }
 
 /// Steps in which a move is checked, in mm.
@@ -190,7 +190,7 @@ impl ProbingPlan {
         if let Some(next) = self.points.get_mut(at) {
             next.bypass.clear(); // it led from another point
         }
-        self.points.insert(at, GaugingPoint { place, bypass: Vec::new() });
+        self.points.insert(at, GaugingPointWithBypass { place, bypass: Vec::new() });
     }
 
     /// Removes the point at an index.
@@ -201,7 +201,7 @@ impl ProbingPlan {
         }
     }
 
-    fn start(&self, point: &GaugingPoint) -> Zx {
+    fn start(&self, point: &GaugingPointWithBypass) -> Zx {
         point.place.at + point.place.normal * (self.probe.tip_mm + self.probe.stand_off_mm)
     }
 
@@ -215,12 +215,12 @@ impl ProbingPlan {
     pub fn records(&self) -> Vec<PathPoint> {
         let mut records = Vec::new();
         for (i, p) in self.points.iter().enumerate() {
-            records.extend(p.bypass.iter().map(|&at| PathPoint { role: PathRole::Bypass, at }));
+            records.extend(p.bypass.iter().map(|&at| PathPoint { role: PathPointRole::Bypass, at }));
             let start = self.start(p);
             let end = p.place.at + p.place.normal * (self.probe.tip_mm - self.probe.over_travel_mm);
-            records.push(PathPoint { role: PathRole::Start, at: start });
-            records.push(PathPoint { role: PathRole::Touch(i + 1), at: end });
-            records.push(PathPoint { role: PathRole::Finish, at: start });
+            records.push(PathPoint { role: PathPointRole::Start, at: start });
+            records.push(PathPoint { role: PathPointRole::Touch(i + 1), at: end });
+            records.push(PathPoint { role: PathPointRole::Finish, at: start });
         }
         records
     }
@@ -312,9 +312,9 @@ impl ProbingPlan {
     }
 
     /// Names and contents of the plan's files: path, expected trips, drawing.
-    pub fn files(&self, contour: &Contour, unit: Unit) -> [(&'static str, String); 3] {
+    pub fn files(&self, contour: &Contour, unit: LengthUnit) -> [(&'static str, String); 3] {
         let expected = self.expected();
-        let touch = |(i, at): (usize, &Zx)| PathPoint { role: PathRole::Touch(i + 1), at: *at };
+        let touch = |(i, at): (usize, &Zx)| PathPoint { role: PathPointRole::Touch(i + 1), at: *at };
         let trips: Vec<PathPoint> = expected.iter().enumerate().map(touch).collect();
         [
             ("pathfin.cdl", pathfin(&self.records(), unit)),
@@ -325,7 +325,7 @@ impl ProbingPlan {
 
     /// The contour with points, touches, paths and collisions.
     pub fn svg(&self, contour: &Contour) -> String {
-        let mut svg = Svg::default();
+        let mut svg = SvgDrawing::default();
         contour.draw(&mut svg, true);
         let size = 0.012 * contour.reach().norm();
         for (i, p) in self.points.iter().enumerate() {
@@ -353,13 +353,13 @@ impl ProbingPlan {
 /// The text of the path file.
 /// It has one `POINT` record per place, coordinates in the drawing's unit, the third always 0 (NISTIR 4854,
 /// figure 7).
-pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
+pub fn pathfin(records: &[PathPoint], unit: LengthUnit) -> String {
     records.iter().fold(String::new(), |mut text, r| {
         let role = match r.role {
-            PathRole::Start => "start".to_owned(),
-            PathRole::Touch(n) => format!("touch {n},"),
-            PathRole::Finish => "finish".to_owned(),
-            PathRole::Bypass => "bypass".to_owned(),
+            PathPointRole::Start => "start".to_owned(),
+            PathPointRole::Touch(n) => format!("touch {n},"),
+            PathPointRole::Finish => "finish".to_owned(),
+            PathPointRole::Bypass => "bypass".to_owned(),
         };
         // A tiny negative number would be printed as -0.000000.
         let value = |mm: f64| (mm / unit.0 * 1e6).round() / 1e6 + 0.0;
@@ -373,9 +373,9 @@ pub fn pathfin(records: &[PathPoint], unit: Unit) -> String {
 ///
 /// # Errors
 /// A line that is not a touch record, gauging points out of sequence, or none at all.
-pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
+pub fn read_expected(file: &Path, unit: LengthUnit) -> Result<Vec<Zx>, InputError> {
     let records = read_records(file, unit)?;
-    if let Some((line, _)) = records.iter().find(|(_, r)| !matches!(r.role, PathRole::Touch(_))) {
+    if let Some((line, _)) = records.iter().find(|(_, r)| !matches!(r.role, PathPointRole::Touch(_))) {
         let expected = "the expected trips, as touches";
         return Err(InputError::at(file, *line, 1, "a record that is no touch", expected));
     }
@@ -386,12 +386,14 @@ pub fn read_expected(file: &Path, unit: Unit) -> Result<Vec<Zx>, InputError> {
 ///
 /// # Errors
 /// A line that is not a record, gauging points out of sequence, or no record at all.
-pub fn read_pathfin(file: &Path, unit: Unit) -> Result<Vec<PathPoint>, InputError> {
+pub fn read_pathfin(file: &Path, unit: LengthUnit) -> Result<Vec<PathPoint>, InputError> {
     let records = read_records(file, unit)?;
     let order = |i: usize| records.get(i).map(|(_, r): &(usize, PathPoint)| r.role);
     for (i, (line, r)) in records.iter().enumerate() {
-        let touch_is_embraced = !matches!(r.role, PathRole::Touch(_))
-            || i > 0 && order(i - 1) == Some(PathRole::Start) && order(i + 1) == Some(PathRole::Finish);
+        let touch_is_embraced = !matches!(r.role, PathPointRole::Touch(_))
+            || i > 0
+                && order(i - 1) == Some(PathPointRole::Start)
+                && order(i + 1) == Some(PathPointRole::Finish);
         if !touch_is_embraced {
             return Err(InputError::at(file, *line, 0, "a touch", "start, touch and finish in this order"));
         }
@@ -406,15 +408,15 @@ pub fn approaches(records: &[PathPoint]) -> Vec<Zx> {
 
 /// The start and the farthest end of each touch of a path.
 pub(crate) fn touches(records: &[PathPoint]) -> impl Iterator<Item = [Zx; 2]> {
-    let to_touch = records.windows(2).filter(|w| matches!(w[1].role, PathRole::Touch(_)));
+    let to_touch = records.windows(2).filter(|w| matches!(w[1].role, PathPointRole::Touch(_)));
     to_touch.map(|w| [w[0].at, w[1].at])
 }
 
 /// The records with their line numbers.
-fn read_records(file: &Path, unit: Unit) -> Result<Vec<(usize, PathPoint)>, InputError> {
+fn read_records(file: &Path, unit: LengthUnit) -> Result<Vec<(usize, PathPoint)>, InputError> {
     let mut records = Vec::new();
     let mut touches = 0;
-    for (i, line) in rtec_files::text::read(file)?.lines().enumerate() {
+    for (i, line) in rtec_files::text_file::read(file)?.lines().enumerate() {
         let words: Vec<&str> = line.split([' ', '\t', ',']).filter(|w| !w.is_empty()).collect();
         if words.is_empty() {
             continue;
@@ -426,15 +428,15 @@ fn read_records(file: &Path, unit: Unit) -> Result<Vec<(usize, PathPoint)>, Inpu
             return bad(line.trim(), form);
         }
         let (role, rest) = match words[1].to_ascii_lowercase().as_str() {
-            "start" => (PathRole::Start, &words[2..]),
-            "finish" => (PathRole::Finish, &words[2..]),
-            "bypass" => (PathRole::Bypass, &words[2..]),
+            "start" => (PathPointRole::Start, &words[2..]),
+            "finish" => (PathPointRole::Finish, &words[2..]),
+            "bypass" => (PathPointRole::Bypass, &words[2..]),
             "touch" => {
                 touches += 1;
                 if words.get(2).and_then(|n| n.parse().ok()) != Some(touches) {
                     return bad(line.trim(), &format!("gauging point {touches}"));
                 }
-                (PathRole::Touch(touches), &words[3..])
+                (PathPointRole::Touch(touches), &words[3..])
             }
             other => return bad(other, "start, touch, finish or bypass"),
         };

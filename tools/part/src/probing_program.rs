@@ -2,9 +2,9 @@
 //! It is made from a template, named parameters and the probe's moves.
 
 use crate::geometric_fit::Zx;
-use crate::probe_path::{PathPoint, PathRole};
-use crate::unit::Unit;
-use rtec_files::toml::Document;
+use crate::length_unit::LengthUnit;
+use crate::probe_path::{PathPoint, PathPointRole};
+use rtec_files::strict_toml::Document;
 use rtec_files::{InputError, date};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -68,7 +68,7 @@ pub const BUILT_IN: [(&str, &str, &str); 3] =
 
 /// One program parameter: the `n` of its `$n`, its name, its default, its meaning.
 #[derive(Debug, Clone, Copy)]
-pub struct Parameter {
+pub struct NumberedVariable {
     /// The `n` of its `$n` in a template.
     pub number: u32,
     /// Key in a parameter file.
@@ -81,13 +81,13 @@ pub struct Parameter {
 
 type Text = &'static str;
 
-const fn parameter(number: u32, name: Text, default: Text, meaning: Text) -> Parameter {
-    Parameter { number, name, default, meaning }
+const fn parameter(number: u32, name: Text, default: Text, meaning: Text) -> NumberedVariable {
+    NumberedVariable { number, name, default, meaning }
 }
 
 /// All parameters, with the numbers of the report's template.
 /// `$21` is replaced by the moves. Lengths are in the program's unit.
-pub const PARAMETERS: [Parameter; 22] = [
+pub const PARAMETERS: [NumberedVariable; 22] = [
     parameter(1, "part", "0101", "two digits of the part and two of its version"),
     parameter(2, "segment", "2", "one even digit: probing segments lie between machining segments"),
     parameter(3, "title", "PART", "name of the part"),
@@ -117,22 +117,22 @@ const MAX_TEXT: usize = 66;
 
 /// Values of the parameters, by number.
 #[derive(Debug, Clone)]
-pub struct Parameters(BTreeMap<u32, String>);
+pub struct VariableValues(BTreeMap<u32, String>);
 
-impl Default for Parameters {
+impl Default for VariableValues {
     fn default() -> Self {
         Self(PARAMETERS.iter().map(|p| (p.number, p.default.to_owned())).collect())
     }
 }
 
-impl Parameters {
+impl VariableValues {
     /// Reads values from a TOML file of `name = value`.
     ///
     /// # Errors
     /// Not TOML, an unknown name, a value that is not a string or number, or one that the parameter does not
     /// take.
     pub fn read(&mut self, file: &Path) -> Result<(), InputError> {
-        let text = rtec_files::text::read(file)?;
+        let text = rtec_files::text_file::read(file)?;
         for entry in Document::parse(file, &text)?.root().entries() {
             let number =
                 || entry.as_integer().map(|i| i.to_string()).or(entry.as_number().map(|f| f.to_string()));
@@ -170,7 +170,7 @@ impl Parameters {
     }
 
     /// The default values in a program's unit.
-    pub fn in_unit(unit: Unit) -> Self {
+    pub fn in_unit(unit: LengthUnit) -> Self {
         let mut all = Self::default();
         for p in PARAMETERS.iter().filter(|p| matches!(p.number, 11 | 12 | 14)) {
             if let Ok(mm) = p.default.parse::<f64>() {
@@ -221,12 +221,12 @@ impl DialectWithTemplate {
     /// # Errors
     /// Unreadable, or not a dialect: the finding names the key.
     pub fn read(dialect: &Path, template: &Path) -> Result<Self, InputError> {
-        let text = rtec_files::text::read(dialect)?;
-        Self::parse(dialect, &text, &rtec_files::text::read(template)?)
+        let text = rtec_files::text_file::read(dialect)?;
+        Self::parse(dialect, &text, &rtec_files::text_file::read(template)?)
     }
 
     fn parse(file: &Path, dialect: &str, template: &str) -> Result<Self, InputError> {
-        let parsed = rtec_files::toml::from_str(file, dialect, "a dialect's keys")?;
+        let parsed = rtec_files::strict_toml::from_str(file, dialect, "a dialect's keys")?;
         Ok(Self { dialect: parsed, template: template.to_owned() })
     }
 }
@@ -237,11 +237,11 @@ pub struct ProbingProgramInputs<'a> {
     /// The controller that it is for.
     pub controller: &'a DialectWithTemplate,
     /// Values of the template's `$n`.
-    pub parameters: &'a Parameters,
+    pub parameters: &'a VariableValues,
     /// The probe's path, record by record.
     pub records: &'a [PathPoint],
     /// The program's unit: inches or mm.
-    pub unit: Unit,
+    pub unit: LengthUnit,
     /// Whether to explain every move.
     /// Without it moves and template code have no comments.
     pub comments: bool,
@@ -311,7 +311,7 @@ impl ProbingProgramInputs<'_> {
 
     fn value(&self, number: u32) -> Option<String> {
         let d = &self.controller.dialect;
-        let inch = self.unit == Unit::INCH;
+        let inch = self.unit == LengthUnit::INCH;
         Some(match number {
             1 => "s".to_owned(),
             2 => (self.parameters.get(2).parse::<u32>().unwrap_or(2) / 2).to_string(),
@@ -352,7 +352,7 @@ impl ProbingProgramInputs<'_> {
             }
             text.push('\n');
         };
-        let decimals = if self.unit == Unit::INCH { d.decimals_inch } else { d.decimals_mm };
+        let decimals = if self.unit == LengthUnit::INCH { d.decimals_inch } else { d.decimals_mm };
         let word = |letter: char, mm: f64| {
             let scale = 10_f64.powi(decimals as i32);
             format!("{letter}{:.decimals$}", (mm / self.unit.0 * scale).round() / scale + 0.0)
@@ -369,13 +369,13 @@ impl ProbingProgramInputs<'_> {
             }
             let feed = format!(" F{}", self.parameters.get(12));
             let (code, feed, comment) = match r.role {
-                PathRole::Start => (&d.rapid, "", format!("APPROACH POINT {}", point + 1)),
-                PathRole::Touch(n) => {
+                PathPointRole::Start => (&d.rapid, "", format!("APPROACH POINT {}", point + 1)),
+                PathPointRole::Touch(n) => {
                     point = n;
                     (&d.touch, feed.as_str(), format!("TOUCH POINT {n}"))
                 }
-                PathRole::Finish => (&d.retract, "", format!("RETRACT FROM POINT {point}")),
-                PathRole::Bypass => (&d.rapid, "", "BY-PASS".to_owned()),
+                PathPointRole::Finish => (&d.retract, "", format!("RETRACT FROM POINT {point}")),
+                PathPointRole::Bypass => (&d.rapid, "", "BY-PASS".to_owned()),
             };
             put(format!("{code} {both}{feed}"), &comment);
         }

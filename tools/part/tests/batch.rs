@@ -5,7 +5,7 @@
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{RngCore, SeedableRng};
 use rtec_files::InputError;
-use rtec_part::batch::{BatchEvaluation, BatchFinding, SignificanceLimits, evaluate_columns};
+use rtec_part::batch_evaluation::{BatchEvaluation, PlaceFinding, SignificanceLimits, evaluate_columns};
 use rtec_part::error_cor_file::PointError;
 use std::fmt::Write as _;
 use test_needs::fewer;
@@ -25,7 +25,7 @@ fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-fn finding(batch: &BatchEvaluation, feature: &str) -> BatchFinding {
+fn finding(batch: &BatchEvaluation, feature: &str) -> PlaceFinding {
     batch.places.iter().find(|p| p.feature == feature).unwrap().finding
 }
 
@@ -44,11 +44,11 @@ fn the_t_test_is_the_textbooks() {
 #[test]
 fn a_step_between_parts_is_no_trend_and_a_trend_no_step() {
     type Beside = fn(f64) -> f64;
-    let kinds: [(BatchFinding, Beside); 4] = [
-        (BatchFinding::Step, |k| if k < 8.0 { 0.0 } else { 12.0 }),
-        (BatchFinding::Step, |k| if k < 5.0 { 6.0 } else { -3.0 }),
-        (BatchFinding::Trend, |k| 0.8 * k),
-        (BatchFinding::Trend, |k| 10.0 * (1.0 - (-k / 12.0).exp())),
+    let kinds: [(PlaceFinding, Beside); 4] = [
+        (PlaceFinding::Step, |k| if k < 8.0 { 0.0 } else { 12.0 }),
+        (PlaceFinding::Step, |k| if k < 5.0 { 6.0 } else { -3.0 }),
+        (PlaceFinding::Trend, |k| 0.8 * k),
+        (PlaceFinding::Trend, |k| 10.0 * (1.0 - (-k / 12.0).exp())),
     ];
     for (n, (kind, beside)) in kinds.into_iter().enumerate() {
         let mut right = 0;
@@ -84,9 +84,9 @@ fn system_trend_and_chance_are_told_apart() {
         }
     }
     let batch = judged(&text, None).unwrap();
-    assert_eq!(finding(&batch, "bore"), BatchFinding::Systematic);
-    assert_eq!(finding(&batch, "face"), BatchFinding::Nothing);
-    assert_eq!(finding(&batch, "length"), BatchFinding::Trend);
+    assert_eq!(finding(&batch, "bore"), PlaceFinding::Systematic);
+    assert_eq!(finding(&batch, "face"), PlaceFinding::Nothing);
+    assert_eq!(finding(&batch, "length"), PlaceFinding::Trend);
     assert_eq!(batch.offers.len(), 2);
     let bore = batch.places.iter().find(|p| p.feature == "bore").unwrap();
     assert!(bore.interval_um.is_some_and(|[low, high]| low < 6.0 && high > 6.0), "{bore:?}");
@@ -105,7 +105,7 @@ fn chance_alone_raises_few_alarms() {
             }
         }
         alarms +=
-            u64::from(judged(&text, None).unwrap().places.iter().any(|p| p.finding != BatchFinding::Nothing));
+            u64::from(judged(&text, None).unwrap().places.iter().any(|p| p.finding != PlaceFinding::Nothing));
     }
     // Two families of tests at 1 % each: 8 of 400 on average.
     assert!(alarms <= all / 20, "{alarms} of {all}");
@@ -132,9 +132,9 @@ fn a_lobe_that_tool_and_probe_trace_alike_is_not_observable() {
     for p in &batch.places {
         let a = p.angle_rad.unwrap();
         let expected = if bump(a) > 0.0 {
-            BatchFinding::Systematic
+            PlaceFinding::Systematic
         } else if lobe(a).abs() > 4.0 {
-            BatchFinding::NotObservable
+            PlaceFinding::NotObservable
         } else {
             continue; // too little to say
         };
@@ -157,8 +157,8 @@ fn bad_batches_are_named() {
     assert_eq!(line("part,feature,error_um\n"), 0);
     // Readings without scatter.
     let same = judged("part,feature,error_um\n1,d,4\n2,d,4\n3,d,4\n1,e,0\n2,e,0\n3,e,0\n", None).unwrap();
-    assert_eq!(finding(&same, "d"), BatchFinding::Systematic);
-    assert_eq!(finding(&same, "e"), BatchFinding::Nothing);
+    assert_eq!(finding(&same, "d"), PlaceFinding::Systematic);
+    assert_eq!(finding(&same, "e"), PlaceFinding::Nothing);
 }
 
 /// The sums of such numbers overflow.
@@ -406,7 +406,7 @@ fn an_early_step_is_named() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(43);
     let rows: Vec<f64> = (0..20).map(|k| if k < 3 { 0.0 } else { 12.0 } + 0.8 * normal(&mut rng)).collect();
     let place = &judged(&written(&rows), None).unwrap().places[0];
-    assert_eq!(place.finding, BatchFinding::Step, "{place:?}");
+    assert_eq!(place.finding, PlaceFinding::Step, "{place:?}");
     assert!(place.step.as_ref().is_some_and(|s| s.part == "3" && s.p_value < 1e-6), "{place:?}");
 }
 
@@ -427,7 +427,7 @@ fn zeros_alone_have_no_interval() {
             }
             for (place, level) in judged(&text, None).unwrap().places.iter().zip(levels) {
                 let holds = place.interval_um.is_none_or(|[low, high]| low <= level && level <= high);
-                assert!(holds && place.finding == BatchFinding::Nothing, "{level}: {place:?}");
+                assert!(holds && place.finding == PlaceFinding::Nothing, "{level}: {place:?}");
             }
         }
     }

@@ -6,9 +6,9 @@ use dxf::enums::Units;
 use dxf::{LwPolylineVertex, Point, Vector};
 use rtec_files::InputError;
 use rtec_part::contour::{Contour, FeatureKind};
-use rtec_part::drawing::{DxfOptions, read};
+use rtec_part::contour_from_dxf::{DxfOptions, read};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::unit::Unit;
+use rtec_part::length_unit::LengthUnit;
 
 fn line(a: (f64, f64), b: (f64, f64)) -> EntityType {
     EntityType::Line(Line::new(Point::new(a.0, a.1, 0.0), Point::new(b.0, b.1, 0.0)))
@@ -34,7 +34,7 @@ fn contour(
     units: Units,
     entities: Vec<EntityType>,
     options: &DxfOptions,
-) -> Result<(Contour, Unit), InputError> {
+) -> Result<(Contour, LengthUnit), InputError> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("part.dxf");
     let mut drawing = dxf::Drawing::new();
@@ -54,7 +54,7 @@ fn finding(entities: Vec<EntityType>) -> InputError {
 #[test]
 fn features_stand_in_probing_order() {
     let (part, unit) = contour(Units::Inches, nose_part(), &DxfOptions::default()).unwrap();
-    assert_eq!(unit, Unit::INCH);
+    assert_eq!(unit, LengthUnit::INCH);
     let kinds: Vec<FeatureKind> = part.features.iter().map(|f| f.kind).collect();
     assert!(
         matches!(kinds[0], FeatureKind::Arc { radius_mm, .. } if (radius_mm - 38.1).abs() < 1e-9),
@@ -142,7 +142,7 @@ fn conics_and_bulges_lie_where_they_should() {
 fn bad_drawings_are_named() {
     let e = contour(Units::Unitless, nose_part(), &DxfOptions::default()).unwrap_err();
     assert!(e.found.contains("unknown units"), "{e}");
-    let inch = DxfOptions { unit: Some(Unit::INCH), ..DxfOptions::default() };
+    let inch = DxfOptions { unit: Some(LengthUnit::INCH), ..DxfOptions::default() };
     assert!(contour(Units::Unitless, nose_part(), &inch).is_ok());
 
     let mut gap = nose_part();
@@ -223,7 +223,7 @@ fn binary_drawings_read_like_text() {
         let [text, binary] = ["text.dxf", "binary.dxf"].map(|name| folder.path().join(name));
         drawing.save_file(&text).unwrap();
         drawing.save_file_binary(&binary).unwrap();
-        let inch = DxfOptions { unit: Some(Unit::INCH), ..DxfOptions::default() };
+        let inch = DxfOptions { unit: Some(LengthUnit::INCH), ..DxfOptions::default() };
         let [text, binary] = [text, binary].map(|file| format!("{:?}", read(&file, &inch).unwrap()));
         assert_eq!(text, binary, "{version:?}");
         assert!(text.contains("38.0"), "{text}");
@@ -259,8 +259,11 @@ fn broken_groups_are_named_with_their_line() {
     let rest = "10\n0\n20\n9\n11\n5\n21\n9\n0\nENDSEC\n0\nEOF\n";
     let read_layer = |bytes: &[u8]| {
         std::fs::write(&file, bytes).unwrap();
-        let options =
-            DxfOptions { layer: Some("Ränder".to_owned()), unit: Some(Unit::INCH), ..DxfOptions::default() };
+        let options = DxfOptions {
+            layer: Some("Ränder".to_owned()),
+            unit: Some(LengthUnit::INCH),
+            ..DxfOptions::default()
+        };
         read(&file, &options).map(|(contour, _)| contour.features.len())
     };
     // Escaped, in UTF-8, in Windows-1252, with the line ends of three systems.

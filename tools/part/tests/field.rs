@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::format_collect, reason = "helpers and inputs of tests")]
 
-use rtec_part::batch::{self, SignificanceLimits};
+use rtec_part::batch_evaluation::{self, SignificanceLimits};
 use rtec_part::part_errors::{NominalShape, ProbedPoints};
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ fn a_spreadsheet_is_one_batch_however_it_is_saved() {
         ("batch-thousands.csv", Some("columns parted by semicolons, decimal commas")),
         ("batch-utf16.csv", Some("UTF-16, columns parted by semicolons, decimal commas")),
     ] {
-        let batch = batch::evaluate_columns(&field(name), &[], None, judgement).unwrap();
+        let batch = batch_evaluation::evaluate_columns(&field(name), &[], None, judgement).unwrap();
         assert!((batch.places[0].mean_um - 11.55).abs() < 0.005, "{name}: {}", batch.places[0].mean_um);
         assert_eq!(
             batch.written.as_deref().map(|w| w.contains(written.unwrap_or("-"))),
@@ -66,11 +66,11 @@ fn an_angle_within_its_interval_is_not_told() {
 mod drawings {
     use super::field;
     use rtec_part::contour::{Contour, FeatureKind, Segment, Spline};
-    use rtec_part::drawing::{self, DxfOptions};
+    use rtec_part::contour_from_dxf::{self, DxfOptions};
     use rtec_part::geometric_fit::Zx;
 
     fn contour(name: &str) -> Contour {
-        drawing::read(&field(name), &DxfOptions::default()).unwrap().0
+        contour_from_dxf::read(&field(name), &DxfOptions::default()).unwrap().0
     }
 
     #[test]
@@ -119,7 +119,7 @@ mod drawings {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("drawn.dxf");
         std::fs::write(&file, text).unwrap();
-        drawing::read(&file, &DxfOptions::default()).map(|(contour, _)| contour)
+        contour_from_dxf::read(&file, &DxfOptions::default()).map(|(contour, _)| contour)
     }
 
     /// Group codes and values, one line each.
@@ -375,15 +375,15 @@ fn steps_of_a_caliper_are_in_a_batch_s_intervals() {
     let rows: String = (1..=8).map(|part| format!("{part},D1,38.10,38.11\n")).collect();
     let judgement = SignificanceLimits { alpha: 0.01, least_um: 1.0 };
     let text = format!("part,feature,nominal_mm,measured_mm\n{rows}");
-    let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
+    let batch = batch_evaluation::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
     let place = &batch.places[0];
     assert!((batch.step_um.unwrap() - 10.0).abs() < 1e-6);
     assert!(place.interval_um.is_some_and(|[low, high]| low < 6.0 && 6.0 < high), "{:?}", place.interval_um);
     // Half a step may be no error.
     let text = text.replace("38.11", "38.105").replace("8,D1,38.10,38.105", "8,D1,38.10,38.100");
-    let batch = batch::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
+    let batch = batch_evaluation::evaluate_text(&PathBuf::from("b.csv"), &text, None, judgement).unwrap();
     assert!((batch.step_um.unwrap() - 5.0).abs() < 1e-6, "{:?}", batch.step_um);
-    let fine = batch::evaluate_columns(&field("batch-point.csv"), &[], None, judgement).unwrap();
+    let fine = batch_evaluation::evaluate_columns(&field("batch-point.csv"), &[], None, judgement).unwrap();
     assert_eq!(fine.step_um, None);
 }
 

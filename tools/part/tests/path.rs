@@ -4,10 +4,10 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::geometric_fit::Zx;
+use rtec_part::length_unit::LengthUnit;
 use rtec_part::probe_path::{
-    PathRole, ProbeGeometry, ProbingMotion, ProbingPlan, StylusStem, number_at, pathfin, read_pathfin,
+    PathPointRole, ProbeGeometry, ProbingMotion, ProbingPlan, StylusStem, number_at, pathfin, read_pathfin,
 };
-use rtec_part::unit::Unit;
 use std::f64::consts::FRAC_PI_2;
 
 /// The part of NISTIR 4854, figures 4 and 7, in mm.
@@ -46,7 +46,7 @@ fn figure_seven_comes_out() {
     let part = part();
     let mut plan = ProbingPlan::new(PROBE);
     plan.add_number(&part, 0, 20, 0.0);
-    let text = pathfin(&plan.records(), Unit::INCH);
+    let text = pathfin(&plan.records(), LengthUnit::INCH);
     assert_eq!(text.lines().count(), 60);
     // NISTIR 4854, figure 7: the nineteenth of twenty points on the quadrant.
     for line in [
@@ -70,7 +70,7 @@ fn the_path_file_is_read_as_it_is_written() {
     plan.points[5].bypass = vec![Zx::new(130.0, 60.0)];
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("pathfin.cdl");
-    for unit in [Unit::MM, Unit::INCH] {
+    for unit in [LengthUnit::MM, LengthUnit::INCH] {
         std::fs::write(&file, pathfin(&plan.records(), unit)).unwrap();
         let back = read_pathfin(&file, unit).unwrap();
         assert_eq!(back.len(), plan.records().len());
@@ -94,7 +94,7 @@ fn the_path_file_is_read_as_it_is_written() {
         ("", 0),
     ] {
         std::fs::write(&file, bad).unwrap();
-        assert_eq!(read_pathfin(&file, Unit::MM).unwrap_err().line, line, "{bad:?}");
+        assert_eq!(read_pathfin(&file, LengthUnit::MM).unwrap_err().line, line, "{bad:?}");
     }
 }
 
@@ -109,7 +109,7 @@ fn collisions_are_found_and_gone_round() {
     assert!(hits.iter().any(|h| h.point == 2 && !h.touching && h.by == "tip"), "{hits:?}");
     plan.add_bypasses(&part, 2.0);
     assert!(plan.hits(&part).is_empty());
-    assert!(plan.records().iter().any(|r| r.role == PathRole::Bypass));
+    assert!(plan.records().iter().any(|r| r.role == PathPointRole::Bypass));
     // Half a millimetre from the step's face, a tip of 2.5 mm touches the face first.
     let mut corner = ProbingPlan::new(PROBE);
     corner.add(part.place(1, part.features[1].segment.length_mm() - 0.5));

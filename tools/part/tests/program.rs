@@ -5,9 +5,9 @@
 
 use rtec_part::contour::{Contour, Segment};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::probe_path::{PathPoint, PathRole, ProbeGeometry, ProbingPlan};
-use rtec_part::probing_program::{BUILT_IN, DialectWithTemplate, Parameters, ProbingProgramInputs};
-use rtec_part::unit::Unit;
+use rtec_part::length_unit::LengthUnit;
+use rtec_part::probe_path::{PathPoint, PathPointRole, ProbeGeometry, ProbingPlan};
+use rtec_part::probing_program::{BUILT_IN, DialectWithTemplate, ProbingProgramInputs, VariableValues};
 use std::path::Path;
 use std::process::Command;
 
@@ -26,9 +26,9 @@ fn records() -> Vec<PathPoint> {
     plan.records()
 }
 
-fn text(name: &str, unit: Unit, comments: bool, set: &[(&str, &str)]) -> String {
+fn text(name: &str, unit: LengthUnit, comments: bool, set: &[(&str, &str)]) -> String {
     let controller = DialectWithTemplate::built_in(name).unwrap().unwrap();
-    let mut parameters = Parameters::default();
+    let mut parameters = VariableValues::default();
     for (name, value) in set {
         parameters.set(name, value).unwrap();
     }
@@ -60,10 +60,10 @@ fn word(line: &str, letter: char) -> Option<f64> {
 
 #[test]
 fn the_segment_is_named_and_labelled_as_the_report_does() {
-    let mut parameters = Parameters::default();
+    let mut parameters = VariableValues::default();
     parameters.set("part", "6304").unwrap();
     assert_eq!(parameters.file_name(), "pt6304s2.dnc");
-    let program = text("report", Unit::MM, true, &[("part", "6304"), ("segment", "4"), ("tool", "7")]);
+    let program = text("report", LengthUnit::MM, true, &[("part", "6304"), ("segment", "4"), ("tool", "7")]);
     assert!(program.starts_with("N0010 (ID, PROG, 6304s4, PART SEG4: GAUGING 2)"), "{program}");
     assert!(program.contains("T0700 "), "tool and offset number");
     assert!(program.contains("2026-11-21 10:00 UTC"));
@@ -83,7 +83,7 @@ fn the_segment_is_named_and_labelled_as_the_report_does() {
 #[test]
 fn lengths_nobody_gave_are_in_the_programs_unit_and_positions_are_asked_for_by_template() {
     let unset = |name: &str, set: &[(&str, &str)]| {
-        let mut parameters = Parameters::in_unit(Unit::INCH);
+        let mut parameters = VariableValues::in_unit(LengthUnit::INCH);
         for (name, value) in set {
             parameters.set(name, value).unwrap();
         }
@@ -93,8 +93,8 @@ fn lengths_nobody_gave_are_in_the_programs_unit_and_positions_are_asked_for_by_t
     assert_eq!(unset("linuxcnc", &[]), ["probing_start_z"], "its template asks for no other");
     assert!(unset("fanuc", &[("probing_start_z", "3")]).is_empty());
     let controller = DialectWithTemplate::built_in("report").unwrap().unwrap();
-    let (parameters, records) = (Parameters::in_unit(Unit::INCH), records());
-    let (unit, made) = (Unit::INCH, "");
+    let (parameters, records) = (VariableValues::in_unit(LengthUnit::INCH), records());
+    let (unit, made) = (LengthUnit::INCH, "");
     let job = ProbingProgramInputs {
         controller: &controller,
         parameters: &parameters,
@@ -113,21 +113,21 @@ fn lengths_nobody_gave_are_in_the_programs_unit_and_positions_are_asked_for_by_t
 #[test]
 fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
     for (name, ..) in BUILT_IN {
-        for unit in [Unit::MM, Unit::INCH] {
+        for unit in [LengthUnit::MM, LengthUnit::INCH] {
             let program = text(name, unit, true, &[]);
             let controller = DialectWithTemplate::built_in(name).unwrap().unwrap();
             let diameter = if controller.dialect.x_is_diameter { 2.0 } else { 1.0 };
             let first: Vec<&str> = program.lines().filter(|l| l.contains("ONLY")).collect();
             let start = records()[0].at;
             // Half of the last decimal: 3 decimals in mm, 4 in inches.
-            let near = |a: f64, b: f64| (a - b).abs() <= if unit == Unit::MM { 6e-4 } else { 6e-5 };
+            let near = |a: f64, b: f64| (a - b).abs() <= if unit == LengthUnit::MM { 6e-4 } else { 6e-5 };
             assert!(near(word(first[0], 'Z').unwrap(), start.z / unit.0) && word(first[0], 'X').is_none());
             assert!(near(word(first[1], 'X').unwrap(), start.x * diameter / unit.0));
             assert!(word(first[1], 'Z').is_none());
             let touches: Vec<&str> = program.lines().filter(|l| l.contains("TOUCH POINT")).collect();
             assert_eq!(touches.len(), 20, "{name}");
             assert!(touches.iter().all(|l| word(l, 'F') == Some(2500.0)), "{name}");
-            let targets = records().into_iter().filter(|r| matches!(r.role, PathRole::Touch(_)));
+            let targets = records().into_iter().filter(|r| matches!(r.role, PathPointRole::Touch(_)));
             for (line, r) in touches.iter().zip(targets) {
                 assert!(near(word(line, 'X').unwrap(), r.at.x * diameter / unit.0), "{name} {line}");
             }
@@ -135,7 +135,8 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
             // Block numbers ascend without repetition.
             let blocks: Vec<f64> = program.lines().filter_map(|l| word(l, 'N')).collect();
             assert!(blocks.len() > 60 && blocks.windows(2).all(|w| w[0] < w[1]), "{name}: {blocks:?}");
-            let other = if unit == Unit::MM { &controller.dialect.inch } else { &controller.dialect.mm };
+            let other =
+                if unit == LengthUnit::MM { &controller.dialect.inch } else { &controller.dialect.mm };
             assert!(!program.split_whitespace().any(|w| w == other), "{name}");
         }
     }
@@ -144,7 +145,7 @@ fn every_dialect_moves_z_first_then_x_and_touches_every_point() {
 #[test]
 fn minimal_comments_make_a_smaller_file_with_the_same_moves() {
     for (name, ..) in BUILT_IN {
-        let (full, minimal) = (text(name, Unit::MM, true, &[]), text(name, Unit::MM, false, &[]));
+        let (full, minimal) = (text(name, LengthUnit::MM, true, &[]), text(name, LengthUnit::MM, false, &[]));
         assert!(minimal.len() * 4 < full.len() * 3, "{name}: {} of {}", minimal.len(), full.len());
         let code = |t: &str| -> Vec<Vec<(char, f64)>> { t.lines().map(words).collect() };
         assert_eq!(code(&full), code(&minimal), "{name}");
@@ -155,7 +156,7 @@ fn minimal_comments_make_a_smaller_file_with_the_same_moves() {
 #[test]
 fn a_template_that_asks_for_the_unknown_is_named() {
     let mut controller = DialectWithTemplate::built_in("report").unwrap().unwrap();
-    let (parameters, records) = (Parameters::default(), records());
+    let (parameters, records) = (VariableValues::default(), records());
     for (template, line, column) in [
         ("N0010 X\nN0020 $99\n$21\n", 2, 7),
         ("N0010 @77\n$21\n", 1, 7),
@@ -168,7 +169,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
             controller: &controller,
             parameters: &parameters,
             records: &records,
-            unit: Unit::MM,
+            unit: LengthUnit::MM,
             comments: true,
             made: "",
         };
@@ -179,7 +180,7 @@ fn a_template_that_asks_for_the_unknown_is_named() {
     let file = folder.path().join("p.toml");
     for (bad, line) in [("feed = 100\npart = \"1\"\n", 2), ("x = \n", 1), ("feed = [1]\n", 1)] {
         std::fs::write(&file, bad).unwrap();
-        assert_eq!(Parameters::default().read(&file).unwrap_err().line, line, "{bad:?}");
+        assert_eq!(VariableValues::default().read(&file).unwrap_err().line, line, "{bad:?}");
     }
     std::fs::write(&file, "nam = \"fanuc\"\n").unwrap();
     assert!(DialectWithTemplate::read(&file, &file).unwrap_err().line == 1);
@@ -191,7 +192,7 @@ fn linuxcnc_runs_its_dialect() {
     if !test_needs::installed("rs274", "linuxcnc-uspace") {
         return;
     }
-    for unit in [Unit::MM, Unit::INCH] {
+    for unit in [LengthUnit::MM, LengthUnit::INCH] {
         let folder = tempfile::tempdir().unwrap();
         let (program, tools, vars) =
             (folder.path().join("pt0101s2.ngc"), folder.path().join("t.tbl"), folder.path().join("v.var"));
@@ -218,7 +219,7 @@ fn linuxcnc_runs_its_dialect() {
                 Some((kind, Zx::new(*values.get(2)?, *values.first()?) * unit.0))
             })
             .collect();
-        for (kind, role) in [("PROBE", PathRole::Touch(0)), ("FEED", PathRole::Finish)] {
+        for (kind, role) in [("PROBE", PathPointRole::Touch(0)), ("FEED", PathPointRole::Finish)] {
             let got: Vec<Zx> = moves.iter().filter(|m| m.0 == kind).map(|m| m.1).collect();
             let same = |r: &&PathPoint| std::mem::discriminant(&r.role) == std::mem::discriminant(&role);
             let records = records();

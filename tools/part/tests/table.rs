@@ -3,13 +3,17 @@
 //! instead.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+use rtec_part::arc_finish_cut_table::{ArcFinishCutTable, AxisCountConversion, FinishCutArc, csv};
 use rtec_part::error_cor_file::PointError;
-use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc, csv};
 use rtec_part::geometric_fit::Zx;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-const CUT: FinishArc =
-    FinishArc { centre: Zx::new(127.0, 0.0), radius_mm: 38.1, nose_mm: 0.794, origin: Zx::new(-400.0, 55.5) };
+const CUT: FinishCutArc = FinishCutArc {
+    centre: Zx::new(127.0, 0.0),
+    radius_mm: 38.1,
+    nose_mm: 0.794,
+    origin: Zx::new(-400.0, 55.5),
+};
 /// The Original RTEC on 1 µm counts: 4 µm per correction.
 const ORIGINAL: AxisCountConversion = AxisCountConversion { count_um: 1.0, increment: 4, sign: 1.0 };
 const DESIGN_C: AxisCountConversion = AxisCountConversion { count_um: 1.0, increment: 2, sign: 1.0 };
@@ -19,14 +23,14 @@ fn bump(angle: f64) -> f64 {
     if off < 0.5 { 21.4 * (1.0 + (TAU * off).cos()) / 2.0 } else { 0.0 }
 }
 
-fn table(axis: AxisCountConversion) -> ArcFinishTable {
+fn table(axis: AxisCountConversion) -> ArcFinishCutTable {
     let errors = (0..20)
         .map(|k| {
             let angle_rad = FRAC_PI_2 * f64::from(k) / 19.0;
             PointError { angle_rad, error_um: bump(angle_rad), along_mm: None }
         })
         .collect();
-    ArcFinishTable::new(CUT, [axis; 2], errors)
+    ArcFinishCutTable::new(CUT, [axis; 2], errors)
 }
 
 #[test]
@@ -104,7 +108,7 @@ fn the_program_instead_takes_ninety_odd_lines_within_a_micrometre_and_a_half() {
     // If the step is coarser than the allowance no chord fits, but the path still ends.
     let coarse = table.straight_moves(0.0015, 2);
     assert!(coarse.len() > 100 && (*coarse.last().unwrap() - points[lines]).norm() < 0.01);
-    let plain = ArcFinishTable::new(
+    let plain = ArcFinishCutTable::new(
         CUT,
         [ORIGINAL; 2],
         [0.0, FRAC_PI_2].map(|angle_rad| PointError { angle_rad, error_um: 0.0, along_mm: None }).to_vec(),

@@ -3,14 +3,14 @@
 
 use rand_xoshiro::rand_core::RngCore;
 use rtec_driver::card::AxisLines;
+use rtec_driver::card_profile::Width;
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_driver::mapped::Registers;
-use rtec_driver::mock::SharedWires;
-use rtec_driver::profile::Width;
+use rtec_driver::mapped_registers::MappedRegisterFile;
+use rtec_driver::mock_card::SharedWires;
 use rtec_driver::quadrature::{Decoder, State};
-use rtec_rt::histogram::Recorder;
+use rtec_rt::latency_histogram::Recorder;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::link_messages::{Mode, Request};
+use rtec_rt::link_messages::{CorrectorMode, RequestToRt};
 use serde::Serialize;
 use std::sync::atomic::Ordering::{Acquire, Release};
 use std::time::Duration;
@@ -31,11 +31,11 @@ const ASK_AGAIN_NS: u64 = 20_000_000;
 const PATIENCE_NS: u64 = 10_000_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
 /// The total that is always pending.
-const WITHOUT_END: Request = Request::Correct { axis: 0, total_counts: i64::MAX / 2, large: true };
+const WITHOUT_END: RequestToRt = RequestToRt::Correct { axis: 0, total_counts: i64::MAX / 2, large: true };
 
 /// Counts of the far side.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
-pub struct SelftestCounts {
+pub struct MachineSideCounts {
     /// Number of edges given to the scale's lines.
     pub edges: u64,
     /// Edges that no insertion followed: the first one, and those seen too late.
@@ -65,7 +65,7 @@ impl FarSideWires for SharedWires {
 }
 
 /// The registers of the shared-memory test card, from the machine's side.
-impl FarSideWires for Registers {
+impl FarSideWires for MappedRegisterFile {
     fn drive(&mut self, inputs: u64) {
         self.write(0, Width::Bits32, inputs as u32);
     }
@@ -76,7 +76,7 @@ impl FarSideWires for Registers {
 }
 
 /// The control side: it always requests a correction, and homes after a fault.
-pub(crate) struct ControlSide<'a> {
+pub(crate) struct SelftestControlSide<'a> {
     link: &'a mut ControlEnd,
     /// Requests are sent as fast as the link takes them.
     streaming: bool,
@@ -105,7 +105,7 @@ enum HomingState {
     Done,
 }
 
-impl<'a> ControlSide<'a> {
+impl<'a> SelftestControlSide<'a> {
     pub(crate) fn new(
         link: &'a mut ControlEnd,
         streaming: bool,
@@ -150,10 +150,10 @@ impl<'a> ControlSide<'a> {
         self.looked_ns = status.t_ns;
         match self.homed {
             HomingState::Never => self.home_and_enable(),
-            HomingState::Asked { .. } if status.mode == Mode::Run => self.homed = HomingState::Done,
+            HomingState::Asked { .. } if status.mode == CorrectorMode::Run => self.homed = HomingState::Done,
             // The request was refused, because an insertion was under way.
             HomingState::Asked { at_ns } if self.looked_ns > at_ns + ASK_AGAIN_NS => self.home_and_enable(),
-            HomingState::Done if status.mode == Mode::Fault => {
+            HomingState::Done if status.mode == CorrectorMode::Fault => {
                 self.faults += 1;
                 self.home_and_enable();
             }
@@ -163,10 +163,10 @@ impl<'a> ControlSide<'a> {
 
     fn home_and_enable(&mut self) {
         for request in [
-            Request::Clear,
-            Request::Home { axis: 0, position_counts: 0, controller_homed: true },
-            Request::ConfirmHome { axis: 0, position_counts: 0 },
-            Request::Enable,
+            RequestToRt::Clear,
+            RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true },
+            RequestToRt::ConfirmHome { axis: 0, position_counts: 0 },
+            RequestToRt::Enable,
             WITHOUT_END,
         ] {
             // The ring is full: the request is repeated when it has emptied.
@@ -186,14 +186,14 @@ impl<'a> ControlSide<'a> {
 /// The scale and the MTC of a self-test.
 struct ScaleAndMtc<'a, 'c, F> {
     far: &'a mut F,
-    control: &'a mut ControlSide<'c>,
+    control: &'a mut SelftestControlSide<'c>,
     done: &'a mut Recorder,
     clock: Monotonic,
     scale: Decoder,
     mtc: Decoder,
     /// The inverters at the last look.
     inverters: u8,
-    seen: SelftestCounts,
+    seen: MachineSideCounts,
     last_done_ns: Option<u64>,
 }
 
@@ -201,14 +201,14 @@ struct ScaleAndMtc<'a, 'c, F> {
 /// The times from edge to second inversion go to `done`. Returns the counts, and the last of those times, ns.
 pub(crate) fn play(
     far: &mut impl FarSideWires,
-    control: &mut ControlSide,
+    control: &mut SelftestControlSide,
     done: &mut Recorder,
     random: &mut impl RngCore,
-) -> (SelftestCounts, u64) {
+) -> (MachineSideCounts, u64) {
     let inverters = LINES.inverters(far.outputs());
     let scale = Decoder::new(LINES.scale(0));
     let mtc = Decoder::new(scale.state().inverted(inverters));
-    let (clock, seen) = (Monotonic, SelftestCounts::default());
+    let (clock, seen) = (Monotonic, MachineSideCounts::default());
     let mut player =
         ScaleAndMtc { far, control, done, clock, scale, mtc, inverters, seen, last_done_ns: None };
     loop {

@@ -15,22 +15,24 @@
 //! On the real card nothing moves the machine. Its reads are timed with the outputs held. Its writes are insertions at
 //! rest, if the caller allows them ([`run_on_card`]).
 
-use crate::card_polling;
-pub use crate::far_side::SelftestCounts;
-use crate::far_side::{ControlSide, FarSideWires, play};
+pub use crate::far_side::MachineSideCounts;
+use crate::far_side::{FarSideWires, SelftestControlSide, play};
+use crate::real_card_timing;
 use crate::selftest_results::tid;
-pub use crate::selftest_results::{Latency, PollingResults, SelftestError, SelftestOptions, WriteResults};
+pub use crate::selftest_results::{
+    CardWriteTestResults, LatencyDistribution, PollingLoopResults, SelftestError, SelftestOptions,
+};
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::SeedableRng;
 use rtec_driver::card::Card;
+use rtec_driver::card_profile::CardProfile;
 use rtec_driver::clock::{Clock, Monotonic};
-use rtec_driver::mapped::{MappedCard, Registers};
-use rtec_driver::mock::{MockCard, SharedWires};
-use rtec_driver::profile::CardProfile;
+use rtec_driver::mapped_registers::{MappedCard, MappedRegisterFile};
+use rtec_driver::mock_card::{MockCard, SharedWires};
 use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS};
-use rtec_rt::histogram::{HistogramSnapshot, Recorder, histogram};
+use rtec_rt::latency_histogram::{HistogramSnapshot, Recorder, histogram};
 use rtec_rt::link_messages::Fault;
-use rtec_rt::setup::{self, SetupReport, SystemRoot, apply};
+use rtec_rt::realtime_setup::{self, SetupReport, SystemRoot, apply};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -43,7 +45,7 @@ const SECOND: Duration = Duration::from_secs(1);
 /// The simulated card of the test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum SimulatedBackend {
+pub enum SimulatedCardKind {
     /// Wires in the same process.
     Mock,
     /// Registers in a file that is mapped twice, once for each side of a card.
@@ -56,16 +58,16 @@ pub struct LatencyTestResult {
     /// The set-up under which it was measured.
     pub setup: SetupReport,
     /// Lateness of a sleeping thread's wake-ups.
-    pub wakeup: Latency,
+    pub wakeup: LatencyDistribution,
     /// Configuration of the axis in the test.
     pub axis: AxisConfig,
     /// The polling loop without requests.
     ///
     /// Empty with one CPU only, because nothing could end the polling there.
-    pub quiet: PollingResults,
+    pub quiet: PollingLoopResults,
     /// The polling loop with requests as fast as the link takes them.
     /// On the card that will do the work it is the loop with insertions. Empty with one CPU only.
-    pub with_requests: PollingResults,
+    pub with_requests: PollingLoopResults,
     /// How the card was measured.
     pub how: CardTestExtent,
 }
@@ -88,7 +90,7 @@ pub enum CardTestExtent {
 }
 
 impl LatencyTestResult {
-    fn both(&self) -> [&PollingResults; 2] {
+    fn both(&self) -> [&PollingLoopResults; 2] {
         [&self.quiet, &self.with_requests]
     }
 
@@ -110,9 +112,9 @@ impl LatencyTestResult {
     }
 
     /// Sums of the far side's counts; `None` with one CPU only.
-    pub fn far(&self) -> Option<SelftestCounts> {
+    pub fn far(&self) -> Option<MachineSideCounts> {
         let [a, b] = self.both().map(|p| &p.far);
-        (a.edges > 0).then(|| SelftestCounts {
+        (a.edges > 0).then(|| MachineSideCounts {
             edges: a.edges + b.edges,
             without_insertion: a.without_insertion + b.without_insertion,
             unresolved: a.unresolved + b.unresolved,
@@ -148,7 +150,7 @@ impl LatencyTestResult {
     pub fn detect_ns(&self) -> (u64, u64) {
         let separations = self.separations_ns();
         let of = |figure: fn(&HistogramSnapshot) -> u64| {
-            let late = |p: &PollingResults| {
+            let late = |p: &PollingLoopResults| {
                 figure(&p.poll_gap.ns).max(figure(&p.edge_to_done.ns).saturating_sub(separations))
             };
             let late = late(&self.quiet).max(late(&self.with_requests));
@@ -192,15 +194,15 @@ impl LatencyTestResult {
 /// When the test card or a thread cannot be made, or the card fails.
 pub fn run(
     options: SelftestOptions,
-    backend: SimulatedBackend,
+    backend: SimulatedCardKind,
     progress: impl FnMut(&str, u64),
 ) -> Result<LatencyTestResult, SelftestError> {
     match backend {
-        SimulatedBackend::Mock => measure(options, progress, || {
+        SimulatedCardKind::Mock => measure(options, progress, || {
             let wires = SharedWires::default();
             Ok((MockCard::new(wires.clone(), Monotonic), wires))
         }),
-        SimulatedBackend::Mapped => measure(options, progress, || {
+        SimulatedCardKind::Mapped => measure(options, progress, || {
             let io = |e| SelftestError::Io("making the card's file", e);
             let shared_memory = std::path::Path::new("/dev/shm");
             let dir = if shared_memory.is_dir() { shared_memory.to_owned() } else { std::env::temp_dir() };
@@ -208,7 +210,7 @@ pub fn run(
             let file = tempfile::Builder::new().prefix("rtec-selftest-").tempfile_in(dir).map_err(io)?;
             let profile = CardProfile::shared_memory();
             file.as_file().set_len(profile.size() as u64).map_err(io)?;
-            let far = Registers::open(file.path(), profile.size(), &profile.name)?;
+            let far = MappedRegisterFile::open(file.path(), profile.size(), &profile.name)?;
             Ok((MappedCard::open(file.path(), &profile, Monotonic)?, far))
         }),
     }
@@ -227,21 +229,21 @@ pub fn run_on_card<C: Card + Send + 'static>(
     drive: bool,
     mut progress: impl FnMut(&str, u64),
 ) -> Result<LatencyTestResult, SelftestError> {
-    let left = setup::move_off_cpu(options.cpu);
+    let left = realtime_setup::move_off_cpu(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     let axis = axes.iter().max_by_key(|a| a.min_separation_ns).copied().unwrap_or_default();
-    let (quiet, with_requests) = (PollingResults::default(), PollingResults::default());
+    let (quiet, with_requests) = (PollingLoopResults::default(), PollingLoopResults::default());
     let mut measured =
         LatencyTestResult { setup, wakeup, axis, quiet, with_requests, how: CardTestExtent::Reads };
     if left.is_some() {
-        let (quiet, card) = card_polling::reads(card, axes, options, &mut progress)?;
+        let (quiet, card) = real_card_timing::reads(card, axes, options, &mut progress)?;
         measured.quiet = quiet;
         if drive {
             // All axes get the longest separation, so that it can be subtracted from every insertion alike.
             let axes: Vec<_> =
                 axes.iter().map(|a| AxisConfig { min_separation_ns: axis.min_separation_ns, ..*a }).collect();
-            let WriteResults { polling, ended_by, restored } =
-                card_polling::writes(card, &axes, options, &mut progress)?;
+            let CardWriteTestResults { polling, ended_by, restored } =
+                real_card_timing::writes(card, &axes, options, &mut progress)?;
             measured.with_requests = polling;
             measured.how = CardTestExtent::ReadsAndWrites { ended_by, restored };
         }
@@ -257,7 +259,7 @@ fn measure<C: Card + Send + 'static, F: FarSideWires>(
     mut wires: impl FnMut() -> Result<(C, F), SelftestError>,
 ) -> Result<LatencyTestResult, SelftestError> {
     // All threads but the real-time one leave its CPU. Threads started from here inherit that.
-    let left = setup::move_off_cpu(options.cpu);
+    let left = realtime_setup::move_off_cpu(options.cpu);
     let (wakeup, setup) = measure_wake_ups(options, &mut progress)?;
     // The far side waits for each insertion and keeps its dwell time. So the gate uses the last period alone.
     let axis =
@@ -266,8 +268,8 @@ fn measure<C: Card + Send + 'static, F: FarSideWires>(
         setup,
         wakeup,
         axis,
-        quiet: PollingResults::default(),
-        with_requests: PollingResults::default(),
+        quiet: PollingLoopResults::default(),
+        with_requests: PollingLoopResults::default(),
         how: CardTestExtent::Simulated,
     };
     if left.is_some() {
@@ -287,20 +289,20 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
     (card, mut far): (C, F),
     requests: bool,
     progress: &mut impl FnMut(&str, u64),
-) -> Result<PollingResults, SelftestError> {
-    let (mut running, loop_tid) = card_polling::start(card, &[axis], options)?;
+) -> Result<PollingLoopResults, SelftestError> {
+    let (mut running, loop_tid) = real_card_timing::start(card, &[axis], options)?;
     let (mut done, done_reader) = histogram();
     let what =
         if requests { "poll gap and edge to done, with requests" } else { "poll gap and edge to done" };
     let mut show = |left_s| progress(what, left_s);
-    let mut control = ControlSide::new(&mut running.control, requests, options.run / 3, &mut show);
+    let mut control = SelftestControlSide::new(&mut running.control, requests, options.run / 3, &mut show);
     let (far, last_done_ns) =
         play(&mut far, &mut control, &mut done, &mut SplitMix64::seed_from_u64(options.seed));
     let (faults, requests) = (control.faults, control.requests);
 
-    let (polling, _) = card_polling::stopped(running, loop_tid)?;
-    Ok(PollingResults {
-        edge_to_done: Latency { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
+    let (polling, _) = real_card_timing::stopped(running, loop_tid)?;
+    Ok(PollingLoopResults {
+        edge_to_done: LatencyDistribution { ns: done_reader.snapshot(), last_ns: last_done_ns, tid: tid() },
         far,
         // The axis's own total starts at zero after every homing, so insertions are counted instead.
         completed: polling.insertions as i64 * INCREMENT_COUNTS,
@@ -314,13 +316,13 @@ fn measure_polling<C: Card + Send + 'static, F: FarSideWires>(
 fn measure_wake_ups(
     options: SelftestOptions,
     progress: &mut impl FnMut(&str, u64),
-) -> Result<(Latency, SetupReport), SelftestError> {
+) -> Result<(LatencyDistribution, SetupReport), SelftestError> {
     let third = options.run / 3;
     let thread = std::thread::Builder::new().name("rtec-wakeup".into()).spawn(move || {
         let (_held, report) = apply(&SystemRoot::live(), options.wanted());
         let (mut recorder, reader) = histogram();
         let last_ns = wake_ups(third.as_nanos() as u64, &mut recorder);
-        (Latency { ns: reader.snapshot(), last_ns, tid: tid() }, report)
+        (LatencyDistribution { ns: reader.snapshot(), last_ns, tid: tid() }, report)
     });
     let thread = thread.map_err(|e| SelftestError::Io("starting the wake-up thread", e))?;
     let start = Instant::now();

@@ -1,14 +1,14 @@
 //! Options of the self-test, and results of its parts.
 //! They are the same for a simulated card and for the card that will do the work.
 
-use crate::far_side::SelftestCounts;
+use crate::far_side::MachineSideCounts;
 use rtec_driver::card::CardError;
-use rtec_driver::mapped::MapError;
+use rtec_driver::mapped_registers::MapError;
 use rtec_rt::engine::StartError;
-use rtec_rt::histogram::HistogramSnapshot;
+use rtec_rt::latency_histogram::HistogramSnapshot;
 use rtec_rt::link_messages::Fault;
-use rtec_rt::setup::RtSettings;
-use rtec_rt::thread::SpawnError;
+use rtec_rt::pinned_rt_thread::SpawnError;
+use rtec_rt::realtime_setup::RtSettings;
 use serde::Serialize;
 use std::io;
 use std::time::Duration;
@@ -53,7 +53,7 @@ pub enum SelftestError {
 
 /// One of the three latencies.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
-pub struct Latency {
+pub struct LatencyDistribution {
     /// Distribution of the measured times, ns.
     #[serde(flatten)]
     pub ns: HistogramSnapshot,
@@ -68,16 +68,16 @@ pub struct Latency {
 /// Results of the polling loop.
 /// Meanwhile the far side makes edges and counts as the MTC.
 #[derive(Debug, Clone, Default)]
-pub struct PollingResults {
+pub struct PollingLoopResults {
     /// Time between two looks of the loop.
-    pub poll_gap: Latency,
+    pub poll_gap: LatencyDistribution,
     /// The engine's own part of edge to done.
     /// It lasts from the look that saw the edge to the look that ordered the second inversion.
     pub seen_to_done: HistogramSnapshot,
     /// From an edge to the second inversion, both separations included.
-    pub edge_to_done: Latency,
+    pub edge_to_done: LatencyDistribution,
     /// Counts of the far side.
-    pub far: SelftestCounts,
+    pub far: MachineSideCounts,
     /// Counts inserted according to the engine.
     pub completed: i64,
     /// Number of faults latched after a gap in the polling loop.
@@ -88,7 +88,7 @@ pub struct PollingResults {
     pub insertions: u64,
 }
 
-impl PollingResults {
+impl PollingLoopResults {
     /// Whether the MTC's counts minus the scale's equal the completed counts.
     /// The far side counted them, without an illegal state.
     pub(crate) fn balanced(&self) -> bool {
@@ -98,10 +98,10 @@ impl PollingResults {
 
 /// Results of the writes.
 #[derive(Debug, Clone, Default)]
-pub struct WriteResults {
+pub struct CardWriteTestResults {
     /// The loop during the writes.
     /// `seen_to_done` lasts from the look at which an insertion began to the look that ordered its second inversion.
-    pub polling: PollingResults,
+    pub polling: PollingLoopResults,
     /// The fault that ended it early, if any.
     pub ended_by: Option<Fault>,
     /// Whether the outputs are as they were before.

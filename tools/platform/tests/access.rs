@@ -1,8 +1,8 @@
 //! Access to a card's devices, on trees of files that look like a system.
 #![allow(clippy::unwrap_used)] // a test may
-use rtec_driver::pci::PciId;
-use rtec_platform::access::{Device, card};
-use rtec_rt::setup::{SetupFinding, SystemRoot};
+use rtec_driver::pci::PciFunctionSelector;
+use rtec_platform::device_access_check::{CardDevice, card};
+use rtec_rt::realtime_setup::{SetupFinding, SystemRoot};
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::Path;
@@ -46,7 +46,7 @@ fn installed() -> tempfile::TempDir {
     tree
 }
 
-fn find(root: &Path, device: &Device, events: bool) -> Vec<SetupFinding> {
+fn find(root: &Path, device: &CardDevice, events: bool) -> Vec<SetupFinding> {
     card(&SystemRoot::at(root), std::slice::from_ref(device), events, 1)
 }
 
@@ -55,13 +55,13 @@ fn not_ok(findings: &[SetupFinding]) -> Vec<&str> {
 }
 
 /// Every kind of device, its file, and its line in `/etc/rtec/devices`.
-fn devices() -> [(Device, &'static str, &'static str); 4] {
+fn devices() -> [(CardDevice, &'static str, &'static str); 4] {
     [
-        (Device::Gpio("gpiochip0".into()), "dev/gpiochip0", "`gpio fe200000.gpio`"),
-        (Device::Uio("uio0".into()), "dev/uio0", "`uio my-card`"),
-        (Device::Parport("parport0".into()), "dev/parport0", "`parport parport0`"),
+        (CardDevice::Gpio("gpiochip0".into()), "dev/gpiochip0", "`gpio fe200000.gpio`"),
+        (CardDevice::Uio("uio0".into()), "dev/uio0", "`uio my-card`"),
+        (CardDevice::Parport("parport0".into()), "dev/parport0", "`parport parport0`"),
         (
-            Device::Bar(PciId::Card(0x1af4, 0x1110), 2),
+            CardDevice::Bar(PciFunctionSelector::Card(0x1af4, 0x1110), 2),
             "sys/bus/pci/devices/0000:00:04.0/resource2",
             "`pci 1af4:1110`",
         ),
@@ -94,7 +94,7 @@ fn a_device_that_is_closed_is_named_with_the_line_that_opens_it() {
 
 #[test]
 fn the_bits_that_count_are_those_of_owner_group_or_others() {
-    let device = Device::Uio("uio0".into());
+    let device = CardDevice::Uio("uio0".into());
     for (uid_is_rtec, gid_is_rtec, mode, ok) in [
         (true, true, 0o060, false),
         (true, true, 0o600, true),
@@ -129,22 +129,22 @@ fn what_is_not_there_is_said() {
             assert!(access.remedy.starts_with("no such device: "), "{}", access.remedy);
         }
     }
-    let findings = find(tree.path(), &Device::Bar(PciId::Card(1, 2), 0), false);
+    let findings = find(tree.path(), &CardDevice::Bar(PciFunctionSelector::Card(1, 2), 0), false);
     let access = findings.iter().find(|f| f.name == "card_access").unwrap();
     assert_eq!((access.wanted.as_str(), access.got.as_str()), ("PCI card 0001:0002", "not on the bus"));
 }
 
 #[test]
 fn a_polled_card_s_interrupts_stay_off_the_cpu_and_a_waking_one_s_are_on_it() {
-    let put_on = |irq: u32, cpus: &str, device: &Device, events: bool| {
+    let put_on = |irq: u32, cpus: &str, device: &CardDevice, events: bool| {
         let tree = installed();
         put(tree.path(), &format!("proc/irq/{irq}/effective_affinity_list"), cpus);
         let findings = find(tree.path(), device, events);
         findings.into_iter().find(|f| f.name == "card_irq").unwrap()
     };
-    let pci = Device::Bar(PciId::Address("0000:00:04.0".into()), 2);
-    let gpio = Device::Gpio("gpiochip0".into());
-    assert!(put_on(20, "0\n", &Device::Uio("uio0".into()), false).ok);
+    let pci = CardDevice::Bar(PciFunctionSelector::Address("0000:00:04.0".into()), 2);
+    let gpio = CardDevice::Gpio("gpiochip0".into());
+    assert!(put_on(20, "0\n", &CardDevice::Uio("uio0".into()), false).ok);
     let here = put_on(11, "0-1\n", &pci, false);
     assert_eq!((here.ok, here.got.as_str()), (false, "11 on CPU 0,1"));
     assert!(here.remedy.contains("echo 0 > ") && here.remedy.ends_with("11"), "{}", here.remedy);
@@ -168,7 +168,7 @@ fn the_lines_of_a_card_that_wakes_the_thread_are_no_strangers_on_its_cpu() {
 #[test]
 fn io_ports_need_the_addition_to_the_service() {
     let tree = installed();
-    let device = Device::Ports(None);
+    let device = CardDevice::Ports(None);
     assert_eq!(not_ok(&find(tree.path(), &device, false)), ["io_ports"]);
     let addition = include_str!("../../../udev/drop-ins/port.conf");
     put(tree.path(), "etc/systemd/system/rtecd.service.d/port.conf", addition);
@@ -179,7 +179,7 @@ fn io_ports_need_the_addition_to_the_service() {
 fn who_may_speak_to_the_daemon() {
     let tree = installed();
     put(tree.path(), "proc/self/status", "Uid:\t7\t7\t7\t7\nGid:\t7\t7\t7\t7\nGroups:\t\n");
-    let none: [Device; 0] = [];
+    let none: [CardDevice; 0] = [];
     let findings = |root| card(&SystemRoot::at(root), &none, false, 1);
     // Where root runs the test, the tree's user has group 0. So group 7 is never the right one.
     assert_eq!(not_ok(&findings(tree.path())), ["group"]);
@@ -191,9 +191,9 @@ fn who_may_speak_to_the_daemon() {
 
 #[test]
 fn a_file_s_name_tells_what_it_is() {
-    let of = |file: &str| Device::of_file(Path::new(file));
-    assert_eq!(of("/dev/uio1"), Device::Uio("uio1".into()));
-    assert_eq!(of("/dev/parport0"), Device::Parport("parport0".into()));
-    assert_eq!(of("/dev/gpiochip2"), Device::Gpio("gpiochip2".into()));
-    assert_eq!(of("/dev/shm/uio1"), Device::File("/dev/shm/uio1".into()));
+    let of = |file: &str| CardDevice::of_file(Path::new(file));
+    assert_eq!(of("/dev/uio1"), CardDevice::Uio("uio1".into()));
+    assert_eq!(of("/dev/parport0"), CardDevice::Parport("parport0".into()));
+    assert_eq!(of("/dev/gpiochip2"), CardDevice::Gpio("gpiochip2".into()));
+    assert_eq!(of("/dev/shm/uio1"), CardDevice::File("/dev/shm/uio1".into()));
 }

@@ -17,8 +17,8 @@ mod _rtec {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        rtec_files::format_stamp::built_from(env!("RTEC_COMMIT"));
-        module.add("__version__", rtec_files::format_stamp::VERSION)
+        rtec_files::file_format_stamp::built_from(env!("RTEC_COMMIT"));
+        module.add("__version__", rtec_files::file_format_stamp::VERSION)
     }
 
     #[pymodule_export]

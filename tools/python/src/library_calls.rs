@@ -8,33 +8,37 @@ use pyo3::prelude::*;
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
 use rtec_files::date;
-use rtec_files::format_stamp::signed;
+use rtec_files::file_format_stamp::signed;
 use rtec_files::quadrature_trace::{RequestedTotalReader, TraceReader, request_columns, trace_columns};
 use rtec_files::{InputError, InputNotice};
-use rtec_fit::chain::{self as chain_fit, ChainReport, ChainRows, ChainRun, FittedChainTerm};
+use rtec_fit::kinematic_chain_fit::{
+    self as chain_fit, ChainFitReport, ChainResponseRows, FittedChainTerm, RecordWithToolPoint,
+};
 use rtec_fit::thermal::{self, prediction_chart};
 use rtec_fit::workflow;
+use rtec_measure::compensation_export::linuxcnc::LinuxcncLinearUnit;
 use rtec_measure::evaluation::{self, Standard};
-use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::history::FigureTolerances;
-use rtec_measure::iso230::Conditions;
+use rtec_measure::figure_history::FigureTolerances;
+use rtec_measure::iso230::TestConditions;
 use rtec_measure::plan::{PlanAxis, for_machine, markdown};
 use rtec_measure::plausible;
 use rtec_measure::plot::PlotSpec;
-use rtec_measure::{export, import};
+use rtec_measure::{compensation_export, import};
 use rtec_model::ballbar_circle::Circle;
-use rtec_model::chain::Chain;
+use rtec_model::kinematic_chain::KinematicChain;
 use rtec_model::record::Axis;
-use rtec_part::error_determination;
-use rtec_reconcile::{Options, Regression, RegressionColumn, RegressionRows, SEED, SetUpColumns};
+use rtec_part::part_error_request;
+use rtec_reconcile::{
+    ReconciliationOptions, RegressionArrays, RegressionColumn, RegressionRows, SEED, SetUpTermsIncluded,
+};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{InsertionDesign, replay_any};
 use rtec_sim::compensation_experiments::{EXPERIMENTS, ExperimentInputs};
 use rtec_sim::computer_timing::ComputerTiming;
+use rtec_sim::corrected_machine_sim::MachineSpec;
+use rtec_sim::engine_replay::ReplayError;
 use rtec_sim::example_machines::EXAMPLES;
-use rtec_sim::insertion_designs::{TestMotion, compare};
-use rtec_sim::replay::ReplayError;
-use rtec_sim::sim::MachineSpec;
+use rtec_sim::insertion_design_bench::{InsertionDesign, replay_any};
+use rtec_sim::insertion_design_comparison::{TestMotion, compare};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -97,7 +101,7 @@ pub(crate) fn evaluate(
         }
         let asked = evaluation::EvaluationRequest {
             standard: standard.as_ref().map(parsed).transpose()?,
-            conditions: conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
+            conditions: conditions.as_deref().map(TestConditions::read).transpose()?.unwrap_or_default(),
             one_way,
             fourth_powers: norm != 2,
         };
@@ -131,14 +135,14 @@ impl FitOptions {
             sensors: self.sensors,
             date: self.date.map(|text| day(&text)).transpose()?,
             despite_suspicions: self.despite_suspicions,
-            options: thermal::Options {
+            options: thermal::ThermalFitOptions {
                 environment: self.environment,
                 folds: self.folds,
                 lag: self.lag,
                 square: self.square,
                 base: self.base.map(|m| m.inner),
                 valid_days: i64::from(self.valid_days),
-                ..thermal::Options::default()
+                ..thermal::ThermalFitOptions::default()
             },
         })
     }
@@ -202,7 +206,7 @@ pub(crate) fn fit_chain(
     tools_mm: Vec<Option<[f64; 3]>>,
 ) -> PyResult<FittedChain<'_>> {
     let (document, text, pictures, of) = quietly(py, move || {
-        let from = Chain::read(&chain)?;
+        let from = KinematicChain::read(&chain)?;
         let good = |record| plausible::only_good(record, &mut |_| ());
         let records: Vec<_> = inners(records).into_iter().map(good).collect();
         if components.is_empty() || records.is_empty() {
@@ -211,8 +215,11 @@ pub(crate) fn fit_chain(
         if let Some(point) = tools_mm.iter().flatten().find(|p| !p.iter().all(|v| v.is_finite())) {
             return Err(bad("tool_mm", format!("{point:?}"), "x, y, z in mm"));
         }
-        let runs: Vec<ChainRun<'_>> =
-            records.iter().zip(tools_mm).map(|(record, tool_mm)| ChainRun { record, tool_mm }).collect();
+        let runs: Vec<RecordWithToolPoint<'_>> = records
+            .iter()
+            .zip(tools_mm)
+            .map(|(record, tool_mm)| RecordWithToolPoint { record, tool_mm })
+            .collect();
         let (fitted, report) = chain_fit::fit(&from, &components, &runs)?;
         let text = chain_fit::text(&chain, &fitted, &report)?;
         let pictures = report.charts(&records).into_iter().map(PlotSpec::from);
@@ -223,16 +230,16 @@ pub(crate) fn fit_chain(
 
 /// Rows and columns of a chain's fit.
 /// The columns are its coefficients, and the zero of each response of each record.
-fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainReport) -> Regression {
+fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainFitReport) -> RegressionArrays {
     let file =
         |path: &Path| records.iter().find(|r| r.path == path).map_or_else(String::new, |r| r.file.clone());
-    let of_rows = |r: &ChainRows| RegressionRows {
+    let of_rows = |r: &ChainResponseRows| RegressionRows {
         record: file(&r.record),
         response: r.response.clone(),
         unit: "um",
         count: r.measured.len(),
     };
-    let together = |of: &dyn Fn(usize, &ChainRows) -> Vec<f64>| -> Vec<f64> {
+    let together = |of: &dyn Fn(usize, &ChainResponseRows) -> Vec<f64>| -> Vec<f64> {
         report.rows.iter().enumerate().flat_map(|(k, r)| of(k, r)).collect()
     };
     let coefficient = |(n, t): (usize, &FittedChainTerm)| RegressionColumn {
@@ -243,7 +250,7 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
         half_width: Some(0.5 * (t.interval[1] - t.interval[0])),
         derivative: together(&|_, r| r.derivatives[n].clone()),
     };
-    let zero = |(n, r): (usize, &ChainRows)| RegressionColumn {
+    let zero = |(n, r): (usize, &ChainResponseRows)| RegressionColumn {
         name: format!("zero of {}", r.response),
         parameter: file(&r.record),
         unit: "um".to_owned(),
@@ -252,7 +259,7 @@ fn regression_of_chain(records: &[rtec_model::record::Record], report: &ChainRep
         derivative: together(&|k, r| vec![f64::from(u8::from(k == n)); r.measured.len()]),
     };
     let coefficients = report.terms.iter().enumerate().map(coefficient);
-    Regression {
+    RegressionArrays {
         rows: report.rows.iter().map(of_rows).collect(),
         measured: together(&|_, r| r.measured.clone()),
         predicted: together(&|_, r| r.predicted.clone()),
@@ -305,9 +312,9 @@ pub(crate) fn export_table(
     asked: ExportOptions,
 ) -> Answered<(String, String)> {
     work(py, move |say| {
-        let order = export::request::ExportRequest {
+        let order = compensation_export::request::ExportRequest {
             axis: asked.axis,
-            wanted: export::TableRange {
+            wanted: compensation_export::TableRange {
                 from_mm: asked.from_mm,
                 to_mm: asked.to_mm,
                 step_mm: asked.step_mm,
@@ -316,9 +323,13 @@ pub(crate) fn export_table(
             },
             temperatures_degc: asked.temperatures_degc,
             at_mm: asked.at_mm,
-            to: export::request::TableFormat {
-                format: one_of("format", &asked.format, &named(export::request::ExportFormat::ALL))?,
-                unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
+            to: compensation_export::request::ControllerTableFormat {
+                format: one_of(
+                    "format",
+                    &asked.format,
+                    &named(compensation_export::request::ExportFormat::ALL),
+                )?,
+                unit: one_of("unit", &asked.unit, &named(LinuxcncLinearUnit::ALL))?,
                 along: asked.along,
                 along_name: asked.along_name,
                 table: asked.table,
@@ -385,7 +396,7 @@ pub(crate) fn import_record(py: Python<'_>, asked: ImportOptions) -> Answered<Re
             log: asked.log,
             period_s: asked.period_s,
             numbered: asked.numbered,
-            unit: one_of("unit", &asked.unit, &named(Unit::ALL))?,
+            unit: one_of("unit", &asked.unit, &named(LinuxcncLinearUnit::ALL))?,
             form: asked.form,
             derive: asked.derive,
         };
@@ -436,7 +447,7 @@ pub(crate) fn reconcile(
         }
         date.as_deref().map(day).transpose()?;
         let date = date.or_else(|| Some(date::format(date::today())));
-        let options = Options { level, date, unexplained, figures: true };
+        let options = ReconciliationOptions { level, date, unexplained, figures: true };
         let (train, holdout) = (inners(train), inners(holdout));
         let answer = rtec_reconcile::reconcile(&train, &holdout, &machine.inner, &options)?;
         answer.say_of(&train, &holdout, say);
@@ -470,13 +481,13 @@ pub(crate) fn regression(
 ) -> PyResult<Arrays<'_>> {
     let of = quietly(py, move || {
         let base = base.map_or_else(|| rtec_model::machine::Machine::ideal(""), |b| b.inner);
-        let set_up = if of_verdict { SetUpColumns::ByHand } else { SetUpColumns::Zeros };
-        Ok(Regression::new(&inners(records), &base, &machine.inner, set_up))
+        let set_up = if of_verdict { SetUpTermsIncluded::ByHand } else { SetUpTermsIncluded::Zeros };
+        Ok(RegressionArrays::new(&inners(records), &base, &machine.inner, set_up))
     })?;
     Ok(arrays(py, of))
 }
 
-fn arrays(py: Python<'_>, of: Regression) -> Arrays<'_> {
+fn arrays(py: Python<'_>, of: RegressionArrays) -> Arrays<'_> {
     let rows = of.rows.into_iter().map(|r| (r.record, r.response, r.unit, r.count)).collect();
     let array = |data: Vec<f64>| PyArray1::from_vec(py, data);
     let column =
@@ -598,9 +609,9 @@ pub(crate) struct PartErrorOptions {
 #[pyfunction]
 pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(String, String, String)> {
     work(py, move |say| {
-        let features = named(error_determination::ProbedFeatureKind::ALL);
-        let report = error_determination::determine(
-            &error_determination::PartErrorRequest {
+        let features = named(part_error_request::ProbedFeatureKind::ALL);
+        let report = part_error_request::determine(
+            &part_error_request::PartErrorRequest {
                 points: asked.points,
                 columns: asked.columns,
                 radius_mm: asked.radius_mm,
@@ -611,7 +622,7 @@ pub(crate) fn part_errors(py: Python<'_>, asked: PartErrorOptions) -> Answered<(
                 origin_mm: asked.origin_mm,
                 expected: asked.expected,
                 path: asked.path,
-                path_units: rtec_part::unit::Unit::MM,
+                path_units: rtec_part::length_unit::LengthUnit::MM,
                 trip_window_mm: asked.trip_window_mm,
                 with_size: asked.with_size,
             },
@@ -677,10 +688,10 @@ pub(crate) fn history(
             Some(file) => FigureTolerances::read(&file)?,
             None => FigureTolerances::of(limits),
         };
-        let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p)));
+        let read = records.iter().map(|p| (p.display().to_string(), rtec_measure::run_record_files::read(p)));
         let made = inners(made).into_iter().map(|r| (r.path.display().to_string(), Ok(r)));
         let all: Vec<_> = read.chain(made).collect();
-        let found = rtec_measure::history::history(&machine, &all, &limits);
+        let found = rtec_measure::figure_history::history(&machine, &all, &limits);
         let report = found.report()?;
         Ok((pretty(&found)?, report.text(), report.html(), drawn(report.pictures())?))
     })

@@ -83,7 +83,7 @@ impl Machine {
     fn to_json(&self, py: Python<'_>) -> PyResult<String> {
         let inner = self.inner.clone();
         quietly(py, move || {
-            Ok(rtec_files::format_stamp::signed(serde_json::to_string_pretty(&inner.to_json())?))
+            Ok(rtec_files::file_format_stamp::signed(serde_json::to_string_pretty(&inner.to_json())?))
         })
     }
 

@@ -45,8 +45,9 @@ fn made(
     let kind =
         RunKind::parse(kind).ok_or_else(|| bad(format!("kind `{kind}`"), &format!("one of {}", kinds())))?;
     let named = |(name, role, unit, data): (String, String, Option<String>, Vec<f64>)| {
-        let own = Role::parse(&role)
-            .ok_or_else(|| bad(format!("role `{role}` of `{name}`"), rtec_measure::record::ROLES))?;
+        let own = Role::parse(&role).ok_or_else(|| {
+            bad(format!("role `{role}` of `{name}`"), rtec_measure::run_record_files::ROLES)
+        })?;
         let column = Column::new(&name, own, data);
         Ok(match unit {
             Some(unit) => Column { unit, ..column },
@@ -77,7 +78,7 @@ fn made(
             .with_circle(Circle { radius_mm, plane, centre_mm: None })
             .map_err(|(found, expected)| bad(found, expected))?;
     }
-    rtec_measure::record::can_be_written(&record)?;
+    rtec_measure::run_record_files::can_be_written(&record)?;
     Ok(record)
 }
 
@@ -107,7 +108,8 @@ impl Record {
     #[staticmethod]
     #[pyo3(signature = (path, *, log=false))]
     fn read(py: Python<'_>, path: PathBuf, log: bool) -> PyResult<Self> {
-        let read = if log { rtec_measure::record::read_log } else { rtec_measure::record::read };
+        let read =
+            if log { rtec_measure::run_record_files::read_log } else { rtec_measure::run_record_files::read };
         quietly(py, move || Ok(read(&path)?)).map(|inner| Self { inner })
     }
 
@@ -115,20 +117,20 @@ impl Record {
         let mut inner = self.inner.clone();
         quietly(py, move || {
             if let Some(path) = path {
-                rtec_measure::record::at(&mut inner, &path)?;
+                rtec_measure::run_record_files::at(&mut inner, &path)?;
             }
-            rtec_measure::record::write(&mut inner)?;
+            rtec_measure::run_record_files::write(&mut inner)?;
             Ok(Self { inner })
         })
     }
 
     fn to_csv(&self, py: Python<'_>) -> PyResult<String> {
         let inner = self.inner.clone();
-        quietly(py, move || Ok(rtec_measure::record::to_csv(&inner)))
+        quietly(py, move || Ok(rtec_measure::run_record_files::to_csv(&inner)))
     }
 
     fn to_sidecar(&self) -> String {
-        rtec_measure::record::to_sidecar(&self.inner)
+        rtec_measure::run_record_files::to_sidecar(&self.inner)
     }
 
     #[getter]

@@ -1,7 +1,7 @@
 //! Names the effect that a model lacks: backlash is found and added.
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, reconcile};
+use rtec_reconcile::{ReconciliationOptions, reconcile};
 use std::path::Path;
 
 #[cfg_attr(test, test)]
@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Column::new("e", Role::Error(y), steps().enumerate().map(error).collect()),
     ];
     let run = Record::new(Path::new("y_axis.run.toml"), RunKind::Positioning, columns)?;
-    let answer = reconcile(&[run], &[], &model, &Options::default())?;
+    let answer = reconcile(&[run], &[], &model, &ReconciliationOptions::default())?;
     println!("{:#}\n{}", answer.to_json(), answer.model.to_text());
     assert!(answer.model.effects().any(|e| e.name() == "reversal.y"));
     Ok(())

@@ -1,8 +1,8 @@
 //! The evidence for and against one name, as a table for a metrologist.
 
-use crate::advice::separating;
-use crate::analysis::Finding;
-use crate::verdict::Reconciliation;
+use crate::experiment_advice::separating;
+use crate::findings_from_estimate::FoundEffect;
+use crate::verdict::ReconciliationResult;
 use rtec_estimate::TriedExplanation;
 use rtec_estimate::search_limits::HOPELESS;
 use rtec_model::effect::{Dictionary, Effect};
@@ -19,9 +19,9 @@ fn odds(nats: f64) -> String {
     if nats >= 0.0 { format!("{} to 1", of(nats)) } else { format!("1 to {}", of(-nats)) }
 }
 
-struct Table(String);
+struct EvidenceTable(String);
 
-impl Table {
+impl EvidenceTable {
     fn row(&mut self, side: &str, figure: &str, meaning: &str) {
         let _ = writeln!(self.0, "  {side:<8} {figure:>14}  {meaning}");
     }
@@ -31,10 +31,15 @@ impl Table {
 ///
 /// `effect` is any effect of the name in question.
 #[must_use]
-pub fn why(answer: &Reconciliation, effect: &Effect, train: &[Record], dictionary: &Dictionary) -> String {
+pub fn why(
+    answer: &ReconciliationResult,
+    effect: &Effect,
+    train: &[Record],
+    dictionary: &Dictionary,
+) -> String {
     let name = effect.name();
-    let mut table = Table(String::new());
-    let found: Vec<&Finding> =
+    let mut table = EvidenceTable(String::new());
+    let found: Vec<&FoundEffect> =
         answer.effects.iter().map(|(f, _)| f).filter(|f| f.effect.name() == name).collect();
     let tried: Vec<&TriedExplanation> =
         answer.ranking.iter().filter(|t| !t.accepted && t.label.split(' ').next() == Some(&name)).collect();
@@ -64,7 +69,7 @@ pub fn why(answer: &Reconciliation, effect: &Effect, train: &[Record], dictionar
     table.0
 }
 
-fn in_the_answer(table: &mut Table, f: &Finding, dictionary: &Dictionary) {
+fn in_the_answer(table: &mut EvidenceTable, f: &FoundEffect, dictionary: &Dictionary) {
     let label =
         f.effect.delta.as_ref().map_or_else(|| f.effect.name(), |d| format!("{} ({d})", f.effect.name()));
     table.row("for", &odds(f.evidence), &format!("the rows with {label} against the rows without it"));
@@ -88,7 +93,13 @@ fn in_the_answer(table: &mut Table, f: &Finding, dictionary: &Dictionary) {
 }
 
 /// The reason why a name was not tested in full.
-fn not_tried(table: &mut Table, name: &str, effect: &Effect, train: &[Record], dictionary: &Dictionary) {
+fn not_tried(
+    table: &mut EvidenceTable,
+    name: &str,
+    effect: &Effect,
+    train: &[Record],
+    dictionary: &Dictionary,
+) {
     let shown = train.iter().any(|r| dictionary.candidates(&[r]).iter().any(|c| c.name() == name));
     if shown {
         let text = "at most, beside the best of what could be added: it was not looked at further";

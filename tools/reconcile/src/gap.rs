@@ -1,10 +1,10 @@
 //! The gap between measured and simulated, before and after, and its floor.
 //! The floor is the repeatability of the data.
 
-use crate::analysis::{Analysis, stated};
-use rtec_estimate::problem::EstimationProblem;
-use rtec_estimate::refit::{Refit, left};
-use rtec_estimate::rows::Rows;
+use crate::findings_from_estimate::{AnalysisFindings, stated};
+use rtec_estimate::effect_size_refit::{EffectSizeRefit, left};
+use rtec_estimate::measurement_model::EstimationProblem;
+use rtec_estimate::rows_and_noise::MeasuredRows;
 use rtec_model::effect::Effect;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role, RunKind, span};
@@ -180,7 +180,7 @@ pub(crate) fn rms<'v>(v: impl IntoIterator<Item = &'v f64>) -> f64 {
 /// Of the model's effects only those move that the better model corrects.
 pub(crate) fn left_of_blocks(
     used: &[Record],
-    answer: &Analysis,
+    answer: &AnalysisFindings,
     curve: Option<&Effect>,
     machine: &Machine,
 ) -> Option<Vec<f64>> {
@@ -189,10 +189,10 @@ pub(crate) fn left_of_blocks(
     let known = answer.estimate.known.iter().filter(|k| k.beyond_chance);
     let corrected: Vec<usize> = known.map(|k| k.place).collect();
     (!found.is_empty() || !corrected.is_empty()).then(|| {
-        let (rows, model) = (Rows::new(used), machine.effects().cloned().collect::<Vec<_>>());
+        let (rows, model) = (MeasuredRows::new(used), machine.effects().cloned().collect::<Vec<_>>());
         let mut problem = EstimationProblem::new(&rows, &model, &stated(machine));
         problem.known.retain(|k| corrected.contains(&k.effect));
-        Refit::new(&problem, &found).left_by_others(&answer.estimate.noise, FOLDS)
+        EffectSizeRefit::new(&problem, &found).left_by_others(&answer.estimate.noise, FOLDS)
     })
 }
 
@@ -201,13 +201,13 @@ pub(crate) fn left_of_blocks(
 pub(crate) fn gaps(
     used: &[Record],
     traces: &[ResidualTrace],
-    answer: &Analysis,
+    answer: &AnalysisFindings,
     blocked: Option<&[f64]>,
 ) -> Vec<Gap> {
     let mut units: Vec<&str> = traces.iter().map(|t| unit_of(&t.response)).collect();
     units.sort_unstable();
     units.dedup();
-    let rows = Rows::new(used);
+    let rows = MeasuredRows::new(used);
     let noise = &answer.estimate.noise;
     let of = |unit: &str| {
         let of_unit = |j: usize| unit_of(&rows.responses[j].to_string()) == unit;

@@ -1,13 +1,13 @@
 //! `report.html`: the answer as one page with plots.
 
 use crate::gap::ResidualTrace;
-use crate::localisation::{LEAST_P, ResidualStructure};
-use crate::verdict::{Reconciliation, Verdict};
-use rtec_estimate::rows::{Rows, Segment};
+use crate::residual_localisation::{LEAST_P, ResidualStructure};
+use crate::verdict::{ReconciliationResult, Verdict};
+use rtec_estimate::rows_and_noise::{MeasuredRows, ResponseSegment};
 use rtec_files::message_text::escaped;
 use rtec_measure::plot::{Chart, Colour, PlotSpec, Series, Style};
 use rtec_measure::report::{ReportedRecord, STYLE, signed_line};
-use rtec_model::effect::{Effect, ParameterSearch};
+use rtec_model::effect::{Effect, ParameterFitMethod};
 use rtec_model::machine::NORMAL_95;
 use rtec_model::record::span;
 use std::fmt::Write as _;
@@ -23,7 +23,7 @@ const STRETCHES: usize = 250;
 /// The report: findings, records, figures of the fit, and a line for a signature.
 /// It prints on A4.
 #[must_use]
-pub fn html(r: &Reconciliation, machine: &str) -> String {
+pub fn html(r: &ReconciliationResult, machine: &str) -> String {
     let mut h = String::new();
     let _ = write!(
         h,
@@ -71,7 +71,7 @@ pub fn html(r: &Reconciliation, machine: &str) -> String {
         h,
         "<p><small>{}, reconcile; false-alarm rate {}; block permutation, seed {}; noise autocorrelation from row to row {}. \
          Intervals hold 95 %.</small></p></html>",
-        rtec_files::format_stamp::writer(),
+        rtec_files::file_format_stamp::writer(),
         r.level,
         crate::SEED,
         number(r.phi)
@@ -87,7 +87,7 @@ fn figure(h: &mut String, chart: &Chart) {
 }
 
 /// The records of the verdict.
-fn facts(h: &mut String, r: &Reconciliation) {
+fn facts(h: &mut String, r: &ReconciliationResult) {
     h.push_str("<table class=\"facts\">");
     for x in &r.records {
         let run = ReportedRecord::of(x);
@@ -105,7 +105,7 @@ fn unit_of(response: &str) -> &'static str {
 }
 
 /// Maps and straightness found or corrected, with the band of their intervals.
-fn maps(r: &Reconciliation) -> Vec<Chart> {
+fn maps(r: &ReconciliationResult) -> Vec<Chart> {
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
     let all = found.chain(r.refined.iter().map(|x| (&x.after.0, &x.after.1)));
     all.filter_map(|(effect, half)| map(effect, half)).collect()
@@ -113,8 +113,8 @@ fn maps(r: &Reconciliation) -> Vec<Chart> {
 
 fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
     let (law, width) = (effect.description(), effect.width());
-    let knots = law.parameters.iter().position(|p| p.array && p.search == ParameterSearch::Chosen)?;
-    let values = law.parameters.iter().position(|p| p.array && p.search != ParameterSearch::Chosen)?;
+    let knots = law.parameters.iter().position(|p| p.array && p.search == ParameterFitMethod::Chosen)?;
+    let values = law.parameters.iter().position(|p| p.array && p.search != ParameterFitMethod::Chosen)?;
     let (x, y) = (effect.get(knots), effect.get(values));
     let half = half.get(values * width..(values + 1) * width)?;
     let edge = |sign: f64| y.iter().zip(half).map(|(y, h)| y + sign * h).collect::<Vec<_>>();
@@ -133,13 +133,13 @@ fn map(effect: &Effect, half: &[f64]) -> Option<Chart> {
 
 /// The contribution of every effect of the better model, largest first.
 /// It is the effect's range in the run that shows it most.
-fn contributions(h: &mut String, r: &Reconciliation) {
-    let rows = Rows::new(&r.records);
+fn contributions(h: &mut String, r: &ReconciliationResult) {
+    let rows = MeasuredRows::new(&r.records);
     let mut all: Vec<(String, &str, &str, f64)> = Vec::new();
     // A constant is the zero of a gauge or the centre of a circle, and no error of the machine.
     for effect in r.model.effects().filter(|e| !e.description().may_be_set_up()) {
         let predicted = rows.predict(effect);
-        let range = |s: &Segment| {
+        let range = |s: &ResponseSegment| {
             let [l, u] = span(&predicted[s.rows.clone()]);
             (u - l, unit_of(&rows.responses[s.response].to_string()))
         };
@@ -184,14 +184,14 @@ fn contributions(h: &mut String, r: &Reconciliation) {
 
 /// The uncertainty of one predicted reading.
 /// It combines the noise and each value that was found or corrected.
-fn budget(h: &mut String, r: &Reconciliation) {
-    let rows = Rows::new(&r.records);
+fn budget(h: &mut String, r: &ReconciliationResult) {
+    let rows = MeasuredRows::new(&r.records);
     let found = r.effects.iter().map(|(f, half)| (&f.effect, half));
     let values: Vec<(&Effect, &Vec<f64>)> =
         found.chain(r.refined.iter().map(|x| (&x.after.0, &x.after.1))).collect();
     for g in &r.gap {
         let unit = if g.unit == "um" { "µm" } else { &g.unit };
-        let own = |s: &&Segment| unit_of(&rows.responses[s.response].to_string()) == unit;
+        let own = |s: &&ResponseSegment| unit_of(&rows.responses[s.response].to_string()) == unit;
         let count: usize = rows.segments.iter().filter(own).map(|s| s.rows.len()).sum();
         let mut parts = vec![("noise of one reading".to_owned(), g.floor)];
         for (effect, half) in &values {
@@ -239,7 +239,7 @@ fn budget(h: &mut String, r: &Reconciliation) {
 }
 
 /// The set-up found for each record.
-fn set_up(h: &mut String, r: &Reconciliation) {
+fn set_up(h: &mut String, r: &ReconciliationResult) {
     let all = || r.set_up.iter().filter(|s| !s.terms.is_empty());
     if all().next().is_none() {
         return;
@@ -282,7 +282,7 @@ fn term_of(term: &str) -> (String, &'static str) {
 /// They are the residuals before and after, maps with their bands, means over the variables that matter, and
 /// the names that were tried.
 #[must_use]
-pub fn pictures(r: &Reconciliation) -> Vec<PlotSpec> {
+pub fn pictures(r: &ReconciliationResult) -> Vec<PlotSpec> {
     let place = |p: &ResidualStructure| {
         let unit = unit_of(&p.response);
         let mean = p.profile.iter().map(|v| (v[0], v[1])).collect();
@@ -309,11 +309,11 @@ pub fn pictures(r: &Reconciliation) -> Vec<PlotSpec> {
 }
 
 /// The places that are not due to chance, as many as a page shows.
-fn found(r: &Reconciliation) -> impl Iterator<Item = &ResidualStructure> {
+fn found(r: &ReconciliationResult) -> impl Iterator<Item = &ResidualStructure> {
     r.places.iter().filter(|p| p.q_value <= 0.05).take(PLACES)
 }
 
-fn doubts(h: &mut String, r: &Reconciliation) {
+fn doubts(h: &mut String, r: &ReconciliationResult) {
     for (title, lines) in [
         ("What looks like a mistake", r.suspicions.iter().map(ToString::to_string).collect()),
         ("Left out", r.left_out.clone()),
@@ -329,7 +329,7 @@ fn doubts(h: &mut String, r: &Reconciliation) {
     }
 }
 
-fn refined(h: &mut String, r: &Reconciliation) {
+fn refined(h: &mut String, r: &ReconciliationResult) {
     if r.refined.is_empty() {
         return;
     }
@@ -352,7 +352,7 @@ fn refined(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-fn headline(r: &Reconciliation) -> String {
+fn headline(r: &ReconciliationResult) -> String {
     let names = r.effects.iter().map(|(f, _)| f.effect.name()).collect::<Vec<_>>().join(", ");
     match r.verdict {
         Verdict::Named => format!("missing: {names}"),
@@ -381,7 +381,7 @@ fn headline(r: &Reconciliation) -> String {
     }
 }
 
-fn gap(h: &mut String, r: &Reconciliation) {
+fn gap(h: &mut String, r: &ReconciliationResult) {
     h.push_str("<h2>The gap</h2><table><tr><th>records<th class=n>RMS before<th class=n>after<th class=n>floor<th class=n>closed");
     for g in &r.gap {
         let mut row = |name: &str, pair: [f64; 2], unseen: bool| {
@@ -407,7 +407,7 @@ fn gap(h: &mut String, r: &Reconciliation) {
     h.push_str("</table>");
 }
 
-fn effects(h: &mut String, r: &Reconciliation) {
+fn effects(h: &mut String, r: &ReconciliationResult) {
     if r.effects.is_empty() {
         return;
     }
@@ -494,7 +494,7 @@ fn of_stretches(points: Vec<(f64, f64)>, stretches: usize) -> Vec<(f64, f64)> {
     kept.into_iter().map(|i| points[i]).collect()
 }
 
-fn places(h: &mut String, r: &Reconciliation) {
+fn places(h: &mut String, r: &ReconciliationResult) {
     h.push_str("<h2>What it goes with</h2><table><tr><th>response<th>against<th class=n>share explained<th class=n>p<th>mean over it");
     for p in found(r) {
         let [lo, hi] = span(p.profile.iter().map(|v| v[1]));
@@ -522,7 +522,7 @@ fn places(h: &mut String, r: &Reconciliation) {
     }
 }
 
-fn ranking(h: &mut String, r: &Reconciliation) {
+fn ranking(h: &mut String, r: &ReconciliationResult) {
     h.push_str("<h2>What was tried</h2><table><tr><th>explanation<th class=n>log odds<th>margin<th>why");
     let worst = r.ranking.iter().map(|t| t.odds).fold(-1.0, f64::min);
     for t in r.ranking.iter().take(RANKED) {

@@ -3,22 +3,22 @@
 //! shrank.
 //!
 //! To read the code, follow [`reconcile()`] → `data_screening` → `analysis` (which calls `rtec-estimate`) →
-//! [`Reconciliation`].
+//! [`ReconciliationResult`].
 //!
 //! | module | what |
 //! |---|---|
 //! | `workflow` | the whole workflow: doubts, the estimate, changes to the model |
-//! | `data_screening`, `suspicion_scope` | people's mistakes that records show by themselves: reported and left out |
+//! | `data_mistake_screening`, `suspicion_scope` | people's mistakes that records show by themselves: reported and left out |
 //! | `mistakes` | mistakes as hypotheses beside the model |
-//! | `subsample` | a subsample of very many rows |
-//! | `analysis` | the estimate as findings |
-//! | `localisation` | where measured and simulated disagree |
+//! | `row_subsample` | a subsample of very many rows |
+//! | `findings_from_estimate` | the estimate as findings |
+//! | `residual_localisation` | where measured and simulated disagree |
 //! | `sensor_choice_check` | the sensors that a fit of growth chooses on the same drift |
 //! | `unexplained_curve` | a curve in place of what no effect explains |
-//! | `grid_aliases` | aliases on a grid of places, for the advice |
+//! | `period_aliases_on_grid` | aliases on a grid of places, for the advice |
 //! | `prediction_interval` | the prediction interval of the better model |
 //! | `next_run` | the run that would separate an effect from its rivals, planned before it is made |
-//! | `regression` | the regression behind a fit or a verdict, as arrays |
+//! | `regression_export` | the regression behind a fit or a verdict, as arrays |
 //! | `verdict`, `gap`, `advice`, `document`, `html_report` | the answer, its figures, what to do next, as JSON and as a page |
 //!
 //! Laws must not be here. A law's description in `rtec-model` says how it is searched and what may replace
@@ -26,46 +26,46 @@
 //!
 //! An example: `cargo run -p rtec-reconcile --example name_what_is_missing`. The tests run it too.
 
-mod advice;
-mod analysis;
-mod data_screening;
-mod document;
+mod data_mistake_screening;
 mod evidence_for_effect;
+mod experiment_advice;
+mod findings_from_estimate;
 mod gap;
-mod grid_aliases;
 mod html_report;
-mod localisation;
 mod mistakes;
 mod next_run;
+mod period_aliases_on_grid;
 mod prediction_interval;
-mod regression;
+mod regression_export;
+mod residual_localisation;
+mod row_subsample;
 mod sensor_choice_check;
-mod subsample;
 mod suspicion_scope;
 #[cfg(test)]
 mod test_records;
 mod unexplained_curve;
 mod verdict;
+mod verdict_json;
 mod workflow;
 
 /// Seed of all permutations.
 pub const SEED: u64 = 4832;
 
-pub use analysis::Finding;
 pub use evidence_for_effect::why;
+pub use findings_from_estimate::FoundEffect;
 pub use gap::{Abscissa, Gap, ResidualTrace};
 pub use html_report::{html, pictures};
-pub use localisation::ResidualStructure;
 pub use next_run::{ExpectedEvidence, NextRuns, UnresolvedEffect, next_runs};
-pub use regression::{Regression, RegressionColumn, RegressionRows, SetUpColumns};
-pub use rtec_estimate::{Rival, TriedExplanation, UnnamedShape};
+pub use regression_export::{RegressionArrays, RegressionColumn, RegressionRows, SetUpTermsIncluded};
+pub use residual_localisation::ResidualStructure;
+pub use rtec_estimate::{RivalExplanation, TriedExplanation, UnnamedShape};
 pub use unexplained_curve::LAWS_FILE;
-pub use verdict::{Reconciliation, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
+pub use verdict::{ReconciliationResult, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
 pub use workflow::{find, reconcile};
 
 /// The options of a reconciliation.
 #[derive(Debug, Clone)]
-pub struct Options {
+pub struct ReconciliationOptions {
     /// False-alarm rate, a probability.
     /// With it chance alone may lead to an answer other than "nothing is missing".
     pub level: f64,
@@ -78,7 +78,7 @@ pub struct Options {
     pub figures: bool,
 }
 
-impl Default for Options {
+impl Default for ReconciliationOptions {
     fn default() -> Self {
         Self { level: 0.01, date: None, unexplained: false, figures: true }
     }

@@ -2,11 +2,11 @@
 //! It compares a record with the same record with a mistake corrected, by one likelihood. The likelihood is the
 //! density of the numbers as the file has them.
 
-use crate::analysis::{Analysis, Finding, analyse, score, stated};
+use crate::findings_from_estimate::{AnalysisFindings, FoundEffect, analyse, score, stated};
+use rtec_estimate::measurement_model::UnitAssumption;
 use rtec_estimate::priors::TRAVEL_MM;
-use rtec_estimate::problem::UnitAssumption;
 use rtec_estimate::{evidence_without_hypotheses, of_other_machine, unexplained};
-use rtec_files::text::short;
+use rtec_files::text_file::short;
 use rtec_measure::plausible::{MistakeKind, Suspicion};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::effect::{Effect, TemperatureDifference};
@@ -63,18 +63,18 @@ impl SuspectedMistake {
     }
 
     /// Whether the mistake explains a finding, with even odds or better.
-    pub(crate) fn explains(&self, finding: &Finding) -> bool {
+    pub(crate) fn explains(&self, finding: &FoundEffect) -> bool {
         !self.without.contains(&finding.effect.name())
     }
 
     /// Whether the mistake explains what would else replace a known effect.
-    pub(crate) fn spares(&self, answer: &Analysis) -> bool {
+    pub(crate) fn spares(&self, answer: &AnalysisFindings) -> bool {
         replaced(answer).iter().any(|place| !self.replaced.contains(place))
     }
 }
 
 /// Indices of the model's effects that are off by far more than the model says.
-fn replaced(answer: &Analysis) -> Vec<usize> {
+fn replaced(answer: &AnalysisFindings) -> Vec<usize> {
     answer.estimate.found.iter().filter_map(|f| f.replaces).collect()
 }
 
@@ -94,12 +94,12 @@ const EXPLAINED: f64 = 2.0;
 pub(crate) fn of_training(
     records: &[Record],
     machine: &Machine,
-    first: &Analysis,
+    first: &AnalysisFindings,
     level: f64,
 ) -> Vec<SuspectedMistake> {
     let mut out = Vec::new();
     let mut now = records.to_vec();
-    let mut best: Option<Analysis> = None;
+    let mut best: Option<AnalysisFindings> = None;
     // Log evidence of the present records, by the units that are possible.
     let mut as_they_stand: Vec<(UnitAssumption, f64)> = Vec::new();
     // Tested beside the original model, because findings may have absorbed the mistake as a change of the
@@ -255,7 +255,7 @@ pub(crate) fn of_hold_out(
 }
 
 /// The model with the findings added, if there are any.
-fn with_findings(model: &[Effect], answer: &Analysis) -> Option<Vec<Effect>> {
+fn with_findings(model: &[Effect], answer: &AnalysisFindings) -> Option<Vec<Effect>> {
     let found = answer.findings.iter().map(|(f, _)| f.effect.clone());
     let mut new = found.filter(|f| model.iter().all(|e| e.name() != f.name())).peekable();
     new.peek()?;

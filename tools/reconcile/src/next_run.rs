@@ -6,14 +6,14 @@
 //! noise). Noise spreads them by √(2·odds). A run suffices if the odds less two such standard deviations are
 //! still enough, whichever explanation is true.
 
-use rtec_estimate::Rival;
+use rtec_estimate::RivalExplanation;
+use rtec_estimate::measurement_model::EstimationProblem;
 use rtec_estimate::priors::HELD;
-use rtec_estimate::problem::EstimationProblem;
-use rtec_estimate::rows::{Noise, Rows};
+use rtec_estimate::rows_and_noise::{MeasuredRows, ResponseNoise};
 use rtec_files::InputError;
 use rtec_least_squares::QrFactor;
 use rtec_measure::plan::{PlanAxis, PlannedRun, TargetRun, target_run};
-use rtec_model::effect::{AffectedQuantity, Dictionary, DifferenceReference, Effect, TemperatureDifference};
+use rtec_model::effect::{AffectedQuantity, Dictionary, Effect, ReferenceTemperature, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
 use serde::Serialize;
@@ -34,7 +34,7 @@ pub struct UnresolvedEffect {
     /// The effect with its values.
     pub effect: Effect,
     /// Its rivals.
-    pub rivals: Vec<Rival>,
+    pub rivals: Vec<RivalExplanation>,
     /// Noise of one reading, in the response's unit.
     pub noise: f64,
 }
@@ -84,7 +84,7 @@ impl UnresolvedEffect {
             let parameters = &effect.description().parameters;
             let differs = parameters.iter().find_map(|p| Some((p.name.clone(), map.get(&p.name)?.as_f64()?)));
             let margin = map.get("log_odds").and_then(Value::as_f64).unwrap_or(0.0);
-            Ok(Rival { name: name_of(map)?.to_owned(), sensor: difference(map), differs, margin })
+            Ok(RivalExplanation { name: name_of(map)?.to_owned(), sensor: difference(map), differs, margin })
         };
         let rivals = rivals.iter().map(rival).collect::<Result<_, String>>()?;
         Ok(Self { noise: noise.ok_or_else(|| format!("no floor of the gap in {unit}"))?, effect, rivals })
@@ -106,8 +106,8 @@ fn difference(map: &Map<String, Value>) -> Option<TemperatureDifference> {
     let reference = map
         .get("reference_degC")
         .and_then(Value::as_f64)
-        .map_or(DifferenceReference::Standard, DifferenceReference::Reference);
-    let against = text("minus").map_or(reference, |m| DifferenceReference::Sensor(m.to_owned()));
+        .map_or(ReferenceTemperature::Standard, ReferenceTemperature::Reference);
+    let against = text("minus").map_or(reference, |m| ReferenceTemperature::Sensor(m.to_owned()));
     Some(TemperatureDifference { sensor, against })
 }
 
@@ -152,7 +152,7 @@ fn along<'a>(effect: &Effect, axes: &'a [PlanAxis]) -> Option<&'a PlanAxis> {
 pub fn next_runs(open: &[UnresolvedEffect], machine: &Machine, axes: &[PlanAxis]) -> NextRuns {
     let mut out = NextRuns { steps: Vec::new(), tells: Vec::new() };
     for o in open.iter().filter(|o| !o.rivals.is_empty()) {
-        let rivals: Vec<(&Rival, Option<Effect>)> =
+        let rivals: Vec<(&RivalExplanation, Option<Effect>)> =
             o.rivals.iter().map(|r| (r, effect_of(r, &o.effect, machine))).collect();
         let Some(axis) = along(&o.effect, axes) else {
             out.tells.extend(rivals.iter().map(|(r, e)| not_told(o, r, e.as_ref())));
@@ -162,8 +162,9 @@ pub fn next_runs(open: &[UnresolvedEffect], machine: &Machine, axes: &[PlanAxis]
         let others = rivals.iter().filter(|(r, _)| r.differs.is_some()).filter_map(|(_, e)| e.as_ref());
         let truths: Vec<&Effect> = std::iter::once(&o.effect).chain(others).collect();
         let odds = |run: &TargetRun| -> Vec<f64> {
-            let all: Vec<_> = truths.iter().map(|t| (*t, Simulated::of(run, axis, o, t, machine))).collect();
-            let of = |(r, e): &(&Rival, Option<Effect>)| {
+            let all: Vec<_> =
+                truths.iter().map(|t| (*t, SimulatedRun::of(run, axis, o, t, machine))).collect();
+            let of = |(r, e): &(&RivalExplanation, Option<Effect>)| {
                 let Some(rival) = e.as_ref() else { return 0.0 };
                 let others = all.iter().filter(|(truth, _)| !std::ptr::eq(*truth, rival));
                 others.map(|(_, run)| run.log_odds(rival, r.differs.is_some())).fold(f64::INFINITY, f64::min)
@@ -215,7 +216,7 @@ fn response(effect: &Effect) -> String {
     effect.axes().first().map_or_else(String::new, ToString::to_string)
 }
 
-fn not_told(o: &UnresolvedEffect, rival: &Rival, effect: Option<&Effect>) -> ExpectedEvidence {
+fn not_told(o: &UnresolvedEffect, rival: &RivalExplanation, effect: Option<&Effect>) -> ExpectedEvidence {
     let by = if rival.name == o.effect.name() && rival.sensor.is_some() {
         "a run in which both sensors part: heat one place only, or let the machine cool while the surroundings warm".to_owned()
     } else {
@@ -226,7 +227,7 @@ fn not_told(o: &UnresolvedEffect, rival: &Rival, effect: Option<&Effect>) -> Exp
 
 /// A rival as an effect.
 /// It is the same law with the other value, or the rival's own law.
-fn effect_of(rival: &Rival, found: &Effect, machine: &Machine) -> Option<Effect> {
+fn effect_of(rival: &RivalExplanation, found: &Effect, machine: &Machine) -> Option<Effect> {
     let mut effect = if rival.name == found.name() {
         found.clone()
     } else {
@@ -254,13 +255,13 @@ fn candidates(axis: &PlanAxis) -> Vec<TargetRun> {
 }
 
 /// A simulated run, read without noise.
-struct Simulated {
+struct SimulatedRun {
     records: Vec<Record>,
     model: Vec<Effect>,
     noise: f64,
 }
 
-impl Simulated {
+impl SimulatedRun {
     fn of(
         run: &TargetRun,
         axis: &PlanAxis,
@@ -278,7 +279,7 @@ impl Simulated {
         let records = record(run, axis, &response(&open.effect), &sensors).into_iter();
         let records = records.map(|mut r| {
             let one = [r.clone()];
-            let rows = Rows::new(&one);
+            let rows = MeasuredRows::new(&one);
             let mut says = rows.predict(truth);
             for e in &model {
                 rtec_least_squares::add(&mut says, 1.0, &rows.predict(e));
@@ -294,9 +295,9 @@ impl Simulated {
     /// Log odds against the best curve of a rival's law.
     /// If `given`, the rival keeps its values.
     fn log_odds(&self, rival: &Effect, given: bool) -> f64 {
-        let rows = Rows::new(&self.records);
+        let rows = MeasuredRows::new(&self.records);
         let problem = EstimationProblem::unrounded(&rows, &self.model, &[]);
-        let base = problem.base(Noise::white(&rows, self.noise.max(1e-6)));
+        let base = problem.base(ResponseNoise::white(&rows, self.noise.max(1e-6)));
         let left = |effect: &Effect| {
             let mut factor: QrFactor = base.factor.clone();
             for mut column in rows.basis(effect) {

@@ -1,7 +1,7 @@
 //! The prediction interval of the better model, per response.
 //! It has the form in which a fit states it.
 
-use rtec_estimate::rows::Rows;
+use rtec_estimate::rows_and_noise::MeasuredRows;
 use rtec_model::effect::{Effect, ThermalDependence};
 use rtec_model::machine::{FitNote, Machine, SourceRecord, ValidTemperatureRange};
 use rtec_model::record::{Record, Role, span};
@@ -16,7 +16,7 @@ const HOLDS: f64 = 0.95;
 /// The residual of each row under the other blocks' fit (`left`) is the error that such a run may have. If
 /// several records are of one kind, the widest interval is used.
 pub(crate) fn add_prediction_intervals(model: &mut Machine, used: &[Record], left: &[f64], date: &str) {
-    let rows = Rows::new(used);
+    let rows = MeasuredRows::new(used);
     let day = rtec_files::date::parse(date).unwrap_or_else(rtec_files::date::today);
     for (j, role) in rows.responses.iter().enumerate() {
         let own = || rows.segments.iter().filter(|s| s.response == j && !s.rows.is_empty());

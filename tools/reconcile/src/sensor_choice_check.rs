@@ -1,7 +1,7 @@
 //! Compares the sensors with those that a fit of growth chooses on the same drift.
 //! It returns the reason if they differ.
 
-use crate::analysis::Finding;
+use crate::findings_from_estimate::FoundEffect;
 use rtec_fit::thermal;
 use rtec_model::effect::{TemperatureDifference, ThermalDependence};
 use rtec_model::machine::Machine;
@@ -20,23 +20,24 @@ fn list(differences: &[&TemperatureDifference]) -> String {
 
 /// The other temperatures that `rtecctl model fit` would read, and why.
 pub(crate) fn other_sensors(
-    effects: &[(Finding, Vec<f64>)],
+    effects: &[(FoundEffect, Vec<f64>)],
     train: &[Record],
     machine: &Machine,
 ) -> Option<String> {
     if !train.iter().all(|r| r.kind == RunKind::Drift && r.column(&Role::Time).is_some()) {
         return None;
     }
-    let growth =
-        |f: &&Finding| f.effect.description().heat == ThermalDependence::Growth && f.effect.delta.is_some();
-    let found: Vec<&Finding> = effects.iter().map(|(f, _)| f).filter(growth).collect();
+    let growth = |f: &&FoundEffect| {
+        f.effect.description().heat == ThermalDependence::Growth && f.effect.delta.is_some()
+    };
+    let found: Vec<&FoundEffect> = effects.iter().map(|(f, _)| f).filter(growth).collect();
     let records: Vec<&Record> = train.iter().collect();
     let base = (machine.effects().count() > 0).then(|| machine.clone());
     let beyond: Vec<Record> = match &base {
         Some(base) => records.iter().map(|r| base.without_prediction(r)).collect::<Result<_, _>>().ok()?,
         None => train.to_vec(),
     };
-    let options = thermal::Options { base, ..thermal::Options::default() };
+    let options = thermal::ThermalFitOptions { base, ..thermal::ThermalFitOptions::default() };
     let mut said = Vec::new();
     let mut axes: Vec<_> = found.iter().map(|f| f.effect.axes()[0].clone()).collect();
     axes.sort();

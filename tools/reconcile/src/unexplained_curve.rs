@@ -3,7 +3,7 @@
 //! project's own file, marked as unexplained.
 
 use rtec_estimate::UnnamedShape;
-use rtec_model::effect::{DifferenceReference, Effect, STANDARD_DEGC, TemperatureDifference};
+use rtec_model::effect::{Effect, ReferenceTemperature, STANDARD_DEGC, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
 use std::fmt::Write as _;
@@ -13,7 +13,7 @@ pub const LAWS_FILE: &str = "unexplained.toml";
 
 /// A stand-in with its heights at zero.
 #[derive(Debug, Clone)]
-pub(crate) struct StandIn {
+pub(crate) struct UnexplainedCurveLaw {
     pub(crate) effect: Effect,
     /// The text of the whole file of laws.
     pub(crate) laws: String,
@@ -137,15 +137,15 @@ pub(crate) fn stand_in(
     knots: usize,
     train: &[Record],
     model: &mut Machine,
-) -> Option<StandIn> {
+) -> Option<UnexplainedCurveLaw> {
     let along = CurveVariable::of(shape)?;
     let range = along.range(train)?;
     let name = format!("unexplained_{}", shape.against.join("_").replace('.', "_"));
     let laws = model.add_project_laws(LAWS_FILE, &along.law(&name, shape, knots, range)).ok()?;
     let mut effect = model.dictionary().effect(&format!("{name}.{}{}", along.axis, along.naming().1)).ok()?;
     effect.delta =
-        along.sensor.map(|sensor| TemperatureDifference { sensor, against: DifferenceReference::Standard });
-    Some(StandIn { effect, laws })
+        along.sensor.map(|sensor| TemperatureDifference { sensor, against: ReferenceTemperature::Standard });
+    Some(UnexplainedCurveLaw { effect, laws })
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! The whole answer of a reconciliation.
 
-use crate::analysis::Finding;
+use crate::findings_from_estimate::FoundEffect;
 use crate::gap::{Gap, ResidualTrace, chance, unit_of};
-use crate::localisation::ResidualStructure;
+use crate::residual_localisation::ResidualStructure;
 use rtec_estimate::priors::HELD;
-use rtec_estimate::setup::SetUpTermKind;
+use rtec_estimate::set_up_terms::SetUpTermKind;
 use rtec_estimate::{TriedExplanation, UnnamedShape};
 use rtec_files::InputNotice;
 use rtec_measure::plausible::{self, Suspicion};
@@ -33,8 +33,8 @@ impl Verdict {
     /// A shape makes it unknown. A name, or a mode of it, with too small a posterior share makes it not
     /// separable.
     #[must_use]
-    pub fn of(added: &[(Finding, Vec<f64>)], unexplained: &[UnnamedShape]) -> Self {
-        let holds = |f: &Finding| f.name_mass >= HELD && f.mode_mass >= HELD;
+    pub fn of(added: &[(FoundEffect, Vec<f64>)], unexplained: &[UnnamedShape]) -> Self {
+        let holds = |f: &FoundEffect| f.name_mass >= HELD && f.mode_mass >= HELD;
         match (unexplained, added) {
             ([_, ..], _) => Self::UnknownEffect,
             ([], []) => Self::NothingMissing,
@@ -115,7 +115,7 @@ impl RecordSetUp {
 
 /// The whole answer.
 #[derive(Debug)]
-pub struct Reconciliation {
+pub struct ReconciliationResult {
     /// The answer in one word.
     pub verdict: Verdict,
     /// Where measured and simulated disagree.
@@ -129,7 +129,7 @@ pub struct Reconciliation {
     /// Velocities and accelerations that were derived from positions, one line each.
     pub derived: Vec<String>,
     /// Added effects, strongest first, with half widths of their intervals.
-    pub effects: Vec<(Finding, Vec<f64>)>,
+    pub effects: Vec<(FoundEffect, Vec<f64>)>,
     /// Structure without a name.
     pub unexplained: Vec<UnnamedShape>,
     /// On request: the curve for what is unexplained, and the text of its law's file.
@@ -178,7 +178,7 @@ impl fmt::Display for SkippedRecord {
     }
 }
 
-impl Reconciliation {
+impl ReconciliationResult {
     /// Whether more is left of the training rows than their noise.
     /// Of the rows count as many as the noise's memory leaves independent.
     #[must_use]
@@ -230,7 +230,7 @@ mod tests {
             let effect = Dictionary::default().effect("scale.x").unwrap();
             let rivals = Vec::new();
             (
-                Finding {
+                FoundEffect {
                     effect,
                     held: Vec::new(),
                     p_value: 0.0,

@@ -1,28 +1,30 @@
 //! The whole workflow: doubts, the estimate, changes to the model, the figures.
 
-use crate::Options;
-use crate::advice::advice;
-use crate::analysis::{Analysis, Finding, analyse, stated};
-use crate::data_screening::{self, ScreenedRecords, doubts};
+use crate::ReconciliationOptions;
+use crate::data_mistake_screening::{self, ScreenedRecords, doubts};
+use crate::experiment_advice::advice;
+use crate::findings_from_estimate::{AnalysisFindings, FoundEffect, analyse, stated};
 use crate::gap::{self, Gap, ResidualTrace, gaps, traces};
-use crate::localisation::{self, ResidualStructure};
 use crate::mistakes;
 use crate::prediction_interval;
+use crate::residual_localisation::{self, ResidualStructure};
+use crate::row_subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::sensor_choice_check;
-use crate::subsample::{MOST_ROWS, at_least_every, bounded};
 use crate::unexplained_curve::stand_in;
-use crate::verdict::{Reconciliation, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
-use rtec_estimate::Rival;
+use crate::verdict::{ReconciliationResult, RecordSetUp, RevisedEffect, SkippedRecord, Verdict};
+use rtec_estimate::RivalExplanation;
 use rtec_estimate::UnnamedShape;
-use rtec_estimate::problem::EstimationProblem;
-use rtec_estimate::refit::Refit;
-use rtec_estimate::rows::{Rows, Segment};
+use rtec_estimate::effect_size_refit::EffectSizeRefit;
+use rtec_estimate::measurement_model::EstimationProblem;
+use rtec_estimate::rows_and_noise::{MeasuredRows, ResponseSegment};
 use rtec_files::InputError;
-use rtec_fit::denoise;
+use rtec_fit::temperature_denoising;
 use rtec_measure::ballbar::in_motion;
-use rtec_measure::derivatives::derive;
+use rtec_measure::motion_from_positions::derive;
 use rtec_measure::plausible::Suspicion;
-use rtec_model::effect::{Dictionary, Effect, Law, ParameterSearch, Refine, ThermalDependence};
+use rtec_model::effect::{
+    Dictionary, Effect, Law, ParameterFitMethod, ParameterRefinement, ThermalDependence,
+};
 use rtec_model::machine::{Machine, Provenance, SourceRecord};
 use rtec_model::record::{Record, Role, RunKind, span};
 use std::borrow::Cow;
@@ -42,7 +44,7 @@ const CURVE_KNOTS: [usize; 3] = [9, 5, 3];
 /// # Errors
 /// The model reads a sensor or channel that a record lacks.
 pub fn find(train: &[Record], machine: &Machine, level: f64) -> Result<Vec<ResidualStructure>, InputError> {
-    let options = Options { level, figures: false, ..Options::default() };
+    let options = ReconciliationOptions { level, figures: false, ..ReconciliationOptions::default() };
     Ok(reconcile(train, &[], machine, &options)?.places)
 }
 
@@ -76,29 +78,34 @@ pub fn reconcile(
     train: &[Record],
     holdout: &[Record],
     machine: &Machine,
-    options: &Options,
-) -> Result<Reconciliation, InputError> {
+    options: &ReconciliationOptions,
+) -> Result<ReconciliationResult, InputError> {
     can_be_read(train, holdout, machine)?;
     let (train, holdout, derived) = with_motion(train, holdout);
-    Ok(Reconciliation { derived, ..looked_at(&train, &holdout, machine, options) })
+    Ok(ReconciliationResult { derived, ..looked_at(&train, &holdout, machine, options) })
 }
 
 /// The same for records whose velocities and accelerations are known.
-fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &Options) -> Reconciliation {
+fn looked_at(
+    train: &[Record],
+    holdout: &[Record],
+    machine: &Machine,
+    options: &ReconciliationOptions,
+) -> ReconciliationResult {
     let given = (train, holdout);
     let mut doubts = doubts(train, holdout, machine);
-    let Analysed { train, mut answer, used, every } =
-        Analysed::without_doubts(train, &mut doubts, machine, options.level);
+    let AnalysedRecords { train, mut answer, used, every } =
+        AnalysedRecords::without_doubts(train, &mut doubts, machine, options.level);
     let rows: usize = doubts.train.iter().map(Record::rows).sum();
     let why_nothing = too_few(rows);
     if let Some(why) = &why_nothing {
         answer.findings.clear();
         answer.unexplained = vec![not_told(&used, why)];
     }
-    let work = Work { train: &train, used: &used, machine, options };
+    let work = ImprovementInputs { train: &train, used: &used, machine, options };
     let mut better = work.better(&mut answer, why_nothing.is_none());
     let noise = &answer.estimate.noise;
-    let rows_of = Rows::new(&used);
+    let rows_of = MeasuredRows::new(&used);
     let floor_um = |role: &Role| {
         let j = rows_of.responses.iter().position(|r| r == role);
         j.map_or(f64::INFINITY, |j| noise.scatter(&rows_of, j))
@@ -121,8 +128,12 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         }
     }
     let first_held = traces_of.iter().position(|t| t.holdout).unwrap_or(traces_of.len());
-    let strangers =
-        data_screening::other_machines(better.comparable(&answer, &held), machine, &better.model, &gap);
+    let strangers = data_mistake_screening::other_machines(
+        better.comparable(&answer, &held),
+        machine,
+        &better.model,
+        &gap,
+    );
     let unsaid = doubts.skipped_records(given.0, given.1, &better.model);
     let mut left_out = [doubts.left_out, held_out].concat();
     let beside = said_beside(&strangers, &held, &traces_of[first_held..], &mut gap);
@@ -135,7 +146,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     if let (Some(left), Some(date)) = (&blocked, &options.date) {
         prediction_interval::add_prediction_intervals(&mut model, &used, left, date);
     }
-    let mut places = localisation::places(&used, machine);
+    let mut places = residual_localisation::places(&used, machine);
     if why_nothing.is_none() {
         let like = |e: &Effect, p: f64| Some((UnnamedShape::like(&rows_of, e, "")?, p));
         let named = effects.iter().filter_map(|(f, _)| like(&f.effect, f.p_value));
@@ -143,7 +154,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
         let shapes = answer.unexplained.iter().map(|s| (s.clone(), options.level));
         let found = named.chain(corrected).chain(shapes);
         let share = |s: &UnnamedShape| gap::explained(&traces_of, &s.response);
-        localisation::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
+        residual_localisation::add_found(&mut places, found.map(|(s, p)| (share(&s), s, p)));
     }
     let verdict = Verdict::of(&effects, &answer.unexplained);
     let advice = match why_nothing {
@@ -157,7 +168,7 @@ fn looked_at(train: &[Record], holdout: &[Record], machine: &Machine, options: &
     let advice = parts.collect::<Vec<_>>().join("; ");
     let confirmed = gap.iter().filter_map(Gap::confirmed).reduce(|a, b| a && b);
     let estimate = &answer.estimate;
-    Reconciliation {
+    ReconciliationResult {
         verdict,
         places,
         advice,
@@ -231,25 +242,25 @@ fn said_beside(
 }
 
 /// The inputs for making a better model.
-struct Work<'w> {
+struct ImprovementInputs<'w> {
     train: &'w [Record],
     used: &'w [Record],
     machine: &'w Machine,
-    options: &'w Options,
+    options: &'w ReconciliationOptions,
 }
 
 /// A better model, and its changes.
 struct ImprovedModel {
     model: Machine,
     refined: Vec<RevisedEffect>,
-    effects: Vec<(Finding, Vec<f64>)>,
+    effects: Vec<(FoundEffect, Vec<f64>)>,
     curve: Option<(Effect, String)>,
 }
 
 impl ImprovedModel {
     /// The hold-outs, if the training has only one explanation.
     /// Otherwise a difference in a hold-out may be the part that is not yet explained.
-    fn comparable<'h>(&self, answer: &Analysis, held: &'h [Record]) -> &'h [Record] {
+    fn comparable<'h>(&self, answer: &AnalysisFindings, held: &'h [Record]) -> &'h [Record] {
         if answer.unexplained.is_empty() && self.is_one_way() { held } else { &[] }
     }
 
@@ -259,10 +270,10 @@ impl ImprovedModel {
     }
 }
 
-impl Work<'_> {
+impl ImprovementInputs<'_> {
     /// Writes the findings into the model.
     /// With `learn` the model's own parameters may be corrected.
-    fn better(&self, answer: &mut Analysis, learn: bool) -> ImprovedModel {
+    fn better(&self, answer: &mut AnalysisFindings, learn: bool) -> ImprovedModel {
         let Self { train, machine, .. } = *self;
         let mut model = machine.clone();
         for (f, half) in &mut answer.findings {
@@ -284,7 +295,7 @@ impl Work<'_> {
     /// Adds an effect with its provenance, unless the model has its identity.
     fn write(&self, model: &mut Machine, effect: &Effect, half: &[f64], why: &str) -> bool {
         let provenance = Provenance {
-            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::format_stamp::VERSION)),
+            added_by: Some(format!("rtecctl reconcile {}{why}", rtec_files::file_format_stamp::VERSION)),
             date: self.options.date.clone(),
             from: self.train.iter().map(SourceRecord::of).collect(),
             interval: intervals(effect, half).into_iter().collect(),
@@ -295,19 +306,24 @@ impl Work<'_> {
 
     /// Adds a curve for the first shape, or says why there is none.
     /// Rows that it was not fitted to must be better with it.
-    fn add_curve(&self, answer: &Analysis, held: &[Record], better: &mut ImprovedModel) -> Option<String> {
+    fn add_curve(
+        &self,
+        answer: &AnalysisFindings,
+        held: &[Record],
+        better: &mut ImprovedModel,
+    ) -> Option<String> {
         let shape = answer.unexplained.first()?;
         // The curve stands beside the findings as they are written.
         let found = answer.findings.iter().chain(&answer.parts_of_unknown).map(|(f, _)| f.effect.clone());
         let (known, rows) =
-            (self.machine.effects().cloned().chain(found).collect::<Vec<_>>(), Rows::new(self.used));
+            (self.machine.effects().cloned().chain(found).collect::<Vec<_>>(), MeasuredRows::new(self.used));
         let problem = EstimationProblem::new(&rows, &known, &stated(self.machine)).by_hand();
         let mut why = format!("no law runs along {}", shape.against.join(" and "));
         for knots in CURVE_KNOTS {
             let mut model = better.model.clone();
             let of = |s| Some((s, stand_in(s, knots, self.train, &mut model)?));
             let Some((shape, stand_in)) = answer.unexplained.iter().find_map(of) else { break };
-            let refit = Refit::new(&problem, &[stand_in.effect]);
+            let refit = EffectSizeRefit::new(&problem, &[stand_in.effect]);
             let alone = shape.against.len() == 1;
             let (effect, half) = refit.beside_set_up(&answer.estimate.noise, alone)?;
             let unit = gap::unit_of(&shape.response);
@@ -318,13 +334,14 @@ impl Work<'_> {
                 }
             }
             let unseen = if held.is_empty() {
-                let of_response = |s: &&Segment| rows.responses[s.response].to_string() == shape.response;
-                let rms = |refit: &Refit<'_, '_>| {
+                let of_response =
+                    |s: &&ResponseSegment| rows.responses[s.response].to_string() == shape.response;
+                let rms = |refit: &EffectSizeRefit<'_, '_>| {
                     let left = refit.left_by_others(&answer.estimate.noise, gap::FOLDS);
                     let own = rows.segments.iter().filter(of_response);
                     gap::rms(own.flat_map(|s| &left[s.rows.clone()]).collect::<Vec<_>>())
                 };
-                [rms(&Refit::new(&problem, &[])), rms(&refit)]
+                [rms(&EffectSizeRefit::new(&problem, &[])), rms(&refit)]
             } else {
                 let rms_of = |given: &Machine| {
                     let both = traces(&[], held, given, &model);
@@ -352,7 +369,12 @@ impl Work<'_> {
     }
 
     /// The advice: what to do next, and where a fit of growth reads other temperatures.
-    fn advice(&self, verdict: Verdict, effects: &[(Finding, Vec<f64>)], shapes: &[UnnamedShape]) -> String {
+    fn advice(
+        &self,
+        verdict: Verdict,
+        effects: &[(FoundEffect, Vec<f64>)],
+        shapes: &[UnnamedShape],
+    ) -> String {
         let rows: usize = self.train.iter().map(Record::rows).sum();
         if verdict == Verdict::NothingMissing && rows < FEW {
             return format!(
@@ -370,7 +392,7 @@ impl Work<'_> {
 }
 
 /// Corrects the model's parameters that are off beyond chance.
-fn correct(model: &mut Machine, machine: &Machine, answer: &Analysis) -> Vec<RevisedEffect> {
+fn correct(model: &mut Machine, machine: &Machine, answer: &AnalysisFindings) -> Vec<RevisedEffect> {
     let before: Vec<Effect> = machine.effects().cloned().collect();
     let mut out = Vec::new();
     for k in answer.estimate.known.iter().filter(|k| k.beyond_chance) {
@@ -402,7 +424,7 @@ fn with_motion(train: &[Record], holdout: &[Record]) -> (Vec<Record>, Vec<Record
 fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]) {
     let width = effect.width();
     for (i, p) in effect.description().parameters.iter().enumerate() {
-        if p.search == ParameterSearch::Chosen {
+        if p.search == ParameterFitMethod::Chosen {
             continue;
         }
         let values = effect.get(i);
@@ -414,16 +436,16 @@ fn write_values(model: &mut Machine, place: usize, effect: &Effect, half: &[f64]
 }
 
 /// The records that were analysed, and the result.
-struct Analysed {
+struct AnalysedRecords {
     /// All their rows, as measured.
     train: Vec<Record>,
-    answer: Analysis,
+    answer: AnalysisFindings,
     /// The analysed rows: temperatures without noise, one row of every `every`.
     used: Vec<Record>,
     every: usize,
 }
 
-impl Analysed {
+impl AnalysedRecords {
     /// Analyses the training records without those in doubt; all if all are in doubt.
     /// Doubts may be known before or follow from the analysis.
     fn without_doubts(train: &[Record], doubts: &mut ScreenedRecords, machine: &Machine, level: f64) -> Self {
@@ -431,7 +453,7 @@ impl Analysed {
             return Self::of(train, machine, level);
         }
         let mut first = Self::of(&doubts.train, machine, level);
-        let lags = first.answer.findings.iter().any(|(f, _)| data_screening::reads_clock(&f.effect));
+        let lags = first.answer.findings.iter().any(|(f, _)| data_mistake_screening::reads_clock(&f.effect));
         if lags && doubts.without_clocks() {
             if doubts.train.is_empty() {
                 return Self::of(train, machine, level);
@@ -472,7 +494,7 @@ impl Analysed {
     /// It is the least n that still separates noise from effects. Rows much closer together than the noise's
     /// correlation (a filtered force, sampled fast) repeat the same information.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
-        let quiet: Vec<Record> = train.iter().map(denoise::temperatures).collect();
+        let quiet: Vec<Record> = train.iter().map(temperature_denoising::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
         let mut beyond = 1;
         let mut used: Cow<'_, [Record]> = bounded.clone();
@@ -493,13 +515,13 @@ impl Analysed {
 
 /// Reports a plate that may not be at 20 °C.
 /// Its temperature was not logged, and the scales of all its axes are wrong by the same amount.
-fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary: &Dictionary) {
+fn warm_plate(findings: &mut [(FoundEffect, Vec<f64>)], train: &[Record], dictionary: &Dictionary) {
     let Some(expansion) =
         dictionary.laws().map(Law::describe).find(|l| l.heat == ThermalDependence::Expansion)
     else {
         return;
     };
-    let scale = |f: &Finding| expansion.companion == Some(f.effect.description().name.as_str());
+    let scale = |f: &FoundEffect| expansion.companion == Some(f.effect.description().name.as_str());
     let silent = train
         .iter()
         .all(|r| matches!(r.kind, RunKind::Plate | RunKind::Part) && r.column(&Role::Temperature).is_none());
@@ -511,7 +533,7 @@ fn warm_plate(findings: &mut [(Finding, Vec<f64>)], train: &[Record], dictionary
     }
     for (f, _) in findings.iter_mut().filter(|(f, _)| scale(f)) {
         let name = format!("{}.{}", expansion.name, f.effect.axes()[0]);
-        f.rivals.push(Rival { name, sensor: None, differs: None, margin: 0.0 });
+        f.rivals.push(RivalExplanation { name, sensor: None, differs: None, margin: 0.0 });
     }
 }
 
@@ -532,7 +554,7 @@ fn whole_counts(effect: &Effect, records: &[Record], half: &[f64]) -> Effect {
 /// The moment of a step between two rows.
 /// It may have come at any time between them; the middle has the smallest error.
 fn between_rows(effect: &Effect, records: &[Record], half: &[f64]) -> (Effect, Vec<f64>) {
-    let moment = effect.description().parameters.iter().position(|p| p.refine == Refine::Moment);
+    let moment = effect.description().parameters.iter().position(|p| p.refine == ParameterRefinement::Moment);
     let Some(moment) = moment else { return (effect.clone(), half.to_vec()) };
     let at = effect.scalar(moment);
     let seen = records.iter().filter(|r| !effect.acts_on(r).is_empty());
@@ -561,7 +583,7 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
         .iter()
         .enumerate()
         .filter(|(i, p)| {
-            (p.search != ParameterSearch::Chosen || !p.array)
+            (p.search != ParameterFitMethod::Chosen || !p.array)
                 && half[i * width..(i + 1) * width].iter().any(|h| *h > 0.0)
         })
         .map(|(i, p)| {
@@ -575,7 +597,7 @@ fn intervals(effect: &Effect, half: &[f64]) -> Vec<(String, Vec<[f64; 2]>)> {
 mod tests {
     use super::*;
     use crate::test_records::{axis, noise, record};
-    use rtec_model::effect::DifferenceReference;
+    use rtec_model::effect::ReferenceTemperature;
     use rtec_model::record::Column;
     use std::path::Path;
 
@@ -589,7 +611,7 @@ mod tests {
         for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
             *e += 120.0 * p / 1000.0;
         }
-        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
         assert_eq!(r.verdict, Verdict::Named, "{}", r.to_json());
         let (f, half) = &r.effects[0];
         assert_eq!((f.effect.name().as_str(), r.model.effects().count()), ("scale.x", 1));
@@ -607,7 +629,8 @@ mod tests {
             run.columns[2].data.iter_mut().zip(&p).for_each(|(e, p)| *e += 120.0 * p / 1000.0);
             run
         };
-        let options = Options { date: Some("2026-05-01".to_owned()), ..Options::default() };
+        let options =
+            ReconciliationOptions { date: Some("2026-05-01".to_owned()), ..ReconciliationOptions::default() };
         let r = reconcile(&[of(1)], &[], &Machine::ideal("m"), &options).unwrap();
         let note = r.model.fits().iter().find(|f| f.response == "error.x").unwrap();
         assert_eq!((note.date.as_str(), note.valid_until.as_str()), ("2026-05-01", "2027-05-01"));
@@ -640,7 +663,7 @@ mod tests {
             run
         };
         let (train, held) = ([of(1, "a", 0.0), of(2, "b", 5.0)], [of(3, "b", 5.0)]);
-        let r = reconcile(&train, &held, &Machine::ideal("m"), &Options::default()).unwrap();
+        let r = reconcile(&train, &held, &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
         assert_eq!(r.effects.len(), 1, "{}", r.to_json());
         let [before, after] = r.gap[0].holdout.unwrap();
         assert!(before > 3.0 && after < 1.3, "{before} {after}");
@@ -670,7 +693,7 @@ mod tests {
         for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
             *e += 120.0 * p / 1000.0;
         }
-        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
         let (f, half) = &r.effects[0];
         assert_eq!((r.verdict, f.effect.name().as_str()), (Verdict::Named, "scale.x"), "{}", r.to_json());
         assert!((f.effect.scalar(0) - 120.0).abs() < 2.0 * half[0] && half[0] < 1.0);
@@ -692,7 +715,7 @@ mod tests {
         for (e, p) in run.columns[2].data.iter_mut().zip(&p) {
             *e += 3000.0 * p / 1000.0;
         }
-        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
         assert!(r.effects.iter().all(|(f, _)| f.effect.is_physical() && f.effect.name() != "scale.x"));
         assert!(r.model.effects().all(Effect::is_physical), "{}", r.model.to_text());
         let rivals = r.effects.iter().flat_map(|(f, _)| &f.rivals);
@@ -710,7 +733,7 @@ mod tests {
             effect.set_values(&[-0.6 * scale, -0.05 * scale]).unwrap();
             effect.delta = Some(rtec_model::effect::TemperatureDifference {
                 sensor: "T".to_owned(),
-                against: DifferenceReference::Standard,
+                against: ReferenceTemperature::Standard,
             });
             effect
         };
@@ -722,7 +745,7 @@ mod tests {
         let run = Record::new(&run.path, run.kind, columns).unwrap();
         let mut machine = Machine::ideal("m");
         machine.push(growth(1.0), Provenance::default()).unwrap();
-        let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &machine, &ReconciliationOptions::default()).unwrap();
         assert_eq!((r.verdict, r.refined.len()), (Verdict::NothingMissing, 1), "{}", r.to_json());
         assert!(r.gap[0].train[1] < 0.13, "{:?}", r.gap);
     }
@@ -755,7 +778,7 @@ mod tests {
         let mut run = record(40, |i| 8.0 * f64::from(u8::from(i >= 20.0)) + 0.3 * dice[i as usize]);
         run.columns[0].data.iter_mut().skip(20).for_each(|t| *t += 600.0);
         let run = Record::new(&run.path, run.kind, run.columns).unwrap();
-        let r = reconcile(&[run], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
         assert_eq!(r.verdict, Verdict::NothingMissing, "{}", r.to_json());
         let jump = r.set_up[0].terms.iter().find(|t| t.0 == "jump_um").unwrap();
         assert!((jump.1 - 8.0).abs() < jump.2 && jump.2 < 0.6, "{jump:?}");

@@ -2,5 +2,5 @@
 //!
 //! Statistics and charts of a record are in `rtec-measure`.
 
-pub mod record; // run records, read strictly and written whole
+pub mod run_record_files; // run records, read strictly and written whole
 pub mod spool; // sends finished records to the shop's store

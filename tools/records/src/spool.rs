@@ -98,7 +98,7 @@ impl ShippingResult {
         if json {
             let kept: Vec<String> = self.kept.iter().map(ToString::to_string).collect();
             let document = serde_json::json!({"sent": self.sent, "kept": kept}).to_string();
-            return rtec_files::format_stamp::signed(document) + "\n";
+            return rtec_files::file_format_stamp::signed(document) + "\n";
         }
         let places = self.sent.iter().fold(String::new(), |all, place| all + place + "\n");
         format!("{places}{} records sent, {} kept\n", self.sent.len(), self.kept.len())
@@ -176,7 +176,7 @@ impl SpoolLimits {
 /// # Errors
 /// When the record cannot be read, or the spool cannot be written.
 pub fn add(sidecar: &Path, spool: &Path) -> io::Result<PathBuf> {
-    let record = super::record::read_log(sidecar).map_err(|e| no_record(&e))?;
+    let record = super::run_record_files::read_log(sidecar).map_err(|e| no_record(&e))?;
     let csv = std::fs::read(sidecar.parent().unwrap_or(Path::new("")).join(&record.file))?;
     std::fs::create_dir_all(spool)?;
     put(record, &csv, spool, SpoolLimits::ANY, &|| true)
@@ -203,7 +203,7 @@ pub fn put(
     }
     let folder = UntrustedFolder::open(spool)?;
     finish_begun(&folder)?;
-    limits.check_room(&folder, (csv.len() + super::record::to_sidecar(&record).len()) as u64)?;
+    limits.check_room(&folder, (csv.len() + super::run_record_files::to_sidecar(&record).len()) as u64)?;
     // A user who may read the folder may read the records, whatever the process's umask.
     let mode = folder.mode()?;
     let mut numbers = 1..;
@@ -245,9 +245,9 @@ fn place(
         if folder.has(&name)? {
             continue;
         }
-        super::record::at(record, &folder.path().join(&name)).map_err(|e| no_record(&e))?;
+        super::run_record_files::at(record, &folder.path().join(&name)).map_err(|e| no_record(&e))?;
         // The sidecar names its CSV, so from here on any process can finish the work.
-        begun.write(&name, super::record::to_sidecar(record).as_bytes(), mode, go_on)?;
+        begun.write(&name, super::run_record_files::to_sidecar(record).as_bytes(), mode, go_on)?;
         let taken = begun.rename(DATA, folder, &record.file);
         let taken = taken.and_then(|()| {
             begun.rename(&name, folder, &name).inspect_err(|_| {
@@ -394,8 +394,8 @@ fn read_waiting(folder: &UntrustedFolder, sidecar: &Path, name: &str) -> Result<
         folder.read(file, longest).map_err(|e| InputError::whole(sidecar, e.to_string(), expected))
     };
     let Some(words) = read(name, LONGEST_SIDECAR, "a record's sidecar")? else { return Ok(None) };
-    let text = rtec_files::text::decode(sidecar, &words)?;
-    let csv = super::record::csv_name(sidecar, &text)?;
+    let text = rtec_files::text_file::decode(sidecar, &words)?;
+    let csv = super::run_record_files::csv_name(sidecar, &text)?;
     let Some(data) = read(&csv, LONGEST_SENT, "a CSV beside it")? else {
         if read(name, LONGEST_SIDECAR, "a record's sidecar")?.is_none() {
             return Ok(None);
@@ -403,7 +403,7 @@ fn read_waiting(folder: &UntrustedFolder, sidecar: &Path, name: &str) -> Result<
         let expected = "the CSV that it names, in the same folder";
         return Err(InputError::whole(sidecar, format!("no file {csv} beside it"), expected));
     };
-    super::record::parse_log(sidecar, &text, io::Cursor::new(&data))?;
+    super::run_record_files::parse_log(sidecar, &text, io::Cursor::new(&data))?;
     Ok(Some([(csv, data), (name.to_owned(), words)]))
 }
 
@@ -416,7 +416,7 @@ fn move_to_sent(folder: &UntrustedFolder, sending: &UntrustedFolder, digits: &st
     for sidecar in names.iter().filter(|n| n.ends_with(".run.toml") && !folder.has(n).unwrap_or(true)) {
         let words = sending.read(sidecar, LONGEST_SIDECAR)?.unwrap_or_default();
         let text = String::from_utf8_lossy(&words);
-        if let Ok(csv) = super::record::csv_name(&sending.path().join(sidecar), &text)
+        if let Ok(csv) = super::run_record_files::csv_name(&sending.path().join(sidecar), &text)
             && folder.has(&csv)?
         {
             folder.rename(&csv, sending, &csv)?;
@@ -625,7 +625,7 @@ mod tests {
         let first = add(&sidecar, spool.path()).unwrap();
         record(made.path(), "a", 2.0);
         let second = add(&sidecar, spool.path()).unwrap();
-        let value = |p: &Path| crate::record::read(p).unwrap().columns[0].data[0];
+        let value = |p: &Path| crate::run_record_files::read(p).unwrap().columns[0].data[0];
         assert_eq!((value(&first), value(&second)), (1.0, 2.0));
         assert_eq!(
             waits(spool.path()),
@@ -634,7 +634,7 @@ mod tests {
     }
 
     fn read_back(folder: &Path, name: &str) -> Record {
-        crate::record::read(&folder.join(format!("{name}.run.toml"))).unwrap()
+        crate::run_record_files::read(&folder.join(format!("{name}.run.toml"))).unwrap()
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(crate) enum Key {
 }
 
 /// The terminal in raw mode, until this is dropped.
-pub(crate) struct Screen {
+pub(crate) struct RawModeScreen {
     before: Termios,
     /// Text to be written at the next flush.
     out: String,
@@ -31,7 +31,7 @@ pub(crate) struct Screen {
 const ENTER: &str = "\x1b[?1049h\x1b[?25l";
 const LEAVE: &str = "\x1b[0m\x1b[?25h\x1b[?1049l";
 
-impl Screen {
+impl RawModeScreen {
     /// # Errors
     /// Standard input is not a terminal.
     pub(crate) fn take() -> io::Result<Self> {
@@ -43,7 +43,7 @@ impl Screen {
     }
 }
 
-impl Drop for Screen {
+impl Drop for RawModeScreen {
     /// A terminal that has gone needs no restoring.
     fn drop(&mut self) {
         let _ = io::stdout().write_all(LEAVE.as_bytes()).and_then(|()| io::stdout().flush());
@@ -135,7 +135,7 @@ fn write_cells<'a>(out: &mut String, cells: impl Iterator<Item = (u16, u16, &'a 
     out.push_str("\x1b[0m");
 }
 
-impl Backend for Screen {
+impl Backend for RawModeScreen {
     type Error = io::Error;
 
     fn draw<'a, I: Iterator<Item = (u16, u16, &'a Cell)>>(&mut self, content: I) -> io::Result<()> {

@@ -2,7 +2,7 @@
 //! Each ends with its format and the program that wrote it; a list has neither.
 
 use anyhow::Context;
-use rtec_files::format_stamp::signed;
+use rtec_files::file_format_stamp::signed;
 use serde::Serialize;
 use std::path::Path;
 
@@ -43,6 +43,6 @@ pub(crate) fn list(items: impl IntoIterator<Item = impl ToString>) -> String {
 
 /// Writes a text as a file, whole or not at all.
 pub(crate) fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    rtec_files::write::write_atomically(path, text.as_bytes())
+    rtec_files::atomic_write::write_atomically(path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }

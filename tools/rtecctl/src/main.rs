@@ -5,11 +5,11 @@
 //! | `verbs/` | one file per verb: its arguments, what it calls, what it prints |
 //! | `help` | verbs by their users, examples, exit codes |
 //! | `prelude` | names that nearly every verb uses |
-//! | `http` | a server for a few readers on this computer |
+//! | `http_server` | a server for a few readers on this computer |
 //! | `progress` | progress of a long computation |
 //! | `terminal` | the output's colours and width, and a reader that has gone |
 //! | `archive` | a tar file readable only by its user |
-//! | `daemon` | the connection to the daemon, and its answers as exit codes |
+//! | `daemon_connection` | the connection to the daemon, and its answers as exit codes |
 //!
 //! These do not belong here: a formula, a file format, a decision. Verbs connect the crates below and print.
 
@@ -39,15 +39,15 @@ macro_rules! ensure {
 }
 
 mod archive;
-mod daemon;
+mod daemon_connection;
 mod full_screen;
 mod help;
-mod http;
+mod http_server;
 mod json_output;
 mod prelude;
 mod progress;
-mod rounding;
 mod terminal;
+mod uncertainty_rounding;
 mod verbs;
 
 use clap::{Args as _, FromArgMatches as _, Parser, Subcommand};
@@ -186,12 +186,12 @@ fn parse_command_line(words: &[OsString]) -> Result<clap::ArgMatches, clap::Erro
 }
 
 fn main() -> ExitCode {
-    rtec_files::format_stamp::built_from(env!("RTEC_COMMIT"));
+    rtec_files::file_format_stamp::built_from(env!("RTEC_COMMIT"));
     let words: Vec<OsString> = std::env::args_os().collect();
     if let [_, version] = &words[..]
         && (version == "--version" || version == "-V")
     {
-        println!("rtecctl {}", rtec_files::format_stamp::VERSION);
+        println!("rtecctl {}", rtec_files::file_format_stamp::VERSION);
         return ExitCode::SUCCESS;
     }
     let cli = match parse_command_line(&words).and_then(|matches| Cli::from_arg_matches(&matches)) {
@@ -215,13 +215,13 @@ fn main() -> ExitCode {
         say(&help::begin());
         return ExitCode::SUCCESS;
     };
-    rtec_files::write::spare_inputs();
+    rtec_files::atomic_write::spare_inputs();
     let name = words[1].to_string_lossy();
     let done = if computes(&name) { progress::shown(&name, || verb.run()) } else { verb.run() };
     let Err(error) = done else { return ExitCode::SUCCESS };
     let colour = std::io::stderr().is_terminal() && terminal::colours_are_wanted();
     let text = rtec_files::message_text::error_with_causes(error.as_ref());
-    eprintln!("{} {text}", terminal::toned("rtecctl:", terminal::Tone::Wrong, colour));
+    eprintln!("{} {text}", terminal::toned("rtecctl:", terminal::ColourMeaning::Wrong, colour));
     ExitCode::from(exit_code(&error))
 }
 
@@ -348,7 +348,7 @@ mod tests {
         }
         let version =
             command().try_get_matches_from(["rtecctl", "--version"]).unwrap_err().render().to_string();
-        assert_eq!(version, format!("rtecctl {}\n", rtec_files::format_stamp::VERSION));
+        assert_eq!(version, format!("rtecctl {}\n", rtec_files::file_format_stamp::VERSION));
     }
 
     fn for_all(c: &clap::Command, path: &mut Vec<String>, each: &mut dyn FnMut(&[String], &clap::Arg)) {

@@ -1,7 +1,7 @@
 //! Names that nearly every verb uses.
 
 pub(crate) use crate::CommandFailure;
-pub(crate) use crate::daemon::DaemonArgs;
+pub(crate) use crate::daemon_connection::DaemonArgs;
 pub(crate) use crate::json_output::{answer, list, pretty, say_line, say_pretty};
 pub(crate) use crate::say;
 pub(crate) use anyhow::Context as _;

@@ -6,7 +6,7 @@ use std::os::fd::{AsFd, BorrowedFd};
 
 /// Meaning of a colour, one of the eight that every terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Tone {
+pub(crate) enum ColourMeaning {
     /// As it should be.
     Good,
     /// Deserves attention.
@@ -40,14 +40,14 @@ fn readable(columns: u16) -> Option<u16> {
 }
 
 /// A text in a tone, if `colour` is set.
-pub(crate) fn toned(text: &str, tone: Tone, colour: bool) -> String {
+pub(crate) fn toned(text: &str, tone: ColourMeaning, colour: bool) -> String {
     if !colour {
         return text.to_owned();
     }
     let code = match tone {
-        Tone::Good => "32",
-        Tone::Doubtful => "33",
-        Tone::Wrong => "1;31",
+        ColourMeaning::Good => "32",
+        ColourMeaning::Doubtful => "33",
+        ColourMeaning::Wrong => "1;31",
     };
     format!("\x1b[{code}m{text}\x1b[0m")
 }
@@ -129,7 +129,7 @@ mod tests {
         assert_eq!(wrapped("  a bc def\n\nx\n", 6), "  a bc\n      def\n\nx\n");
         assert_eq!(wrapped("ab /a/long/path c\n", 8), "ab\n    /a/long/path\n    c\n");
         // Two words in a tone are as wide as without it.
-        let red = toned("not so:", Tone::Wrong, true) + " µm µm";
+        let red = toned("not so:", ColourMeaning::Wrong, true) + " µm µm";
         assert_eq!(wrapped(&red, 13), format!("{red}\n"));
         assert_eq!(wrapped(&red, 12), "\x1b[1;31mnot so:\x1b[0m µm\n    µm\n");
     }

@@ -4,36 +4,38 @@
 //! | file | what |
 //! |---|---|
 //! | `rt_requests` | requests that go to the real-time thread |
-//! | `loads` | loads and unloads models and part tables |
-//! | `report` | the status and all other reports |
+//! | `model_and_table_loads` | loads and unloads models and part tables |
+//! | `status_reports` | the status and all other reports |
 
-mod loads;
-mod report;
+mod model_and_table_loads;
 mod rt_requests;
+mod status_reports;
 #[cfg(test)]
 mod tests;
 
-use crate::audit::Totals;
-use crate::client::user_name;
-use crate::edited_files::EditedFiles;
-use crate::history::FaultLedgerHistory;
-use crate::loader::{Loader, Ticket};
-use crate::log::{self, Level};
+use crate::audit_log_thread::Totals;
+use crate::client_connection::user_name;
+use crate::edited_files::EditedFilesChecker;
+use crate::fault_ledger_history::FaultLedgerHistory;
 use crate::mock_cards::SimulatedOperator;
-use crate::record_spool::{RecordSpool, SpoolFolder, SpoolResult};
-use loads::LoadPurpose;
+use crate::record_spool::{RecordSpoolWriter, SpoolFolder, SpoolResult};
+use crate::request_file_loader::{RequestFileLoader, Ticket};
+use crate::stderr_journal_log::{self, SyslogLevel};
+use model_and_table_loads::LoadPurpose;
 use rtec_control::config::{Config, ConfiguredAxis, LatencyTestConditions};
-use rtec_control::protocol::{ClientRequest, EventReport, NumberedEvent, Response, word};
+use rtec_control::protocol::{ClientRequest, DaemonResponse, EventReport, NumberedEvent, word};
 use rtec_correct::Corrector;
 use rtec_files::date;
 use rtec_model::record::Role;
 use rtec_rt::engine::LoopHistograms;
 use rtec_rt::journal::StateAtOpen;
 use rtec_rt::link::ControlEnd;
-use rtec_rt::link_messages::{Event, EventKind, Fault, FeedHoldSource, Mode, Refusal, Request, Status};
-use rtec_rt::setup::{RtSettings, SetupReport, SystemRoot};
+use rtec_rt::link_messages::{
+    CorrectorMode, CorrectorStatus, Event, EventKind, Fault, FeedHoldSource, Refusal, RequestToRt,
+};
+use rtec_rt::realtime_setup::{RtSettings, SetupReport, SystemRoot};
 use rtec_rt::state_file_watch::{StateFileLoss, StateFileWatch};
-use rtec_sensors::buses::{Clock, SensorThreads};
+use rtec_sensors::sensor_bus_threads::{SensorThreads, SteadyEpochClock};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
@@ -56,21 +58,21 @@ const STATE_FILE_EVERY: Duration = Duration::from_secs(1);
 const EVENTS: usize = 1000;
 
 /// Outcome of a request.
-pub(crate) enum RequestAnswer {
+pub(crate) enum RequestOutcome {
     /// It is answered.
-    Now(Response),
+    Now(DaemonResponse),
     /// An insertion is under way, so the request must be repeated.
     /// The response is for a caller who has no time left.
-    Again(Response),
+    Again(DaemonResponse),
     /// It is answered when this load is done.
     Later(Ticket),
 }
 
-impl RequestAnswer {
-    fn of(answer: Result<Response, Response>) -> Self {
+impl RequestOutcome {
+    fn of(answer: Result<DaemonResponse, DaemonResponse>) -> Self {
         match answer.unwrap_or_else(|e| e) {
-            Response::Refused { why, text, jumps } if why == word(Refusal::Busy) => {
-                Self::Again(Response::Refused { why, text, jumps })
+            DaemonResponse::Refused { why, text, jumps } if why == word(Refusal::Busy) => {
+                Self::Again(DaemonResponse::Refused { why, text, jumps })
             }
             response => Self::Now(response),
         }
@@ -109,7 +111,7 @@ pub(crate) trait ControlClock {
 }
 
 /// The system's clock.
-struct SystemClock(Clock);
+struct SystemClock(SteadyEpochClock);
 
 impl ControlClock for SystemClock {
     fn now(&self) -> Instant {
@@ -143,11 +145,11 @@ pub(crate) struct ControlSide {
     /// Why corrections can never be enabled on this card and computer.
     unfit: Vec<String>,
     /// The check for edited files; `None` in a simulation.
-    edited_files: Option<EditedFiles>,
+    edited_files: Option<EditedFilesChecker>,
     /// Why the model of the last process was not taken up, if so.
     model_refused: Option<String>,
-    loader: Loader,
-    record_spool: RecordSpool,
+    loader: RequestFileLoader,
+    record_spool: RecordSpoolWriter,
     /// Purpose of the load under way.
     load_purpose: Option<LoadPurpose>,
     /// Number of looks at the card when a request was last left unanswered.
@@ -178,8 +180,8 @@ impl ControlSide {
     pub(crate) fn new(
         config: Config,
         set_up: RtStartupReport,
-        (sensors, clock): (SensorThreads, Clock),
-        edited_files: Option<EditedFiles>,
+        (sensors, clock): (SensorThreads, SteadyEpochClock),
+        edited_files: Option<EditedFilesChecker>,
     ) -> Self {
         Self { edited_files, ..Self::with_clock(Rc::new(SystemClock(clock)), config, set_up, sensors) }
     }
@@ -195,7 +197,7 @@ impl ControlSide {
         let temperature = |c: &SensorConfig| c.role == Role::Temperature;
         let logged = config.sensors.iter().enumerate().filter(|(_, c)| temperature(c));
         let logged = logged.map(|(n, c)| (n, c.name.clone())).collect();
-        let record_spool = RecordSpool::new(SpoolFolder::of(&config.control), logged);
+        let record_spool = RecordSpoolWriter::new(SpoolFolder::of(&config.control), logged);
         let mut corrector = Corrector::new(setups, model.ramp_um_s, model.lead_ms * 1e-3, time.now_s());
         corrector.sense(time.now_s(), sensors.look());
         let places = std::iter::once(None).chain((0..axes).map(Some));
@@ -222,7 +224,7 @@ impl ControlSide {
             looked: time.now(),
             simulated_operator: None,
             model_refused: None,
-            loader: Loader::new(),
+            loader: RequestFileLoader::new(),
             record_spool,
             load_purpose: None,
             unanswered: None,
@@ -297,21 +299,21 @@ impl ControlSide {
         self.next_evaluation = (self.next_evaluation + period).max(now);
         for ended in self.corrector.day_is((self.today)()) {
             let text = format!("machine model: {ended}; it goes on until corrections are next enabled");
-            log::event(Level::Warning, "model_expired", &text);
+            stderr_journal_log::event(SyslogLevel::Warning, "model_expired", &text);
         }
         let status = control.status();
         if let Some(stand) = &self.simulated_operator {
             // As a machine's operator, it moves once all axes are homed, and not during feed hold.
-            let held = matches!(status.mode, Mode::Hold | Mode::Fault);
+            let held = matches!(status.mode, CorrectorMode::Hold | CorrectorMode::Fault);
             stand.feed(!held && status.axes().iter().all(|a| a.homed));
         }
         let totals = self.corrector.tick(self.time.now_s(), &status, self.sensors.look());
         for (axis, total) in totals.into_iter().enumerate() {
             let Some(total_counts) = total else { continue };
-            let request = Request::Correct { axis: axis as u8, total_counts, large: false };
+            let request = RequestToRt::Correct { axis: axis as u8, total_counts, large: false };
             if let Err(full) = control.send(request) {
                 // The next total makes up for it.
-                return log::event(Level::Warning, "ring_full", &full.to_string());
+                return stderr_journal_log::event(SyslogLevel::Warning, "ring_full", &full.to_string());
             }
         }
     }
@@ -330,7 +332,7 @@ impl ControlSide {
         };
         let renewed = file.renew().map_err(|error| error.to_string());
         // The fault is latched in any case, and noted where that is possible.
-        let noted = self.send(Request::StateFileLost, control);
+        let noted = self.send(RequestToRt::StateFileLost, control);
         let noted = noted.map_err(|_| "the real-time thread does not answer".to_owned());
         let placed = renewed.and(noted).and_then(|_| file.place().map_err(|error| error.to_string()));
         let what = match lost {
@@ -349,7 +351,7 @@ impl ControlSide {
         };
         self.state_file = Some(file);
         if self.state_file_said != text {
-            log::record(Level::Error, "state_file_lost", &text, &[]);
+            stderr_journal_log::record(SyslogLevel::Error, "state_file_lost", &text, &[]);
             let t_ns = control.status().t_ns;
             self.tell_own(t_ns, "state_file_lost", text.clone());
             self.state_file_said = text;
@@ -373,7 +375,7 @@ impl ControlSide {
             return;
         }
         let text = format!("the daemon did not run for {:.1} s", gap.as_secs_f64());
-        log::event(Level::Warning, "stood_still", &text);
+        stderr_journal_log::event(SyslogLevel::Warning, "stood_still", &text);
         let t_ns = control.status().t_ns;
         self.tell_own(t_ns, "stood_still", text);
     }
@@ -391,10 +393,10 @@ impl ControlSide {
     /// Logs the result of a record.
     fn tell_kept(&mut self, kept: SpoolResult, t_ns: u64) {
         let (level, kind, text) = match kept {
-            Ok(file) => (Level::Info, "record_kept", format!("record {}", file.display())),
-            Err(why) => (Level::Warning, "record_not_kept", why),
+            Ok(file) => (SyslogLevel::Info, "record_kept", format!("record {}", file.display())),
+            Err(why) => (SyslogLevel::Warning, "record_not_kept", why),
         };
-        log::event(level, kind, &text);
+        stderr_journal_log::event(level, kind, &text);
         self.tell_own(t_ns, kind, text);
     }
 
@@ -455,18 +457,18 @@ impl ControlSide {
             }
         }
         match event.kind {
-            EventKind::Mode(Mode::Probe) => self.record_spool.begin(event.t_ns, self.time.now_s()),
+            EventKind::Mode(CorrectorMode::Probe) => self.record_spool.begin(event.t_ns, self.time.now_s()),
             EventKind::Mode(_) => self.record_spool.end(&self.config.axes),
             _ => {}
         }
         let level = match event.kind {
-            EventKind::Fault(_) => Level::Error,
+            EventKind::Fault(_) => SyslogLevel::Error,
             EventKind::Refused { .. }
             | EventKind::Warning { .. }
             | EventKind::ControlStale(_)
-            | EventKind::ControllerReady(_) => Level::Warning,
-            EventKind::Mode(_) | EventKind::Homed { .. } => Level::Notice,
-            _ => Level::Info,
+            | EventKind::ControllerReady(_) => SyslogLevel::Warning,
+            EventKind::Mode(_) | EventKind::Homed { .. } => SyslogLevel::Notice,
+            _ => SyslogLevel::Info,
         };
         let text = match &happened.axis {
             Some(axis) => format!("axis {axis}: {}", happened.text),
@@ -482,9 +484,9 @@ impl ControlSide {
         // Trips and similar events may come by the thousand, so their lines are limited.
         let rare = matches!(event.kind, EventKind::Fault(_) | EventKind::Mode(_) | EventKind::Homed { .. });
         if rare {
-            log::record(level, &happened.kind, &text, &fields);
+            stderr_journal_log::record(level, &happened.kind, &text, &fields);
         } else {
-            log::event(level, &happened.kind, &text);
+            stderr_journal_log::event(level, &happened.kind, &text);
         }
         self.history.note(event);
         self.tell(happened);
@@ -496,69 +498,70 @@ impl ControlSide {
         request: &ClientRequest,
         beside: RequestContext,
         control: &mut ControlEnd,
-    ) -> RequestAnswer {
-        let done = Response::done();
+    ) -> RequestOutcome {
+        let done = DaemonResponse::done();
         let plain = |request| (request, done.clone());
         let (request, done) = match request {
             ClientRequest::Status {} => {
-                return RequestAnswer::Now(Response::Status(Box::new(self.status(control))));
+                return RequestOutcome::Now(DaemonResponse::Status(Box::new(self.status(control))));
             }
             ClientRequest::Home { axis, controller_homed } => {
-                return RequestAnswer::of(self.home(axis.as_deref(), *controller_homed, control));
+                return RequestOutcome::of(self.home(axis.as_deref(), *controller_homed, control));
             }
             ClientRequest::Enable { accept_jump } => {
                 let status = control.status();
                 // Corrections that are on go on in their ramp, which is no jump.
-                let already = status.mode == Mode::Run;
+                let already = status.mode == CorrectorMode::Run;
                 let jumps = if already { Vec::new() } else { self.jumps(&status) };
                 if let Some(refusal) = self.forbidden(&status, &jumps, *accept_jump) {
-                    return RequestAnswer::Now(refusal);
+                    return RequestOutcome::Now(refusal);
                 }
                 let warnings = self.no_model().into_iter().collect();
-                (Request::Enable, Response::Done { jumps, already, warnings })
+                (RequestToRt::Enable, DaemonResponse::Done { jumps, already, warnings })
             }
-            ClientRequest::Shadow {} => plain(Request::Shadow),
+            ClientRequest::Shadow {} => plain(RequestToRt::Shadow),
             ClientRequest::Correct { axis, total_counts, large } => {
-                return RequestAnswer::of(self.correct(axis, *total_counts, *large, control));
+                return RequestOutcome::of(self.correct(axis, *total_counts, *large, control));
             }
             ClientRequest::ModelLoad { file, take, expired, files } => {
-                let wanted = loads::ModelLoadOptions { take: take.clone(), expired: *expired };
+                let wanted =
+                    model_and_table_loads::ModelLoadOptions { take: take.clone(), expired: *expired };
                 return self.model_load(file.as_deref(), files, wanted, beside);
             }
             ClientRequest::Jog { axis, display_mm, go_on } => {
-                return RequestAnswer::of(self.jog(axis, *display_mm, *go_on));
+                return RequestOutcome::of(self.jog(axis, *display_mm, *go_on));
             }
-            ClientRequest::ModelUnload {} => return RequestAnswer::Now(self.model_unload()),
+            ClientRequest::ModelUnload {} => return RequestOutcome::Now(self.model_unload()),
             ClientRequest::ModelAgain {} => return self.model_again(),
             ClientRequest::Explain { axis } => {
-                return RequestAnswer::of(self.explain(axis.as_deref(), control));
+                return RequestOutcome::of(self.explain(axis.as_deref(), control));
             }
             ClientRequest::Ledger { axis, from } => {
-                let page = self.number(axis).map(|n| Response::Ledger(self.history.ledger(n, *from)));
-                return RequestAnswer::of(page);
+                let page = self.number(axis).map(|n| DaemonResponse::Ledger(self.history.ledger(n, *from)));
+                return RequestOutcome::of(page);
             }
             ClientRequest::Keep { files } => return self.keep(files, beside),
             ClientRequest::TableLoad(table) => return self.table_load(table, beside),
-            ClientRequest::TableUnload {} => return RequestAnswer::Now(self.table_unload()),
-            ClientRequest::Disable {} | ClientRequest::Park {} => plain(Request::Disable),
-            ClientRequest::Probe { on } => plain(Request::Probe(*on)),
+            ClientRequest::TableUnload {} => return RequestOutcome::Now(self.table_unload()),
+            ClientRequest::Disable {} | ClientRequest::Park {} => plain(RequestToRt::Disable),
+            ClientRequest::Probe { on } => plain(RequestToRt::Probe(*on)),
             ClientRequest::Hold { on } => {
                 let by = beside.user.0;
                 if *on {
                     self.holder = beside.user;
                 }
-                plain(Request::Hold { on: *on, by })
+                plain(RequestToRt::Hold { on: *on, by })
             }
-            ClientRequest::Clear {} => plain(Request::Clear),
+            ClientRequest::Clear {} => plain(RequestToRt::Clear),
             ClientRequest::Watch {} | ClientRequest::Whoami {} | ClientRequest::Observe { .. } => {
-                return RequestAnswer::Now(done);
+                return RequestOutcome::Now(done);
             }
         };
         let answer = self.carry_out(request, control);
-        if request == Request::Enable && answer.is_ok() {
+        if request == RequestToRt::Enable && answer.is_ok() {
             self.corrector.enabled();
         }
-        RequestAnswer::of(answer.map(|_| done))
+        RequestOutcome::of(answer.map(|_| done))
     }
 
     /// Totals of each axis: requested and in effect, counts.
@@ -569,12 +572,12 @@ impl ControlSide {
     }
 
     /// Latched faults: the axis (`None` for the machine's own) and the fault's word.
-    pub(crate) fn latched(&self, now: &Status) -> Vec<(Option<String>, String)> {
+    pub(crate) fn latched(&self, now: &CorrectorStatus) -> Vec<(Option<String>, String)> {
         self.latched_faults(now).into_iter().map(|latched| (latched.axis, word(latched.fault))).collect()
     }
 
     /// Faults latched since before the first look, which have no events of their own.
-    pub(crate) fn found_at_start(&self, now: &Status) -> Vec<EventReport> {
+    pub(crate) fn found_at_start(&self, now: &CorrectorStatus) -> Vec<EventReport> {
         let found = |(axis, fault): (Option<String>, String)| {
             let (kind, text) = ("fault".to_owned(), format!("{fault}, found at the start"));
             EventReport { t_ns: now.t_ns, axis, kind, text, trip: None }
@@ -588,7 +591,7 @@ impl ControlSide {
     }
 
     /// The state in one line, for the service manager.
-    pub(crate) fn in_short(&self, now: &Status) -> String {
+    pub(crate) fn in_short(&self, now: &CorrectorStatus) -> String {
         let mut text = format!("mode {}", word(now.mode));
         for fault in now.faults.iter() {
             text = format!("{text}, {}", word(fault));

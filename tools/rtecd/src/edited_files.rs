@@ -44,32 +44,32 @@ impl ContentWhenRead {
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct SharedFileList {
     files: Vec<(PathBuf, ContentWhenRead)>,
     edited: Vec<String>,
 }
 
 /// Checks the files from its own thread, so that a hanging disk blocks nobody.
 #[derive(Debug)]
-pub(crate) struct EditedFiles {
+pub(crate) struct EditedFilesChecker {
     configuration: Option<(PathBuf, ContentWhenRead)>,
-    shared: Arc<Mutex<Shared>>,
+    shared: Arc<Mutex<SharedFileList>>,
 }
 
-fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+fn lock(shared: &Mutex<SharedFileList>) -> MutexGuard<'_, SharedFileList> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl EditedFiles {
+impl EditedFilesChecker {
     /// Watches the configuration's file, if any, from its present content on.
     pub(crate) fn watch(configuration: Option<&Path>) -> Self {
         let read =
             |file: &Path| Some((file.to_owned(), ContentWhenRead::Configuration(std::fs::read(file).ok()?)));
-        let shared = Arc::new(Mutex::new(Shared::default()));
+        let shared = Arc::new(Mutex::new(SharedFileList::default()));
         let seen = Arc::downgrade(&shared);
         // Without the thread no edit is noticed, which is no reason not to start.
         let _ = std::thread::Builder::new().name("on-disk".into()).spawn(move || {
-            let mut last = Last::default();
+            let mut last = LastFileCheck::default();
             while let Some(shared) = seen.upgrade() {
                 let files = lock(&shared).files.clone();
                 if let Some(edited) = last.look(&files) {
@@ -97,12 +97,12 @@ impl EditedFiles {
 
 /// The files at the last check.
 #[derive(Debug, Default)]
-struct Last {
+struct LastFileCheck {
     files: Vec<(PathBuf, ContentWhenRead)>,
     stamps: Vec<Option<(SystemTime, u64)>>,
 }
 
-impl Last {
+impl LastFileCheck {
     /// The messages, if anything has changed since the last check.
     /// Most checks read no file.
     fn look(&mut self, files: &[(PathBuf, ContentWhenRead)]) -> Option<Vec<String>> {
@@ -135,7 +135,7 @@ mod tests {
             (config.clone(), ContentWhenRead::Configuration(b"# one\n".to_vec())),
             (model.clone(), ContentWhenRead::Model(sha256)),
         ];
-        let mut last = Last::default();
+        let mut last = LastFileCheck::default();
         assert_eq!(last.look(&files), Some(vec![]));
         assert_eq!(last.look(&files), None, "nothing has changed");
         put(&config, "# another\n");

@@ -3,61 +3,61 @@
 //! | file | what |
 //! |---|---|
 //! | `mock_cards` | builds the card that the configuration names |
-//! | `history` | every change of the axes' ledgers, and how often each fault was latched |
+//! | `fault_ledger_history` | every change of the axes' ledgers, and how often each fault was latched |
 //! | `record_spool` | writes finished records into the spool folder |
 //! | `start` | the engine in the state that the last process left |
 //! | `edited_files` | finds files that were edited since they were read |
 //! | `control_side` | carries out requests of the protocol on the link |
-//! | `sockets` | the listening sockets, one per role |
-//! | `client` | one connection |
-//! | `server` | the order in which requests are served |
-//! | `loader` | reads the files that requests name, off the control thread |
-//! | `audit` | writes the record of commands, off the control thread |
+//! | `listening_sockets` | the listening sockets, one per role |
+//! | `client_connection` | one connection |
+//! | `control_socket_server` | the order in which requests are served |
+//! | `request_file_loader` | reads the files that requests name, off the control thread |
+//! | `audit_log_thread` | writes the record of commands, off the control thread |
 //! | `service_manager` | the service manager: ready, watchdog, the store for file descriptors |
-//! | `log` | standard error, fit for the journal |
+//! | `stderr_journal_log` | standard error, fit for the journal |
 //!
 //! Elsewhere are the control law (`rtec-correct`), effects (`rtec-model`) and the step between two edges (`rtec-rt`).
 
-mod audit;
-mod client;
+mod audit_log_thread;
+mod client_connection;
 mod control_side;
+mod control_socket_server;
 mod edited_files;
-mod history;
-mod loader;
-mod log;
+mod fault_ledger_history;
+mod listening_sockets;
 mod mock_cards;
 mod record_spool;
-mod server;
+mod request_file_loader;
 mod service_manager;
-mod sockets;
 mod start;
+mod stderr_journal_log;
 
 use anyhow::Context;
-use audit::Audit;
+use audit_log_thread::AuditLogSender;
 use clap::Parser;
 use control_side::ControlSide;
-use edited_files::EditedFiles;
-use log::Level;
+use control_socket_server::ServingEnd;
+use edited_files::EditedFilesChecker;
+use listening_sockets::ListeningSockets;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
-use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
+use rtec_control::card_opening::{self, CardAccess, CardOpenError, LocatedRegisters};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
-use rtec_control::lock::{self, LockError};
 use rtec_control::protocol::explain_fault;
+use rtec_control::single_process_lock::{self, LockError};
 use rtec_driver::card::Card;
 use rtec_files::InputError;
 use rtec_rt::journal::JournalError;
 use rtec_rt::link_messages::Fault;
-use rtec_rt::setup::{RtSettings, SetupFinding, SetupReport, SystemRoot};
-use rtec_rt::thread::{ThreadOptions, spawn};
-use rtec_sensors::buses::{Clock, SensorThreads};
-use server::ServingEnd;
+use rtec_rt::pinned_rt_thread::{ThreadOptions, spawn};
+use rtec_rt::realtime_setup::{RtSettings, SetupFinding, SetupReport, SystemRoot};
+use rtec_sensors::sensor_bus_threads::{SensorThreads, SteadyEpochClock};
 use service_manager::ServiceManager;
-use sockets::ListeningSockets;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
+use stderr_journal_log::SyslogLevel;
 
 /// Time after which a missing card is tried again.
 const CARD_AGAIN: Duration = Duration::from_millis(100);
@@ -88,7 +88,7 @@ struct Args {
 
 /// Why the daemon does not start.
 #[derive(Debug, thiserror::Error)]
-enum Failure {
+enum DaemonStartFailure {
     /// Exit 1: another process is in its place, or a file that it needs cannot be kept.
     #[error("{0}")]
     Taken(String),
@@ -103,7 +103,7 @@ enum Failure {
     Again(&'static str),
 }
 
-impl From<LockError> for Failure {
+impl From<LockError> for DaemonStartFailure {
     fn from(error: LockError) -> Self {
         match error {
             LockError::Io { what: "card", .. } => Self::Unreachable(error.to_string()),
@@ -112,7 +112,7 @@ impl From<LockError> for Failure {
     }
 }
 
-impl From<JournalError> for Failure {
+impl From<JournalError> for DaemonStartFailure {
     fn from(error: JournalError) -> Self {
         let text = format!("state file {error}");
         match error {
@@ -127,7 +127,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             for line in rtec_files::message_text::error_with_causes(error.as_ref()).lines() {
-                log::say(Level::Error, line);
+                stderr_journal_log::say(SyslogLevel::Error, line);
             }
             ExitCode::from(exit_code(&error))
         }
@@ -138,13 +138,13 @@ fn exit_code(error: &anyhow::Error) -> u8 {
     if error.is::<InputError>() || error.is::<ConfigFindings>() {
         return 2;
     }
-    if error.is::<OpenError>() {
+    if error.is::<CardOpenError>() {
         return 3;
     }
-    match error.downcast_ref::<Failure>() {
-        Some(Failure::Unreachable(_)) => 3,
-        Some(Failure::Fault(_)) => 4,
-        Some(Failure::Taken(_) | Failure::Again(_)) | None => 1,
+    match error.downcast_ref::<DaemonStartFailure>() {
+        Some(DaemonStartFailure::Unreachable(_)) => 3,
+        Some(DaemonStartFailure::Fault(_)) => 4,
+        Some(DaemonStartFailure::Taken(_) | DaemonStartFailure::Again(_)) | None => 1,
     }
 }
 
@@ -161,7 +161,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         return Err(InputError::whole(file, found, "[card] backend = \"mock\"").into());
     }
     for note in &config.notes {
-        log::say(Level::Warning, note);
+        stderr_journal_log::say(SyslogLevel::Warning, note);
     }
     // Before any thread starts, so that all inherit the mask and signals come through the descriptor only.
     let signals = SigSet::from_iter([Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP]);
@@ -169,12 +169,12 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let signals =
         SignalFd::with_flags(&signals, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC).context("signalfd")?;
 
-    let edited_files = Some(EditedFiles::watch(file));
-    let sockets = sockets::listen(&config.control)?;
+    let edited_files = Some(EditedFilesChecker::watch(file));
+    let sockets = listening_sockets::listen(&config.control)?;
     let kept = manager.take_back("outputs-");
     for name in manager.left_over() {
-        log::say(
-            Level::Warning,
+        stderr_journal_log::say(
+            SyslogLevel::Warning,
             &format!("stored descriptor {name}: nobody has a use for it; it stays open"),
         );
     }
@@ -200,7 +200,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         CardConfig::Gpio(setup) => {
             let copies = || kept.iter().map(OwnedFd::try_clone).collect::<std::io::Result<Vec<_>>>();
             let kept = || copies().unwrap_or_default();
-            let Some(card) = patience.open(|| card::gpio(&setup, kept()))? else { return Ok(()) };
+            let Some(card) = patience.open(|| card_opening::gpio(&setup, kept()))? else { return Ok(()) };
             // Before anything is inverted, so that the lines outlive this process.
             for (name, fd) in card.kept() {
                 if !outside.manager.keep(&name, fd)? {
@@ -208,21 +208,23 @@ fn run(args: &Args) -> anyhow::Result<()> {
                         "{name}: no service manager keeps the lines; when this process dies they may fall, both \
                          inverters at once"
                     );
-                    log::say(Level::Warning, &text);
+                    stderr_journal_log::say(SyslogLevel::Warning, &text);
                 }
             }
             work(card, config, MachineKind::Real, outside)
         }
         CardConfig::Registers { place, profile } => {
             // Found again at each try: meanwhile another driver may have taken the card, or it was reset.
-            let open = || match card::find(&place, &profile, CardAccess::Drive)? {
+            let open = || match card_opening::find(&place, &profile, CardAccess::Drive)? {
                 LocatedRegisters::Parport(file) => {
-                    card::parport(&file, &profile).map(OpenedRegisters::Parport)
+                    card_opening::parport(&file, &profile).map(OpenedRegisters::Parport)
                 }
-                LocatedRegisters::Ports(base) => card::ports(base, &profile).map(OpenedRegisters::Ports),
+                LocatedRegisters::Ports(base) => {
+                    card_opening::ports(base, &profile).map(OpenedRegisters::Ports)
+                }
                 // Opened once before it is locked, because a missing file is waited for.
                 LocatedRegisters::Map(file, map) => {
-                    card::mapped(&file, map, &profile).map(|_| OpenedRegisters::Map(file, map))
+                    card_opening::mapped(&file, map, &profile).map(|_| OpenedRegisters::Map(file, map))
                 }
             };
             let Some(opened) = patience.open(open)? else { return Ok(()) };
@@ -230,8 +232,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
                 OpenedRegisters::Parport(card) => work(card, config, MachineKind::Real, outside),
                 OpenedRegisters::Ports(card) => work(card, config, MachineKind::Real, outside),
                 OpenedRegisters::Map(file, map) => {
-                    let _card_lock = lock::card(&file).map_err(Failure::from)?;
-                    let card = card::mapped(&file, map, &profile)?;
+                    let _card_lock = single_process_lock::card(&file).map_err(DaemonStartFailure::from)?;
+                    let card = card_opening::mapped(&file, map, &profile)?;
                     let real = mock_cards::drives_a_machine(&file)?;
                     work(card, config, if real { MachineKind::Real } else { MachineKind::Harmless }, outside)
                 }
@@ -256,7 +258,7 @@ struct CardOpenRetry<'a> {
 impl CardOpenRetry<'_> {
     /// Opens a card, and tries again until it is there.
     /// Returns `None` when a signal ends the waiting.
-    fn open<T>(&self, mut open: impl FnMut() -> Result<T, OpenError>) -> anyhow::Result<Option<T>> {
+    fn open<T>(&self, mut open: impl FnMut() -> Result<T, CardOpenError>) -> anyhow::Result<Option<T>> {
         let mut said = String::new();
         loop {
             let error = match open() {
@@ -265,7 +267,7 @@ impl CardOpenRetry<'_> {
                 Err(error) => error.to_string(),
             };
             if error != said {
-                log::say(Level::Warning, &format!("waiting for the card: {error}"));
+                stderr_journal_log::say(SyslogLevel::Warning, &format!("waiting for the card: {error}"));
                 said = error;
             }
             if self.signals.read_signal().context("reading signals")?.is_some() {
@@ -291,7 +293,7 @@ struct Outside<'a> {
     sockets: &'a ListeningSockets,
     signals: &'a SignalFd,
     manager: &'a mut ServiceManager,
-    edited_files: Option<EditedFiles>,
+    edited_files: Option<EditedFilesChecker>,
 }
 
 /// Runs the engine on `card` until a signal ends it.
@@ -304,9 +306,10 @@ fn work<C: Card + Send + 'static>(
     let real = matches!(kind, MachineKind::Real);
     let directory = config.control.state_path();
     let directory = directory.parent().unwrap_or(Path::new(""));
-    let clock = Clock::start();
+    let clock = SteadyEpochClock::start();
     let log_to = (directory, config.model.log_s);
-    let sensors = SensorThreads::start(&config.sensors, clock, log_to, rtec_records::record::read_log)?;
+    let sensors =
+        SensorThreads::start(&config.sensors, clock, log_to, rtec_records::run_record_files::read_log)?;
     let (engine, before, state_file) = start::engine(&mut card, &config)?;
     if let Some(file) = &state_file {
         file.outlive_truncation().context("a handler for a state file that is cut short")?;
@@ -322,10 +325,13 @@ fn work<C: Card + Send + 'static>(
     let (machine, backend, axes) = (&config.machine, config.card.backend(), config.axes.len());
     let socket = config.control.socket.display();
     let text = format!("machine \"{machine}\": card {backend}, {axes} axes, socket {socket}");
-    log::say(Level::Notice, &text);
+    stderr_journal_log::say(SyslogLevel::Notice, &text);
     for SetupFinding { name, wanted, got, remedy, .. } in running.report.iter().flat_map(SetupReport::missing)
     {
-        log::say(Level::Warning, &format!("{name}: wanted {wanted}, found {got}: {remedy}"));
+        stderr_journal_log::say(
+            SyslogLevel::Warning,
+            &format!("{name}: wanted {wanted}, found {got}: {remedy}"),
+        );
     }
     let set_up = control_side::RtStartupReport {
         real,
@@ -335,13 +341,13 @@ fn work<C: Card + Send + 'static>(
         before,
     };
     let log_file = config.control.log_path();
-    let mut audit =
-        Audit::start(&log_file, outside.sockets.viewers).context("starting the record of commands")?;
+    let mut audit = AuditLogSender::start(&log_file, outside.sockets.viewers)
+        .context("starting the record of commands")?;
     let mut session = ControlSide::new(config, set_up, (sensors, clock), outside.edited_files.take());
     session.watch_over(state_file);
     session.take_up_model();
     if let Some(trouble) = session.spool_trouble() {
-        log::say(Level::Warning, &trouble);
+        stderr_journal_log::say(SyslogLevel::Warning, &trouble);
     }
     if let MachineKind::Simulated(stand) = kind {
         session.stand_at(stand);
@@ -351,13 +357,13 @@ fn work<C: Card + Send + 'static>(
         running.control.beat();
         std::thread::sleep(Duration::from_millis(1));
     }
-    let started = format!("rtecd {} at {}", rtec_files::format_stamp::VERSION, session.identity());
+    let started = format!("rtecd {} at {}", rtec_files::file_format_stamp::VERSION, session.identity());
     audit.note("start", started, session.totals(&mut running.control));
     for happened in session.found_at_start(&running.control.status()) {
         audit.happened(&happened, session.totals(&mut running.control));
     }
     outside.manager.ready()?;
-    let served = server::serve(outside, &mut session, &mut running.control, &mut audit);
+    let served = control_socket_server::serve(outside, &mut session, &mut running.control, &mut audit);
     if matches!(served, Ok(ServingEnd::StandsStill)) {
         // The thread cannot be ended and holds the card. The next process finds the fault and asserts feed hold.
         let mut text = explain_fault(Fault::ThreadLost).to_owned();
@@ -366,7 +372,7 @@ fn work<C: Card + Send + 'static>(
         }
         audit.note("thread_lost", text, session.totals(&mut running.control));
         audit.end(LOG_PATIENCE);
-        return Err(Failure::Again(LOST).into());
+        return Err(DaemonStartFailure::Again(LOST).into());
     }
     session.look_after_state_file(&mut running.control);
     let (ended, mut control) = running.stop();
@@ -380,12 +386,14 @@ fn work<C: Card + Send + 'static>(
         let (name, in_effect) = (&axis.name, status.in_effect);
         let inverters = if status.inverted { "on" } else { "off" };
         let text = format!("parked axis {name}: completed {in_effect:+} counts, inverters {inverters}");
-        log::say(Level::Notice, &text);
+        stderr_journal_log::say(SyslogLevel::Notice, &text);
     }
     audit.end(LOG_PATIENCE);
     match served? {
-        ServingEnd::Panicked => Err(Failure::Again(LOST).into()),
-        ServingEnd::HungUp => Err(Failure::Again("a hangup ended it, and nobody asked for that").into()),
+        ServingEnd::Panicked => Err(DaemonStartFailure::Again(LOST).into()),
+        ServingEnd::HungUp => {
+            Err(DaemonStartFailure::Again("a hangup ended it, and nobody asked for that").into())
+        }
         ServingEnd::Asked | ServingEnd::StandsStill => Ok(()),
     }
 }
@@ -393,7 +401,7 @@ fn work<C: Card + Send + 'static>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_driver::card::{CardError, Sample};
+    use rtec_driver::card::{CardError, CardInputSample};
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -405,7 +413,7 @@ mod tests {
     }
 
     impl<C: Card> Card for Panics<C> {
-        fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+        fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
             assert!(!self.planted.load(Ordering::Acquire), "planted");
             self.card.sample(wake_ns)
         }
@@ -433,7 +441,7 @@ mod tests {
         let (card, _) = mock_cards::mock(&config);
         let (planted, outputs) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
         let card = Panics { card, planted: Arc::clone(&planted), outputs: Arc::clone(&outputs) };
-        let sockets = sockets::listen(&config.control).unwrap();
+        let sockets = listening_sockets::listen(&config.control).unwrap();
         let signals = SignalFd::new(&SigSet::empty()).unwrap();
         let mut manager = ServiceManager::from_environment().unwrap();
         let outside =

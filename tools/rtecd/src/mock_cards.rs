@@ -1,19 +1,19 @@
 //! Builds the card that the configuration names.
 
-use crate::Failure;
+use crate::DaemonStartFailure;
 use nix::sys::statfs::{SYSFS_MAGIC, statfs};
-use rtec_control::config::{Config, ConfiguredAxis, SimulatedAxis};
+use rtec_control::config::{Config, ConfiguredAxis, SimulatedAxisDeviations};
 use rtec_driver::card::AxisLines;
 use rtec_driver::clock::Monotonic;
-use rtec_driver::mock::{MockCard, Wires};
-use rtec_driver::replay::TracePoint;
+use rtec_driver::mock_card::{MockCard, Wires};
+use rtec_driver::trace_replay::TracePoint;
 use rtec_files::InputError;
 use rtec_files::quadrature_trace::TraceReader;
 use rtec_part::geometric_fit::Zx;
 use rtec_sim::lathe::Lathe;
+use rtec_sim::machines_on_mock_card::MachinesOnMockCard;
 use rtec_sim::machining_task::{CutRecorder, MachiningTask};
-use rtec_sim::strokes::{MovingAxes, Operator, StrokeMotion, TrueAxisState, moving_axes};
-use rtec_sim::wired_machines::WiredMachines;
+use rtec_sim::stroking_axes::{MovingAxes, Operator, StrokeMotion, TrueAxisState, moving_axes};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ const MAX_POINTS: usize = 50_000_000;
 
 /// The person at the simulated machine, who jogs axes and reads displays.
 pub(crate) struct SimulatedOperator {
-    axes: Vec<(Arc<TrueAxisState>, SimulatedAxis)>,
+    axes: Vec<(Arc<TrueAxisState>, SimulatedAxisDeviations)>,
     operator: Operator,
 }
 
@@ -77,7 +77,7 @@ pub(crate) fn mock(config: &Config) -> (MockCard<MovingAxes, Monotonic>, Simulat
 pub(crate) fn lathe(
     config: &Config,
     file: &Path,
-) -> Result<(MockCard<WiredMachines<Lathe>, Monotonic>, CutRecorder), InputError> {
+) -> Result<(MockCard<MachinesOnMockCard<Lathe>, Monotonic>, CutRecorder), InputError> {
     let axis = |name: &str| {
         let missing = || InputError::whole(file, format!("a configuration without axis {name}"), "z and x");
         config.axes.iter().find(|a| a.name == name).ok_or_else(missing)
@@ -103,13 +103,13 @@ struct RecordedAxis {
 
 /// Recorded axes, played in real time from the first look on.
 /// After the last edge they stand still.
-pub(crate) struct RecordedAxes {
+pub(crate) struct RecordedAxesPlayback {
     axes: Vec<RecordedAxis>,
     start_ns: Option<u64>,
     now_ns: u64,
 }
 
-impl Wires for RecordedAxes {
+impl Wires for RecordedAxesPlayback {
     fn levels(&mut self, t_ns: u64, _outputs: u64) -> u64 {
         let start_ns = *self.start_ns.get_or_insert(t_ns);
         self.now_ns = t_ns - start_ns;
@@ -140,7 +140,7 @@ impl Wires for RecordedAxes {
 pub(crate) fn replay(
     config: &Config,
     traces: &[PathBuf],
-) -> Result<MockCard<RecordedAxes, Monotonic>, InputError> {
+) -> Result<MockCard<RecordedAxesPlayback, Monotonic>, InputError> {
     let mut axes = Vec::new();
     let mut held = 0;
     for (axis, file) in config.axes.iter().zip(traces) {
@@ -155,13 +155,13 @@ pub(crate) fn replay(
         }
         axes.push(RecordedAxis { lines: axis.engine.lines, points, at: 0 });
     }
-    Ok(MockCard::new(RecordedAxes { axes, start_ns: None, now_ns: 0 }, Monotonic))
+    Ok(MockCard::new(RecordedAxesPlayback { axes, start_ns: None, now_ns: 0 }, Monotonic))
 }
 
 /// Whether the file may drive a machine.
 /// A plain file (shared memory) does not: another program plays the card. A device, or a PCI resource in sysfs, does.
-pub(crate) fn drives_a_machine(file: &Path) -> Result<bool, Failure> {
-    let failed = |e: std::io::Error| Failure::Unreachable(format!("card {}: {e}", file.display()));
+pub(crate) fn drives_a_machine(file: &Path) -> Result<bool, DaemonStartFailure> {
+    let failed = |e: std::io::Error| DaemonStartFailure::Unreachable(format!("card {}: {e}", file.display()));
     let plain = std::fs::metadata(file).map_err(failed)?.is_file();
     let system = statfs(file).map_err(|e| failed(e.into()))?.filesystem_type();
     Ok(!plain || system == SYSFS_MAGIC)
@@ -177,8 +177,11 @@ mod tests {
         let point = |t_ns, bits| TracePoint { t_ns, state: State::from_bits(bits) };
         let points = vec![point(1000, 0), point(1100, 1), point(1150, 3), point(2000, 2)];
         let lines = AxisLines::standard(0, false);
-        let mut wires =
-            RecordedAxes { axes: vec![RecordedAxis { lines, points, at: 0 }], start_ns: None, now_ns: 0 };
+        let mut wires = RecordedAxesPlayback {
+            axes: vec![RecordedAxis { lines, points, at: 0 }],
+            start_ns: None,
+            now_ns: 0,
+        };
         assert_eq!(wires.levels(50_000, 0), 0);
         assert_eq!(wires.step_limit_ns(), 100);
         assert_eq!(wires.levels(50_100, 0), 1);

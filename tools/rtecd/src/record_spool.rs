@@ -15,7 +15,7 @@ use rtec_files::InputError;
 use rtec_files::date;
 use rtec_files::message_text::{quoted, unseen};
 use rtec_model::record::{Column, Record, Role, RunKind, check};
-use rtec_records::record::{parse_log, to_csv, to_sidecar};
+use rtec_records::run_record_files::{parse_log, to_csv, to_sidecar};
 use rtec_records::spool::{self, SpoolLimits};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -71,7 +71,7 @@ impl SpoolFolder {
 }
 
 /// Writes records into the spool folder, with the probing run under way.
-pub(crate) struct RecordSpool {
+pub(crate) struct RecordSpoolWriter {
     spool: Option<SpoolFolder>,
     /// Names of the temperature sensors, with their indices among all sensors.
     sensors: Vec<(usize, String)>,
@@ -80,7 +80,7 @@ pub(crate) struct RecordSpool {
     writing: usize,
 }
 
-impl RecordSpool {
+impl RecordSpoolWriter {
     pub(crate) fn new(spool: Option<SpoolFolder>, sensors: Vec<(usize, String)>) -> Self {
         if let Some(SpoolFolder { folder, .. }) = spool.clone() {
             // Finishes the work of a killed daemon. Nobody waits for the disk; without a thread the next record does
@@ -288,7 +288,7 @@ mod tests {
         }
     }
 
-    fn probed(record_spool: &mut RecordSpool, trips: usize) {
+    fn probed(record_spool: &mut RecordSpoolWriter, trips: usize) {
         let axes = Config::embedded().axes;
         // 2026-08-01 10:15:02.
         record_spool.begin(1_000_000_000, 1_785_579_302.0);
@@ -318,11 +318,11 @@ mod tests {
     #[test]
     fn a_probing_run_is_a_record_of_what_was_known_at_every_trip() {
         let folder = tempfile::tempdir().unwrap();
-        let mut record_spool = RecordSpool::new(Some(spool(folder.path())), sensors());
+        let mut record_spool = RecordSpoolWriter::new(Some(spool(folder.path())), sensors());
         probed(&mut record_spool, 3);
         let file = record_spool.last(Duration::from_secs(60)).unwrap().unwrap();
         assert_eq!(file, folder.path().join("probing-20260801-101502.run.toml"));
-        let record = rtec_records::record::read_log(&file).unwrap();
+        let record = rtec_records::run_record_files::read_log(&file).unwrap();
         let names: Vec<&str> = record.columns.iter().map(|c| c.name.as_str()).collect();
         // The second axis was never known, the second sensor not at the first trip.
         assert_eq!(names, ["t", "position.x", "position.z", "T1"]);
@@ -345,12 +345,12 @@ mod tests {
     #[test]
     fn a_run_without_an_end_becomes_records_of_a_bounded_length() {
         let folder = tempfile::tempdir().unwrap();
-        let mut record_spool = RecordSpool::new(Some(spool(folder.path())), sensors());
+        let mut record_spool = RecordSpoolWriter::new(Some(spool(folder.path())), sensors());
         probed(&mut record_spool, TRIPS + 2);
         let mut rows = Vec::new();
         for _ in 0..2 {
             let file = record_spool.last(Duration::from_secs(60)).unwrap().unwrap();
-            rows.push(rtec_records::record::read_log(&file).unwrap().rows());
+            rows.push(rtec_records::run_record_files::read_log(&file).unwrap().rows());
         }
         rows.sort_unstable();
         assert_eq!(rows, [2, TRIPS]);
@@ -359,13 +359,13 @@ mod tests {
     #[test]
     fn a_folder_that_is_gone_costs_the_record_and_says_so() {
         let folder = tempfile::tempdir().unwrap();
-        let mut record_spool = RecordSpool::new(Some(spool(&folder.path().join("gone"))), sensors());
+        let mut record_spool = RecordSpoolWriter::new(Some(spool(&folder.path().join("gone"))), sensors());
         assert!(record_spool.trouble().unwrap().contains("is no folder"));
         probed(&mut record_spool, 4);
         let why = record_spool.last(Duration::from_secs(60)).unwrap().unwrap_err();
         assert!(why.contains("4 trips is not kept") && why.contains("is no folder"), "{why}");
         // Without a spool no run is kept in memory either.
-        let mut record_spool = RecordSpool::new(None, sensors());
+        let mut record_spool = RecordSpoolWriter::new(None, sensors());
         probed(&mut record_spool, 4);
         assert!(record_spool.last(Duration::ZERO).is_none() && record_spool.trouble().is_none());
     }

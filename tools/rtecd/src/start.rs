@@ -1,8 +1,8 @@
 //! Makes the engine in the state that the last process left.
 //! Totals come from the state file and the inverters. Feed hold and faults stay. Every doubt is latched as a fault.
 
-use crate::Failure;
-use crate::log::{self, Level};
+use crate::DaemonStartFailure;
+use crate::stderr_journal_log::{self, SyslogLevel};
 use rtec_control::config::Config;
 use rtec_control::protocol::explain_fault;
 use rtec_driver::card::Card;
@@ -23,7 +23,7 @@ pub(crate) fn engine<C: Card>(
     // The outputs of a mock card end with its process, and so does its MTC. There is no state to take over.
     let journal = if config.card.is_real() {
         let file = config.control.state_path();
-        Some(Journal::open(&file, &config.identity()).map_err(Failure::from)?)
+        Some(Journal::open(&file, &config.identity()).map_err(DaemonStartFailure::from)?)
     } else {
         None
     };
@@ -39,9 +39,9 @@ pub(crate) fn engine<C: Card>(
                  Nothing is written; switch the MTC off, set both inverters equal, start again and home",
                 config.axes[n].name
             );
-            return Err(Failure::Fault(why).into());
+            return Err(DaemonStartFailure::Fault(why).into());
         }
-        Err(error) => return Err(Failure::Unreachable(error.to_string()).into()),
+        Err(error) => return Err(DaemonStartFailure::Unreachable(error.to_string()).into()),
     };
     if config.hold_without_mtc {
         engine.hold_without_mtc();
@@ -50,13 +50,13 @@ pub(crate) fn engine<C: Card>(
         let name = &config.axes[n].name;
         if axis.completed % 2 != 0 {
             let text = format!("axis {name}: left in the middle of an insertion; it is finished now");
-            log::say(Level::Error, &text);
+            stderr_journal_log::say(SyslogLevel::Error, &text);
         }
         if journal.is_some() && !axis.mtc_known {
             engine.lose_controller(n);
         }
         for &fault in &axis.faults {
-            log::say(Level::Error, &format!("axis {name}: {}", explain_fault(fault)));
+            stderr_journal_log::say(SyslogLevel::Error, &format!("axis {name}: {}", explain_fault(fault)));
             // The fault is in the first status. Nobody is there yet to get an event.
             engine.latch(Some(n as u8), fault, card, &mut |_| true)?;
         }
@@ -65,7 +65,7 @@ pub(crate) fn engine<C: Card>(
     let lost = [(before.thread_lost, Fault::ThreadLost), (unknown_hold, Fault::RecordLost)];
     let lost = lost.into_iter().filter_map(|(lost, fault)| lost.then_some(fault));
     for fault in before.machine.iter().flat_map(|m| m.faults.iter()).chain(lost) {
-        log::say(Level::Error, explain_fault(fault));
+        stderr_journal_log::say(SyslogLevel::Error, explain_fault(fault));
         engine.latch(None, fault, card, &mut |_| true)?;
     }
     // If the file does not say why feed hold is on, it stays on.
@@ -79,7 +79,7 @@ pub(crate) fn engine<C: Card>(
     let kept = journal.map(|(journal, _)| engine.keep_journal(journal)).transpose();
     let state_file = kept.map_err(|source| {
         let path = config.control.state_path();
-        Failure::from(JournalError::Io { path, source })
+        DaemonStartFailure::from(JournalError::Io { path, source })
     })?;
     Ok((engine, before, state_file.flatten()))
 }
@@ -92,19 +92,27 @@ pub(crate) const OTHER_BOOT: &str =
 fn say_found(engine: &Engine, config: &Config, before: &StateAtOpen) {
     if before.older {
         let text = "the state file is of the version before: it says nothing of feed hold, nor whether the controller was homed";
-        log::say(Level::Warning, text);
+        stderr_journal_log::say(SyslogLevel::Warning, text);
     }
     if before.other_boot {
-        log::say(Level::Warning, OTHER_BOOT);
+        stderr_journal_log::say(SyslogLevel::Warning, OTHER_BOOT);
     }
     let status = engine.status();
     match status.held {
         Some(FeedHoldSource::FoundOn) => {
-            log::say(Level::Warning, "feed hold was found on; nobody knows who asked for it");
+            stderr_journal_log::say(
+                SyslogLevel::Warning,
+                "feed hold was found on; nobody knows who asked for it",
+            );
         }
-        Some(FeedHoldSource::Controller) => log::say(Level::Warning, "feed hold: the controller was off"),
+        Some(FeedHoldSource::Controller) => {
+            stderr_journal_log::say(SyslogLevel::Warning, "feed hold: the controller was off");
+        }
         Some(FeedHoldSource::User(uid)) => {
-            log::say(Level::Warning, &format!("feed hold: user {uid} asked for it before the restart"));
+            stderr_journal_log::say(
+                SyslogLevel::Warning,
+                &format!("feed hold: user {uid} asked for it before the restart"),
+            );
         }
         None => {}
     }
@@ -115,12 +123,12 @@ fn say_found(engine: &Engine, config: &Config, before: &StateAtOpen) {
             "nobody knows what the controller counts of {}: home it, then `rtecctl home --controller-homed`",
             unknown.join(", ")
         );
-        log::say(Level::Warning, &text);
+        stderr_journal_log::say(SyslogLevel::Warning, &text);
     }
 }
 
 /// State of an axis that the last process left.
-struct AxisAtStart {
+struct RestoredAxisState {
     completed: i64,
     mtc_known: bool,
     faults: Vec<Fault>,
@@ -132,8 +140,8 @@ fn take_over<C: Card>(
     card: &mut C,
     config: &Config,
     before: &StateAtOpen,
-) -> anyhow::Result<Vec<AxisAtStart>> {
-    let outputs = card.outputs().map_err(|e| Failure::Unreachable(e.to_string()))?;
+) -> anyhow::Result<Vec<RestoredAxisState>> {
+    let outputs = card.outputs().map_err(|e| DaemonStartFailure::Unreachable(e.to_string()))?;
     let axes = config.axes.iter().zip(before.records.iter().zip(before.damaged)).map(
         |(axis, (records, damaged))| {
             let inverters = axis.engine.lines.inverters(outputs);
@@ -151,7 +159,7 @@ fn take_over<C: Card>(
             }
             let (completed, mtc_known) =
                 found.map_or((0, false), |r| (r.completed, r.mtc_known && !before.other_boot));
-            AxisAtStart { completed, mtc_known, faults }
+            RestoredAxisState { completed, mtc_known, faults }
         },
     );
     Ok(axes.collect())

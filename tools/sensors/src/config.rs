@@ -1,8 +1,8 @@
 //! `[[sensor]]` of a configuration: its keys, their bounds and defaults.
 
 use rtec_files::keys;
-use rtec_files::keys::AcceptedValue::{Choice, Name, Number, Own, Range, Text, Whole, Word};
-use rtec_files::keys::{FileWithFindings, LocatedValue, REQUIRED, Section};
+use rtec_files::toml_section_keys::AcceptedKeyValue::{Choice, Name, Number, Own, Range, Text, Whole, Word};
+use rtec_files::toml_section_keys::{FileWithFindings, LocatedValue, REQUIRED, TomlSection};
 use rtec_model::record::Role;
 use std::path::{Path, PathBuf};
 
@@ -67,7 +67,7 @@ pub struct SensorConfig {
 
 impl SensorConfig {
     /// Reads one `[[sensor]]`.
-    fn read(source: &mut FileWithFindings<'_>, mut s: Section<'_>) -> Option<Self> {
+    fn read(source: &mut FileWithFindings<'_>, mut s: TomlSection<'_>) -> Option<Self> {
         // A key of another source is accepted, but has no effect.
         for key in KEYS {
             s.has(key.name);
@@ -77,12 +77,14 @@ impl SensorConfig {
         let period_s = s.number_or_default(source, "period_s");
         let role = Self::role(source, &mut s);
         let warm = role == Role::Temperature;
-        let refuse =
-            |source: &mut FileWithFindings<'_>, s: &mut Section<'_>, key: &'static str, expected: &str| {
-                if let Some(at) = s.value(source, key, expected, |_| Some(())) {
-                    source.finding(at.offset, format!("the key {key}"), expected);
-                }
-            };
+        let refuse = |source: &mut FileWithFindings<'_>,
+                      s: &mut TomlSection<'_>,
+                      key: &'static str,
+                      expected: &str| {
+            if let Some(at) = s.value(source, key, expected, |_| Some(())) {
+                source.finding(at.offset, format!("the key {key}"), expected);
+            }
+        };
         let (range, max_rate_k_per_min) = if warm {
             refuse(source, &mut s, "range", "range_degC: it reads a temperature");
             let range = s.range(source, "range_degC").map_or([-20.0, 120.0], |at| at.value);
@@ -110,7 +112,7 @@ impl SensorConfig {
         })
     }
 
-    fn role(source: &mut FileWithFindings<'_>, s: &mut Section<'_>) -> Role {
+    fn role(source: &mut FileWithFindings<'_>, s: &mut TomlSection<'_>) -> Role {
         let expected = "temperature, spindle_speed, coolant, load.AXIS or channel";
         let sensed = |role: &Role| {
             matches!(
@@ -124,7 +126,7 @@ impl SensorConfig {
 
     fn source(
         source: &mut FileWithFindings<'_>,
-        s: &mut Section<'_>,
+        s: &mut TomlSection<'_>,
         name: Option<LocatedValue<&str>>,
     ) -> Option<SensorSource> {
         let kind = s.pick(source, "source", &["iio", "hwmon", "one_wire", "csv", "line"])?.value;
@@ -183,7 +185,7 @@ impl SensorConfig {
 
 /// Reads the `[[sensor]]` tables; a recording's path is relative to the file.
 /// A table with a mistake gives a finding and no sensor.
-pub fn read_tables(source: &mut FileWithFindings<'_>, root: &mut Section<'_>) -> Vec<SensorConfig> {
+pub fn read_tables(source: &mut FileWithFindings<'_>, root: &mut TomlSection<'_>) -> Vec<SensorConfig> {
     let mut all: Vec<SensorConfig> = Vec::new();
     for s in root.tables(source, "sensor", "[[sensor]]") {
         let offset = s.offset;
@@ -237,14 +239,14 @@ pub(crate) fn for_test(name: &str, source: SensorSource) -> SensorConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_files::toml::Document;
+    use rtec_files::strict_toml::Document;
 
     fn tables(text: &str) -> Result<Vec<SensorConfig>, String> {
         let text = text.replace('\'', "\"");
         let file = Path::new("rtec.toml");
         let document = Document::parse(file, &text).unwrap();
         let mut source = FileWithFindings { file, text: &text, findings: Vec::new() };
-        let all = read_tables(&mut source, &mut Section::root(&document));
+        let all = read_tables(&mut source, &mut TomlSection::root(&document));
         let said: Vec<String> = source.findings.iter().map(ToString::to_string).collect();
         if said.is_empty() { Ok(all) } else { Err(said.join("\n")) }
     }

@@ -8,7 +8,7 @@ use clap::Parser;
 use rtec_files::eprintln;
 use rtec_records::spool::{ShipError, ship};
 use rusty_s3::Credentials;
-use s3::{Address, S3, roots};
+use s3::{Address, S3Bucket, roots};
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -45,7 +45,7 @@ struct Args {
 }
 
 /// Why a round failed: the caller's mistake, or a condition that may pass.
-enum Failure {
+enum ShippingRoundFailure {
     Bad(String),
     Away(String),
     /// Files that are no records stay in the spool; the store is not at fault.
@@ -53,47 +53,57 @@ enum Failure {
 }
 
 fn main() -> ExitCode {
-    rtec_files::format_stamp::built_from(env!("RTEC_COMMIT"));
+    rtec_files::file_format_stamp::built_from(env!("RTEC_COMMIT"));
     let (code, said) = match run(&Args::parse()) {
         Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Kept(said)) => (1, said),
-        Err(Failure::Bad(said)) => (2, said),
-        Err(Failure::Away(said)) => (3, said),
+        Err(ShippingRoundFailure::Kept(said)) => (1, said),
+        Err(ShippingRoundFailure::Bad(said)) => (2, said),
+        Err(ShippingRoundFailure::Away(said)) => (3, said),
     };
     eprintln!("rtec-ship: {said}");
     ExitCode::from(code)
 }
 
-fn run(args: &Args) -> Result<(), Failure> {
+fn run(args: &Args) -> Result<(), ShippingRoundFailure> {
     let env = |name: &str| std::env::var(name).ok();
-    let address = Address::parse(&args.to, args.endpoint.as_deref(), env).map_err(Failure::Bad)?;
+    let address =
+        Address::parse(&args.to, args.endpoint.as_deref(), env).map_err(ShippingRoundFailure::Bad)?;
     let credentials = Credentials::from_env().ok_or_else(|| {
         let found = "found no AWS_ACCESS_KEY_ID with AWS_SECRET_ACCESS_KEY";
-        Failure::Bad(format!("{found}, expected both in the environment; they stand in no file of ours"))
+        ShippingRoundFailure::Bad(format!(
+            "{found}, expected both in the environment; they stand in no file of ours"
+        ))
     })?;
     let bundle = env("AWS_CA_BUNDLE").filter(|f| !f.is_empty());
     let roots = bundle.map(|file| {
         let bytes = std::fs::read(&file).map_err(|e| e.to_string());
-        bytes.and_then(|b| roots(&b)).map_err(|e| Failure::Bad(format!("AWS_CA_BUNDLE: {file}: {e}")))
+        bytes
+            .and_then(|b| roots(&b))
+            .map_err(|e| ShippingRoundFailure::Bad(format!("AWS_CA_BUNDLE: {file}: {e}")))
     });
-    let store = S3::open(&address, credentials, roots.transpose()?).map_err(Failure::Bad)?;
+    let store =
+        S3Bucket::open(&address, credentials, roots.transpose()?).map_err(ShippingRoundFailure::Bad)?;
     loop {
         let done = once(args, &store);
         let Some(seconds) = args.every else { return done };
         match done {
-            Err(Failure::Away(said)) => eprintln!("warning: {said}; looked at again in {seconds} s"),
+            Err(ShippingRoundFailure::Away(said)) => {
+                eprintln!("warning: {said}; looked at again in {seconds} s");
+            }
             // The files that stay were reported already.
-            Ok(()) | Err(Failure::Kept(_)) => {}
+            Ok(()) | Err(ShippingRoundFailure::Kept(_)) => {}
             Err(bad) => return Err(bad),
         }
         std::thread::sleep(Duration::from_secs(seconds));
     }
 }
 
-fn once(args: &Args, store: &S3) -> Result<(), Failure> {
+fn once(args: &Args, store: &S3Bucket) -> Result<(), ShippingRoundFailure> {
     let round = ship(&args.spool, store, &args.machine).map_err(|error| match &error {
-        ShipError::Store { error: why, .. } if !mended_by_the_caller(why) => Failure::Away(error.to_string()),
-        _ => Failure::Bad(error.to_string()),
+        ShipError::Store { error: why, .. } if !mended_by_the_caller(why) => {
+            ShippingRoundFailure::Away(error.to_string())
+        }
+        _ => ShippingRoundFailure::Bad(error.to_string()),
     })?;
     for finding in &round.kept {
         eprintln!("warning: {finding}; it stays in the spool");
@@ -102,9 +112,9 @@ fn once(args: &Args, store: &S3) -> Result<(), Failure> {
     match out.write_all(round.text(args.json).as_bytes()).and_then(|()| out.flush()) {
         // A reader that has closed the pipe is no error.
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Failure::Bad(format!("writing to standard output: {e}")))
+            Err(ShippingRoundFailure::Bad(format!("writing to standard output: {e}")))
         }
-        _ => round.stays(&args.spool).map_or(Ok(()), |stays| Err(Failure::Kept(stays))),
+        _ => round.stays(&args.spool).map_or(Ok(()), |stays| Err(ShippingRoundFailure::Kept(stays))),
     }
 }
 

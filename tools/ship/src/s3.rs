@@ -71,14 +71,14 @@ impl Address {
 }
 
 /// A bucket, ready to be written.
-pub(crate) struct S3 {
+pub(crate) struct S3Bucket {
     bucket: Bucket,
     credentials: Credentials,
     prefix: String,
     agent: Agent,
 }
 
-impl S3 {
+impl S3Bucket {
     pub(crate) fn open(
         address: &Address,
         credentials: Credentials,
@@ -136,7 +136,7 @@ impl S3 {
     }
 }
 
-impl RecordStore for S3 {
+impl RecordStore for S3Bucket {
     fn put(&self, key: &str, bytes: &[u8]) -> io::Result<()> {
         let key = self.key(key);
         // The store computes the same sum over what it gets, and refuses anything that differs.
@@ -286,7 +286,8 @@ mod tests {
     fn an_endpoint_is_a_host_and_holds_no_password() {
         let opened = |endpoint: &str| {
             let address = Address::parse("s3://plant", Some(endpoint), nothing).unwrap();
-            S3::open(&address, Credentials::new("key", "hush"), None).map(|s| s.bucket.base_url().to_string())
+            S3Bucket::open(&address, Credentials::new("key", "hush"), None)
+                .map(|s| s.bucket.base_url().to_string())
         };
         assert_eq!(opened("http://127.0.0.1:9000").unwrap(), "http://127.0.0.1:9000/plant/");
         assert_eq!(opened("https://gateway/s3").unwrap(), "https://gateway/s3/plant/");

@@ -5,10 +5,10 @@
 //! 500 edges.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::RequestedTotal;
+use rtec_driver::trace_replay::RequestedTotal;
 use rtec_files::quadrature_trace::TraceReader;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::replay::replay;
+use rtec_sim::engine_replay::replay;
 use std::io::{BufWriter, Write};
 use std::time::Instant;
 

@@ -1,8 +1,8 @@
 //! Prints the simulation's speed: `cargo bench -p rtec-sim --bench sim_speed`.
 
 use rtec_model::machine::Machine;
+use rtec_sim::corrected_machine_sim::{CorrectedMachineSim, MachineSpec};
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
 use std::time::Instant;
 
@@ -12,7 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let model = Machine::parse(Path::new("speed.toml"), text)?;
     let mut spec = MachineSpec::machining_centre();
     spec.axes.truncate(2);
-    let mut sim = Sim::new(&spec, &model, Some(&model), [-250.0, -250.0, 0.0], 1)?;
+    let mut sim = CorrectedMachineSim::new(&spec, &model, Some(&model), [-250.0, -250.0, 0.0], 1)?;
     // Both axes at 10 m/min at once.
     let to_and_fro = [250.0, -250.0].map(|at| Block::Rapid { to: [at, at, 0.0] });
     sim.machine.load([to_and_fro; 10].concat());

@@ -1,12 +1,12 @@
 //! The real-time thread on a mock card with a moving axis that this corrects.
 //! Run it as `corrected_strokes [SECONDS]`.
-use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
-use rtec_driver::{card::AxisLines, card::MachineLines, clock::Monotonic, mock::MockCard};
+use rtec_correct::{AxisCorrectionSettings, Corrector, RAMP_UM_S};
+use rtec_driver::{card::AxisLines, card::MachineLines, clock::Monotonic, mock_card::MockCard};
 use rtec_model::machine::Machine;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::{EventKind, Mode, Request};
-use rtec_rt::{axis::AxisConfig, thread::ThreadOptions, thread::spawn};
-use rtec_sim::strokes::{StrokeMotion, moving_axes};
+use rtec_rt::link_messages::{CorrectorMode, EventKind, RequestToRt};
+use rtec_rt::{axis::AxisConfig, pinned_rt_thread::ThreadOptions, pinned_rt_thread::spawn};
+use rtec_sim::stroking_axes::{StrokeMotion, moving_axes};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -27,11 +27,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let known = "name = \"axis\"\n[[effect]]\nname = \"scale.x\"\nppm = 1000.0\n";
     let (name, increment_counts) = ("x".to_owned(), rtec_rt::axis::INCREMENT_COUNTS);
     let (window_counts, max_counts) = (axis.window_counts, axis.max_correction_counts);
-    let setup = AxisSetup { name, count_um: 1.0, increment_counts, window_counts, max_counts };
+    let setup = AxisCorrectionSettings { name, count_um: 1.0, increment_counts, window_counts, max_counts };
     let mut law = Corrector::new(vec![setup], RAMP_UM_S, 0.01, 0.0);
     law.load(Machine::parse(Path::new("axis"), known)?, &|_| Vec::new())?;
 
-    running.control.send(Request::Home { axis: 0, position_counts: 0, controller_homed: true })?;
+    running.control.send(RequestToRt::Home { axis: 0, position_counts: 0, controller_homed: true })?;
     let (begun, mut faults) = (Instant::now(), 0);
     while begun.elapsed() < Duration::from_secs_f64(seconds) && !running.control.ended() {
         std::thread::sleep(Duration::from_millis(5));
@@ -40,17 +40,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         while let Some(event) = running.control.event() {
             match event.kind {
                 EventKind::HomeSet { position_counts } => {
-                    running.control.send(Request::ConfirmHome { axis: 0, position_counts })?;
+                    running.control.send(RequestToRt::ConfirmHome { axis: 0, position_counts })?;
                 }
-                EventKind::Homed { .. } => running.control.send(Request::Enable)?,
-                EventKind::Mode(Mode::Run) => operator.cycle_start(),
+                EventKind::Homed { .. } => running.control.send(RequestToRt::Enable)?,
+                EventKind::Mode(CorrectorMode::Run) => operator.cycle_start(),
                 EventKind::Fault(_) => faults += 1,
                 _ => {}
             }
         }
         let totals = law.tick(begun.elapsed().as_secs_f64(), &status, &[]);
         if let Some(total_counts) = totals[0] {
-            running.control.send(Request::Correct { axis: 0, total_counts, large: false })?;
+            running.control.send(RequestToRt::Correct { axis: 0, total_counts, large: false })?;
         }
     }
     let (ended, _) = running.stop();

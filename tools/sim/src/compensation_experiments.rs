@@ -4,25 +4,25 @@
 //! | module | contents |
 //! |---|---|
 //! | `runs` | both runs of an experiment, their rows, records and plots |
-//! | `motion` | displacement, circles, plate, feeds, drive forces |
-//! | `heat` | spindle cycles, tool changes, drilling |
+//! | `motion_experiments` | displacement, circles, plate, feeds, drive forces |
+//! | `heat_experiments` | spindle cycles, tool changes, drilling |
 //! | `turned_hemisphere` | the turned and probed hemisphere |
-//! | `insertion` | number and positions of insertions |
+//! | `insertion_counts` | number and positions of insertions |
 
-mod heat;
-mod insertion;
-mod motion;
+mod heat_experiments;
+mod insertion_counts;
+mod motion_experiments;
 mod runs;
 mod turned_hemisphere;
 
-pub use insertion::{one_metre, over_a_part};
+pub use insertion_counts::{one_metre, over_a_part};
 
+use crate::corrected_machine_sim::{MachineSpec, SimError};
 use crate::described_machines::MachineDescriptions;
-use crate::sim::{MachineSpec, SimError};
-use crate::turning::TurningError;
-use heat::{StartConditions, drift, drilling, production, tool_change, wet_runs};
-use insertion::{linear_error, rapid_catch_up};
-use motion::{ballbar, dynamics, feed_sweep, linear_displacement, plate};
+use crate::turning_experiment::TurningExperimentError;
+use heat_experiments::{DrillingStartState, drift, drilling, production, tool_change, wet_runs};
+use insertion_counts::{linear_error, rapid_catch_up};
+use motion_experiments::{ballbar, dynamics, feed_sweep, linear_displacement, plate};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;
@@ -55,7 +55,7 @@ pub struct ExperimentResult {
     /// Plots and tables of the records: file name and text.
     pub plots: Vec<(String, String)>,
     /// Readings of gauges on a mandrel by record name, one per row.
-    pub gauges: Vec<(String, Vec<GaugeReadings>)>,
+    pub gauges: Vec<(String, Vec<MandrelGaugeReadings>)>,
     /// The experiment's figures, by name with unit.
     pub summary: Map<String, Value>,
 }
@@ -72,7 +72,7 @@ pub const GAUGE_SPACING_MM: f64 = 100.0;
 /// Readings of five gauges at a mandrel in the spindle (WO 97/43703, figure 7).
 /// 2 and 5 are in X, 1 and 4 in Y, near and far, and 3 in Z.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GaugeReadings {
+pub struct MandrelGaugeReadings {
     /// Time of the simulation, s.
     pub t_s: f64,
     /// Gauges 1 to 5, µm.
@@ -89,7 +89,7 @@ pub enum ExperimentError {
     Sim(#[from] SimError),
     /// The turning of a nose failed.
     #[error(transparent)]
-    Turning(#[from] TurningError),
+    Turning(#[from] TurningExperimentError),
     /// A record or a model is invalid.
     #[error(transparent)]
     Record(#[from] InputError),
@@ -102,7 +102,7 @@ pub enum ExperimentError {
 enum ExperimentProcedure {
     Own(fn(&mut ExperimentRun<'_>) -> Done),
     /// The drilling test of WO 97/43703 from this thermal state.
-    Drilling(StartConditions),
+    Drilling(DrillingStartState),
 }
 
 /// An experiment that characterises a machine.
@@ -164,7 +164,7 @@ impl Experiment {
             name,
             what,
             own: WO_97,
-            run: ExperimentProcedure::Drilling(StartConditions { before, stood_degc: None }),
+            run: ExperimentProcedure::Drilling(DrillingStartState { before, stood_degc: None }),
         }
     }
 
@@ -245,7 +245,7 @@ pub const EXPERIMENTS: [Experiment; 18] = [
         name: "drilling-weekend",
         what: "the same after a weekend: all at 16 °C, the hall heated to 20 °C for an hour",
         own: WO_97,
-        run: ExperimentProcedure::Drilling(StartConditions { before: &[], stood_degc: Some(16.0) }),
+        run: ExperimentProcedure::Drilling(DrillingStartState { before: &[], stood_degc: Some(16.0) }),
     },
     Experiment {
         name: "hemisphere",

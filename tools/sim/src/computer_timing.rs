@@ -68,17 +68,17 @@ impl ComputerTiming {
     /// The file cannot be read, or is not such a document.
     pub fn measured(file: &Path) -> Result<Self, InputError> {
         #[derive(Deserialize)]
-        struct Document {
-            poll_gap_ns: Figures,
+        struct LatencySelftestJson {
+            poll_gap_ns: PollGapHistogram,
         }
         #[derive(Deserialize)]
-        struct Figures {
+        struct PollGapHistogram {
             histogram: Vec<(u64, u64, u64)>,
         }
         let expected = "the JSON of `rtecctl selftest latency --json`";
         let text = std::fs::read_to_string(file)
             .map_err(|e| InputError::whole(file, format!("error `{e}`"), "a file that can be read"))?;
-        let document: Document = serde_json::from_str(&text)
+        let document: LatencySelftestJson = serde_json::from_str(&text)
             .map_err(|e| InputError::at(file, e.line(), e.column(), e.to_string(), expected))?;
         let buckets = document.poll_gap_ns.histogram;
         let samples: u64 = buckets.iter().map(|b| b.2).sum();
@@ -141,7 +141,7 @@ mod tests {
     fn the_8051_needs_nine_microseconds() {
         let computer = ComputerTiming::i8051();
         let config = computer.configure(AxisConfig::default());
-        assert_eq!(crate::full_cycle::gate(&config).unwrap().need_ns(), 9000);
+        assert_eq!(crate::full_cycle_insertion::gate(&config).unwrap().need_ns(), 9000);
         // Design C: two inversions instead of four.
         assert_eq!(config.gate().unwrap().need_ns(), 7000);
     }

@@ -2,16 +2,16 @@
 //!
 //! | design | implemented by |
 //! |---|---|
-//! | Original RTEC, Design A (NISTIR 4832) | [`crate::full_cycle::FullCycleCorrector`] |
-//! | Design B (NISTIR 4832) | [`crate::design_b::DesignB`] |
+//! | Original RTEC, Design A (NISTIR 4832) | [`crate::full_cycle_insertion::FullCycleCorrector`] |
+//! | Design B (NISTIR 4832) | [`crate::pass_through_design_b::PassThroughDesignB`] |
 //! | Design C (NISTIR 4832) | [`rtec_rt::engine::Engine`], which is the one that corrects machines |
-//! | Error Correction Circuit (CMTI 2014) | [`crate::ecc::Ecc`] |
+//! | Error Correction Circuit (CMTI 2014) | [`crate::error_correction_circuit::ErrorCorrectionCircuitAxis`] |
 
 use rtec_driver::card::{AxisLines, Card, CardError, MachineLines};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::{self, AxisConfig};
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::link_messages::{AxisStatus, Event, Request};
+use rtec_rt::link_messages::{AxisStatus, Event, RequestToRt};
 
 /// The MTC's decoder, with the time of each change.
 /// Changes at one instant are one change to it: A and B at once are an illegal transition, in either order.
@@ -104,7 +104,7 @@ impl CorrectedAxis for Engine {
         card: &mut C,
         report: &mut impl EventSink,
     ) -> CardResult {
-        self.take(Request::Correct { axis: 0, total_counts, large }, card, report)
+        self.take(RequestToRt::Correct { axis: 0, total_counts, large }, card, report)
     }
 
     fn axis(&self) -> AxisStatus {

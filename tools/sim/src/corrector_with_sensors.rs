@@ -1,16 +1,16 @@
 //! The control side of the simulated machine.
 //! It has sensors with plausibility checks, and the daemon's control law.
 
-use crate::heat::SENSORS;
+use crate::thermal_network::SENSORS;
 use crate::trajectory::AXIS_NAMES;
 use rtec_correct::part_table::PartTable;
-use rtec_correct::{AxisSetup, Corrector, RAMP_UM_S};
+use rtec_correct::{AxisCorrectionSettings, Corrector, RAMP_UM_S};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Role};
 use rtec_part::error_cor_file::FeatureErrors;
 use rtec_part::error_cor_file::PointError;
-use rtec_rt::link_messages::{Request, Status};
+use rtec_rt::link_messages::{CorrectorStatus, RequestToRt};
 use rtec_sensors::{SensorConfig, SensorMonitor};
 
 /// Time between two computations of totals, ns.
@@ -35,7 +35,7 @@ pub(crate) struct CorrectorWithSensors {
 impl CorrectorWithSensors {
     /// The control side of a machine switched on at time 0.
     /// The law evaluates the model `lead_s` ahead.
-    pub(crate) fn new(axes: Vec<AxisSetup>, channels: &[String], lead_s: f64) -> Self {
+    pub(crate) fn new(axes: Vec<AxisCorrectionSettings>, channels: &[String], lead_s: f64) -> Self {
         let axis = |n: &str| Axis::new(n).map(Role::Load);
         let temperatures = SENSORS.iter().map(|s| (s.0.to_owned(), Role::Temperature));
         let channels = channels.iter().map(|c| (c.clone(), Role::Channel));
@@ -75,15 +75,15 @@ impl CorrectorWithSensors {
     pub(crate) fn requests(
         &mut self,
         t_s: f64,
-        status: &Status,
+        status: &CorrectorStatus,
         readings: &mut dyn Iterator<Item = f64>,
-    ) -> impl Iterator<Item = Request> + use<> {
+    ) -> impl Iterator<Item = RequestToRt> + use<> {
         for (watch, value) in self.watches.iter_mut().zip(readings) {
             watch.offer(t_s, Ok(value));
         }
         let totals = self.law.tick(t_s, status, &self.watches);
         totals.into_iter().enumerate().filter_map(|(axis, total)| {
-            Some(Request::Correct { axis: axis as u8, total_counts: total?, large: false })
+            Some(RequestToRt::Correct { axis: axis as u8, total_counts: total?, large: false })
         })
     }
 
@@ -93,7 +93,7 @@ impl CorrectorWithSensors {
     }
 
     /// Whether every axis has the total that its sources want.
-    pub(crate) fn settled(&self, status: &Status) -> bool {
+    pub(crate) fn settled(&self, status: &CorrectorStatus) -> bool {
         status.axes().iter().enumerate().all(|(n, s)| self.law.settled(n, s))
     }
 }
@@ -102,14 +102,14 @@ impl CorrectorWithSensors {
 mod tests {
     use super::*;
     use rtec_files::csv::{Cell, Reader};
-    use rtec_rt::link_messages::Mode;
+    use rtec_rt::link_messages::CorrectorMode;
     use std::path::Path;
 
     /// The recorded shift of `rtec-correct`'s tests gives the same totals here.
     #[test]
     fn a_recorded_shift_gets_the_recorded_totals() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../correct/tests/shift");
-        let axis = |name: &str| AxisSetup {
+        let axis = |name: &str| AxisCorrectionSettings {
             name: name.to_owned(),
             count_um: 1.0,
             increment_counts: 2,
@@ -120,7 +120,8 @@ mod tests {
         control.load(&Machine::read(&folder.join("machine.toml")).unwrap(), &[]).unwrap();
         let place = |name: &str| SENSORS.iter().position(|s| s.0 == name).unwrap();
         let mut degc = vec![20.0; SENSORS.len()];
-        let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+        let mut status =
+            CorrectorStatus { mode: CorrectorMode::Run, axes_used: 3, ..CorrectorStatus::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
         let mut reader = Reader::open(&folder.join("shift.csv")).unwrap();
         let header = reader.header("t_s, positions, sensors, operator, totals").unwrap();
@@ -134,7 +135,7 @@ mod tests {
             // Neither speed, coolant nor loads.
             let mut now = degc.iter().copied().chain([0.0; 2 + AXIS_NAMES.len()]);
             for request in control.requests(at[0], &status, &mut now) {
-                let Request::Correct { axis, total_counts, large: false } = request else {
+                let RequestToRt::Correct { axis, total_counts, large: false } = request else {
                     panic!("{request:?}")
                 };
                 let axis = &mut status.axes[usize::from(axis)];

@@ -70,7 +70,7 @@ impl MachineDescriptions {
     /// No such file.
     fn text(&self, name: &str) -> Result<(PathBuf, String), InputError> {
         if let Some(file) = self.folder.as_ref().map(|f| f.join(name)).filter(|f| f.exists()) {
-            let text = rtec_files::text::read(&file)?;
+            let text = rtec_files::text_file::read(&file)?;
             return Ok((file, text));
         }
         let path = PathBuf::from(name);
@@ -90,7 +90,7 @@ impl MachineDescriptions {
     /// The file is not such a description: file, line, column, what was found and expected.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, InputError> {
         let (path, text) = self.text(name)?;
-        rtec_files::toml::from_str(&path, &text, "keys of this description, see `rtec-papers --write`")
+        rtec_files::strict_toml::from_str(&path, &text, "keys of this description, see `rtec-papers --write`")
     }
 
     /// The error for a wrong value of a description: file, line, found and expected.

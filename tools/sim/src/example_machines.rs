@@ -4,8 +4,8 @@
 
 use crate::axis::AxisSpec;
 use crate::compensation_experiments::{Experiment, ExperimentError, ExperimentInputs};
+use crate::corrected_machine_sim::MachineSpec;
 use crate::described_machines::{self, wo97_of};
-use crate::sim::MachineSpec;
 use rtec_model::effect::Dictionary;
 use rtec_model::machine::Machine;
 use rtec_model::record::Record;

@@ -1,11 +1,11 @@
 //! The corrected axes of a simulated machine, by engine or full-cycle design.
 
 use crate::corrected_axis::{CardResult, CorrectedAxis as _, EventSink, GateInsertionDesign};
-use crate::full_cycle::FullCycleCorrector;
+use crate::full_cycle_insertion::FullCycleCorrector;
 use rtec_driver::card::{Card, MachineLines};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig, StartError};
-use rtec_rt::link_messages::{Request, Status};
+use rtec_rt::link_messages::{CorrectorStatus, RequestToRt};
 
 /// The corrected axes of a simulated machine, for any gate design.
 #[derive(Debug)]
@@ -48,14 +48,14 @@ impl GateCorrectedAxes {
 
     pub(crate) fn take<C: Card>(
         &mut self,
-        request: Request,
+        request: RequestToRt,
         card: &mut C,
         report: &mut impl EventSink,
     ) -> CardResult {
         match self {
             Self::C(engine) => engine.take(request, card, report),
             Self::FullCycle(axes) => match request {
-                Request::Correct { axis, total_counts, large } => {
+                RequestToRt::Correct { axis, total_counts, large } => {
                     axes.correct_axis(usize::from(axis), total_counts, large, card, report)
                 }
                 _ => Ok(()),
@@ -63,7 +63,7 @@ impl GateCorrectedAxes {
         }
     }
 
-    pub(crate) fn status(&self) -> Status {
+    pub(crate) fn status(&self) -> CorrectorStatus {
         match self {
             Self::C(engine) => engine.status(),
             Self::FullCycle(axes) => axes.status(),

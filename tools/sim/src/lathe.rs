@@ -5,20 +5,20 @@
 use crate::attended_machine::AttendedMachine;
 use crate::axis::AxisSpec;
 use crate::corrected_axis::GateInsertionDesign;
-use crate::heat::{SENSORS, ThermalNetwork};
 use crate::machine::{ControllerLimits, SERVO_NS, SimMachine};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
+use crate::thermal_network::{SENSORS, ThermalNetwork};
 use crate::trajectory::AXES;
-use crate::true_errors::{TrueErrors, layout, probe_delay_ns, set_friction};
+use crate::true_machine_errors::{TrueMachineErrors, layout, probe_delay_ns, set_friction};
 use crate::workpiece::{ToolNose, Workpiece};
 use rtec_model::effect::MissingInput;
-use rtec_model::live::LiveModel;
+use rtec_model::live_evaluation::LiveModel;
 use rtec_model::machine::Machine;
+use rtec_part::arc_finish_cut_table::AxisCountConversion;
 use rtec_part::contour::Segment;
-use rtec_part::finish_table::AxisCountConversion;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::probe_path::{PathPoint, PathRole};
+use rtec_part::probe_path::{PathPoint, PathPointRole};
 use serde::Deserialize;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -158,7 +158,7 @@ pub struct LatheSetup<'a> {
 
 /// One move of the part program.
 #[derive(Debug, Clone)]
-pub struct Move {
+pub struct ProgramMove {
     /// Path of the centre of the tool's nose or the probe's tip, in part coordinates.
     pub segment: Segment,
     /// Feed along it, mm/s.
@@ -168,13 +168,13 @@ pub struct Move {
 }
 
 /// The probe's path as moves of the machine.
-pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
+pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<ProgramMove> {
     records
         .windows(2)
         .filter(|w| (w[1].at - w[0].at).norm() > 1e-9)
-        .map(|w| Move {
+        .map(|w| ProgramMove {
             segment: Segment::Line { a: w[0].at, b: w[1].at },
-            feed_mm_s: if matches!(w[1].role, PathRole::Touch(_) | PathRole::Finish) {
+            feed_mm_s: if matches!(w[1].role, PathPointRole::Touch(_) | PathPointRole::Finish) {
                 feed_mm_s
             } else {
                 RAPID_MM_S
@@ -188,10 +188,10 @@ pub fn probing_moves(records: &[PathPoint], feed_mm_s: f64) -> Vec<Move> {
 pub const BEYOND_RAD: f64 = 0.025;
 
 /// One pass around the nose with a single arc, as by `G02`.
-pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<Move> {
+pub fn arc_moves(centre: Zx, radius_mm: f64, feed_mm_s: f64) -> Vec<ProgramMove> {
     let segment =
         Segment::Arc { centre, radius_mm, start_rad: -BEYOND_RAD, sweep_rad: FRAC_PI_2 + 2.0 * BEYOND_RAD };
-    vec![Move { segment, feed_mm_s, cutting: true }]
+    vec![ProgramMove { segment, feed_mm_s, cutting: true }]
 }
 
 /// Names of the sensors on the machine, in the order of their readings.
@@ -212,7 +212,7 @@ fn zx(p: [f64; AXES]) -> Zx {
 /// Also returns the range of its cutting blocks, counted from 1.
 fn program(
     bench: &LatheSpec,
-    moves: &[Move],
+    moves: &[ProgramMove],
     origin: Zx,
     rpm: f64,
 ) -> (Vec<Block>, std::ops::RangeInclusive<usize>) {
@@ -249,7 +249,7 @@ pub(crate) type Cut = (Zx, f64);
 #[derive(Debug)]
 pub struct Lathe {
     machine: SimMachine,
-    errors: TrueErrors,
+    errors: TrueMachineErrors,
     bench: LatheSpec,
     origin: Zx,
     centre: Zx,
@@ -279,7 +279,7 @@ impl Lathe {
         stand: &LatheSetup,
         start: Zx,
         origin: Zx,
-        moves: &[Move],
+        moves: &[ProgramMove],
         tip_mm: Option<f64>,
         part: &Workpiece,
     ) -> Result<Self, MissingInput> {
@@ -296,8 +296,11 @@ impl Lathe {
         let rpm = if tip_mm.is_some() { 0.0 } else { bench.rpm };
         let (blocks, cutting) = program(bench, moves, origin, rpm);
         let truth = LiveModel::of(stand.machine, layout(Vec::new()))?;
-        let errors =
-            TrueErrors::new(truth, ThermalNetwork::cold(bench.ambient_degc, 0.0, stand.seed), stand.seed);
+        let errors = TrueMachineErrors::new(
+            truth,
+            ThermalNetwork::cold(bench.ambient_degc, 0.0, stand.seed),
+            stand.seed,
+        );
         let mut lathe = Self {
             machine,
             errors,

@@ -7,9 +7,9 @@
 
 use crate::axis::{AxisSim, AxisSpec};
 use crate::nc_block::Block;
-use crate::trajectory::{AXES, FeedProfile, Limits, MoveShape, PathState, Setpoint};
-use rtec_driver::card::{AxisLines, Card, CardError, Sample};
-use rtec_model::live::AxisMotionState;
+use crate::trajectory::{AXES, FeedProfile, MoveShape, PathMotionLimits, PathState, Setpoint};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample};
+use rtec_model::live_evaluation::AxisMotionState;
 use rtec_rt::link_messages::MAX_AXES;
 
 /// Time step of the axes, ns.
@@ -19,7 +19,7 @@ pub const SERVO_NS: u64 = 1_000_000;
 
 /// Reason why a controller stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ServoFault {
+pub enum ControllerFault {
     /// Both signals of an axis changed at once.
     /// (NISTIR 4832, Design B: "typically a *servo fault* message")
     IllegalState {
@@ -107,7 +107,7 @@ pub struct SimMachine {
     jog: Option<Block>,
     /// Blocks begun so far.
     pub(crate) begun: usize,
-    fault: Option<ServoFault>,
+    fault: Option<ControllerFault>,
     pub(crate) rpm: f64,
     pub(crate) coolant: bool,
     t_ns: u64,
@@ -211,7 +211,7 @@ impl SimMachine {
     }
 
     /// Reason why the controller stopped, if it did.
-    pub const fn fault(&self) -> Option<ServoFault> {
+    pub const fn fault(&self) -> Option<ControllerFault> {
         self.fault
     }
 
@@ -335,7 +335,7 @@ impl SimMachine {
                 continue;
             }
             if (due_mm[p] - axis.counted_mm()).abs() > self.controller.max_following_mm {
-                self.fault = Some(ServoFault::FollowingError { axis: n });
+                self.fault = Some(ControllerFault::FollowingError { axis: n });
             }
             axis.servo(due_mm[p], self.command.v_mm_s[p], self.command.a_mm_s2[p]);
         }
@@ -388,7 +388,7 @@ impl SimMachine {
             })
         };
         let accel_mm_s2 = least(|a| a.accel_mm_s2);
-        let limits = Limits {
+        let limits = PathMotionLimits {
             speed_mm_s: least(|a| a.speed_mm_s).min(feed).min(shape.speed_limit_mm_s(0.5 * accel_mm_s2)),
             accel_mm_s2,
             decel_mm_s2: least(|a| a.decel_mm_s2),
@@ -467,9 +467,9 @@ impl SimMachine {
     fn check(&mut self, axis: usize, illegal: bool, separation_ns: u64) {
         if self.fault.is_none() {
             if illegal {
-                self.fault = Some(ServoFault::IllegalState { axis });
+                self.fault = Some(ControllerFault::IllegalState { axis });
             } else if separation_ns < self.min_separation_ns {
-                self.fault = Some(ServoFault::TooFast { axis });
+                self.fault = Some(ControllerFault::TooFast { axis });
             }
         }
     }
@@ -564,17 +564,17 @@ impl Card for SimMachine {
     // Inlined into the engine: the compiler then knows most fields of the sample and does not store them.
     #[allow(clippy::inline_always)]
     #[inline(always)]
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         while self.next_ns() > wake_ns.min(self.step_end_ns) {
             if wake_ns <= self.step_end_ns {
                 self.t_ns = self.t_ns.max(wake_ns);
-                return Ok(Sample::stamped(self.t_ns, self.inputs, None));
+                return Ok(CardInputSample::stamped(self.t_ns, self.inputs, None));
             }
             self.t_ns = self.step_end_ns;
             self.step(wake_ns);
         }
         self.happen();
-        Ok(Sample::stamped(self.t_ns, self.inputs, Some(self.t_ns)))
+        Ok(CardInputSample::stamped(self.t_ns, self.inputs, Some(self.t_ns)))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -3,15 +3,17 @@
 //! hold starts the cycle.
 
 use crate::corrected_axis::GateInsertionDesign;
-use crate::lathe::{Cut, Lathe, LatheSetup, LatheSpec, Move, RAPID_MM_S, arc_moves, cut_away, probing_moves};
-use crate::wired_machines::WiredMachines;
+use crate::lathe::{
+    Cut, Lathe, LatheSetup, LatheSpec, ProgramMove, RAPID_MM_S, arc_moves, cut_away, probing_moves,
+};
+use crate::machines_on_mock_card::MachinesOnMockCard;
 use crate::workpiece::Workpiece;
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_part::contour::Segment;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::unit::Unit;
+use rtec_part::length_unit::LengthUnit;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -68,7 +70,7 @@ impl CutRecorder {
             return Ok(());
         }
         cut_away(&mut self.part, &self.bench, &places, self.seed);
-        rtec_files::write::write_atomically(&self.file, self.part.to_csv().as_bytes())
+        rtec_files::atomic_write::write_atomically(&self.file, self.part.to_csv().as_bytes())
     }
 }
 
@@ -78,9 +80,9 @@ impl MachiningTask {
     /// # Errors
     /// The file is not such a task, or a value is out of range.
     pub fn read(file: &Path) -> Result<Self, InputError> {
-        let text = rtec_files::text::read(file)?;
+        let text = rtec_files::text_file::read(file)?;
         let expected = "what the simulated turning centre does";
-        let mut task: Self = rtec_files::toml::from_str(file, &text, expected)?;
+        let mut task: Self = rtec_files::strict_toml::from_str(file, &text, expected)?;
         let at = |key: &str, found: String, expected: &str| {
             InputError::at_offset(file, &text, text.find(key).unwrap_or(0), found, expected)
         };
@@ -118,13 +120,13 @@ impl MachiningTask {
         lines: [AxisLines; 2],
         machine_lines: MachineLines,
         home: Zx,
-    ) -> Result<(WiredMachines<Lathe>, CutRecorder), InputError> {
+    ) -> Result<(MachinesOnMockCard<Lathe>, CutRecorder), InputError> {
         let part = Workpiece::read(&self.workpiece)?;
         let origin = Zx::new(self.origin_mm[0], self.origin_mm[1]);
         let feed_mm_s = self.feed_mm_min / 60.0;
         let program = match (&self.path, self.cut_radius_mm) {
             (Some(file), _) => {
-                let records = rtec_part::probe_path::read_pathfin(file, Unit::MM)?;
+                let records = rtec_part::probe_path::read_pathfin(file, LengthUnit::MM)?;
                 probing_moves(&records, feed_mm_s)
             }
             (None, radius_mm) => {
@@ -143,8 +145,12 @@ impl MachiningTask {
         let corner = Zx::new(first.z, home.x - origin.x);
         let ways =
             [(home - origin, corner), (corner, first)].into_iter().filter(|(a, b)| (*b - *a).norm() > 1e-6);
-        let mut moves: Vec<Move> = ways
-            .map(|(a, b)| Move { segment: Segment::Line { a, b }, feed_mm_s: RAPID_MM_S, cutting: false })
+        let mut moves: Vec<ProgramMove> = ways
+            .map(|(a, b)| ProgramMove {
+                segment: Segment::Line { a, b },
+                feed_mm_s: RAPID_MM_S,
+                cutting: false,
+            })
             .collect();
         moves.extend(program);
         let machine = Machine::read_or_ideal(self.machine.as_deref(), "ideal lathe")?;
@@ -165,7 +171,7 @@ impl MachiningTask {
             InputError::whole(file, found, "axes z and x, sensors T1 to T20")
         })?;
         let places = Arc::clone(&lathe.cuts);
-        let wires = WiredMachines::new([(lathe, lines.to_vec())], machine_lines);
+        let wires = MachinesOnMockCard::new([(lathe, lines.to_vec())], machine_lines);
         let file = self.workpiece.clone();
         Ok((wires, CutRecorder { places, part, bench: self.bench.clone(), seed: self.seed, file }))
     }

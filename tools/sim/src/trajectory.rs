@@ -2,7 +2,7 @@
 
 /// Limits of the motion along a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct PathMotionLimits {
     /// Highest speed, mm/s.
     pub speed_mm_s: f64,
     /// Highest acceleration, mm/s².
@@ -27,13 +27,13 @@ pub struct PathState {
 /// A ramp from rest to a speed with rising, constant and falling acceleration.
 /// Run backwards it goes from the speed to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Ramp {
+struct SpeedRamp {
     /// Duration of the rising acceleration, and of the whole ramp, s.
     rise_s: f64,
     whole_s: f64,
 }
 
-impl Ramp {
+impl SpeedRamp {
     fn new(v_mm_s: f64, a_mm_s2: f64, j_mm_s3: f64) -> Self {
         if v_mm_s * j_mm_s3 < a_mm_s2 * a_mm_s2 {
             let rise_s = (v_mm_s / j_mm_s3).sqrt();
@@ -76,16 +76,17 @@ pub struct FeedProfile {
     length_mm: f64,
     jerk_mm_s3: f64,
     speed_mm_s: f64,
-    up: Ramp,
+    up: SpeedRamp,
     cruise_s: f64,
-    down: Ramp,
+    down: SpeedRamp,
 }
 
 impl FeedProfile {
     /// The fastest motion within the limits.
-    pub fn new(length_mm: f64, limits: Limits) -> Self {
+    pub fn new(length_mm: f64, limits: PathMotionLimits) -> Self {
         let jerk_mm_s3 = limits.jerk_mm_s3;
-        let ramps = |v: f64| [limits.accel_mm_s2, limits.decel_mm_s2].map(|a| Ramp::new(v, a, jerk_mm_s3));
+        let ramps =
+            |v: f64| [limits.accel_mm_s2, limits.decel_mm_s2].map(|a| SpeedRamp::new(v, a, jerk_mm_s3));
         let both_s = |v: f64| ramps(v).iter().map(|r| r.whole_s).sum::<f64>();
         let mut speed_mm_s = limits.speed_mm_s;
         if speed_mm_s * both_s(speed_mm_s) / 2.0 > length_mm {
@@ -237,9 +238,13 @@ mod tests {
 
     #[test]
     fn profiles_are_consistent_within_their_limits_and_end_where_they_should() {
-        let even =
-            Limits { speed_mm_s: 100.0, accel_mm_s2: 1000.0, decel_mm_s2: 1000.0, jerk_mm_s3: 20_000.0 };
-        let lathe = Limits { accel_mm_s2: 217.0, decel_mm_s2: 578.7, ..even };
+        let even = PathMotionLimits {
+            speed_mm_s: 100.0,
+            accel_mm_s2: 1000.0,
+            decel_mm_s2: 1000.0,
+            jerk_mm_s3: 20_000.0,
+        };
+        let lathe = PathMotionLimits { accel_mm_s2: 217.0, decel_mm_s2: 578.7, ..even };
         for (length, limits) in
             [0.001, 0.5, 3.0, 14.9, 15.1, 50.0, 1000.0].iter().flat_map(|l| [(*l, even), (*l, lathe)])
         {

@@ -5,9 +5,9 @@
 
 use rtec_model::machine::Machine;
 use rtec_sim::compensation_experiments::{Experiment, ExperimentInputs, PROMISED, UNSEEN};
+use rtec_sim::corrected_machine_sim::{CorrectedMachineSim, MachineSpec};
 use rtec_sim::described_machines::MachineDescriptions;
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
 
 /// Four holes, and four more an inch further in X, in each of three cycles.
@@ -65,7 +65,7 @@ fn holds_and_says_so_on_a_warm_machine_without_a_past() {
     let truth = MachineDescriptions::default().machine("wo97-machine.toml").unwrap();
     let spec = MachineSpec::machining_centre();
     let started = |soaked_s: f64| {
-        let mut sim = Sim::new(&spec, &truth, None, [0.0; 3], 1).unwrap();
+        let mut sim = CorrectedMachineSim::new(&spec, &truth, None, [0.0; 3], 1).unwrap();
         sim.set_control_period(100_000_000);
         sim.machine.load([Block::Coolant { on: true }, Block::Spindle { rpm: 5000.0 }]);
         sim.advance(soaked_s).unwrap();

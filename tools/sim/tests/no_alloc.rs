@@ -4,14 +4,14 @@
 
 use rtec_driver::card::{AxisLines, MachineLines};
 use rtec_driver::clock::Virtual;
-use rtec_driver::mock::MockCard;
+use rtec_driver::mock_card::MockCard;
 
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::journal::Journal;
 use rtec_rt::link::link;
-use rtec_rt::link_messages::Request;
-use rtec_sim::strokes::{StrokeMotion, moving_axes};
+use rtec_rt::link_messages::RequestToRt;
+use rtec_sim::stroking_axes::{StrokeMotion, moving_axes};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -80,13 +80,13 @@ fn the_loop_neither_allocates_nor_releases() {
             let axis = (n / 2000 % 4) as u8;
             // Some within the window, some not, and some for an axis that does not exist.
             let total_counts = if n % 14_000 == 0 { 90 } else { n / 2000 % 9 };
-            let _ = control.send(Request::Correct { axis, total_counts, large: false });
+            let _ = control.send(RequestToRt::Correct { axis, total_counts, large: false });
         }
         match n {
-            150_000 => control.send(Request::Probe(true)).unwrap(),
-            170_000 => control.send(Request::Probe(false)).unwrap(),
-            180_000 => control.send(Request::Hold { on: true, by: 0 }).unwrap(),
-            190_000 => control.send(Request::Clear).unwrap(),
+            150_000 => control.send(RequestToRt::Probe(true)).unwrap(),
+            170_000 => control.send(RequestToRt::Probe(false)).unwrap(),
+            180_000 => control.send(RequestToRt::Hold { on: true, by: 0 }).unwrap(),
+            190_000 => control.send(RequestToRt::Clear).unwrap(),
             _ => {}
         }
         if let Some(request) = rt.request() {

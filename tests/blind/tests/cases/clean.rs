@@ -20,7 +20,7 @@ fn quiet(classes: &[(Class, u64)], turns: u64, one_in: usize) {
             // For a case with a mistake, its clean twin.
             let case = made.mistake.map_or(made.case, |(_, clean)| clean);
             let paths = case.train.iter().chain(&case.holdout);
-            let records: Vec<_> = paths.map(|p| rtec_measure::record::read(p).unwrap()).collect();
+            let records: Vec<_> = paths.map(|p| rtec_measure::run_record_files::read(p).unwrap()).collect();
             let found = suspicions(&records);
             cases += 1;
             if !found.is_empty() {

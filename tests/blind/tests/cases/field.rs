@@ -6,34 +6,35 @@
 
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 
 /// The answer for records of one case; `None` where the cases are not installed.
-fn answer(case: &str, model: &str, train: &[&str], held: &[&str]) -> Option<Reconciliation> {
+fn answer(case: &str, model: &str, train: &[&str], held: &[&str]) -> Option<ReconciliationResult> {
     let folder = test_needs::shared(&format!("data/field/{case}"))?;
     let read = |names: &[&str]| -> Vec<_> {
-        let of = |n: &&str| rtec_measure::record::read(&folder.join(format!("{n}.run.toml"))).unwrap();
+        let of =
+            |n: &&str| rtec_measure::run_record_files::read(&folder.join(format!("{n}.run.toml"))).unwrap();
         names.iter().map(of).collect()
     };
     let machine = Machine::read(&folder.join(model)).unwrap();
-    Some(reconcile(&read(train), &read(held), &machine, &Options::default()).unwrap())
+    Some(reconcile(&read(train), &read(held), &machine, &ReconciliationOptions::default()).unwrap())
 }
 
-fn shop(case: &str, train: &[&str], held: &[&str]) -> Option<Reconciliation> {
+fn shop(case: &str, train: &[&str], held: &[&str]) -> Option<ReconciliationResult> {
     answer(&format!("shop/{case}"), "model.toml", train, held)
 }
 
-fn names(r: &Reconciliation) -> Vec<String> {
+fn names(r: &ReconciliationResult) -> Vec<String> {
     r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
-fn quiet(r: &Reconciliation) {
+fn quiet(r: &ReconciliationResult) {
     assert!(r.verdict == Verdict::NothingMissing && r.refined.is_empty(), "{}", r.to_json());
     assert!(r.suspicions.is_empty() && r.left_out.is_empty(), "{}", r.to_json());
 }
 
 /// Asserts that the truth is within twice the interval.
-fn near(r: &Reconciliation, name: &str, value: usize, truth: f64) {
+fn near(r: &ReconciliationResult, name: &str, value: usize, truth: f64) {
     let (f, half) = r.effects.iter().find(|(f, _)| f.effect.name() == name).unwrap();
     let found = f.effect.values()[value];
     assert!((found - truth).abs() < 2.0 * half[value], "{name}: {found} ± {}, true {truth}", half[value]);

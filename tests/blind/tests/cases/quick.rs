@@ -163,9 +163,10 @@ fn the_same_data_give_the_same_document() {
     let dir = tempfile::tempdir().unwrap();
     let case = make(40_300, Hides::Two, None, Manner::First, dir.path()).unwrap();
     let once = || {
-        let train: Vec<_> = case.train.iter().map(|p| rtec_measure::record::read(p).unwrap()).collect();
+        let train: Vec<_> =
+            case.train.iter().map(|p| rtec_measure::run_record_files::read(p).unwrap()).collect();
         let machine = rtec_model::machine::Machine::read(&case.model).unwrap();
-        rtec_reconcile::reconcile(&train, &[], &machine, &rtec_reconcile::Options::default())
+        rtec_reconcile::reconcile(&train, &[], &machine, &rtec_reconcile::ReconciliationOptions::default())
             .unwrap()
             .to_json()
             .to_string()
@@ -204,8 +205,13 @@ fn on_a_grid_of_targets_the_other_periods_are_listed() {
         .map(|(p, n)| 6.0 * (std::f64::consts::TAU * p / 37.3).sin() + n)
         .collect();
     let machine = rtec_model::machine::Machine::ideal("m");
-    let r =
-        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let r = rtec_reconcile::reconcile(
+        &[run(p, e)],
+        &[],
+        &machine,
+        &rtec_reconcile::ReconciliationOptions::default(),
+    )
+    .unwrap();
     let (found, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "screw_periodic.x").unwrap();
     let period = found.effect.scalar(0);
     // 37.3 mm, or its mirror image about twice the pitch, but none of the many short ones.
@@ -227,8 +233,13 @@ fn a_signal_period_is_found_at_few_uneven_targets() {
         .map(|(p, n)| 24.0 * (std::f64::consts::TAU * p / 0.132_42 - 0.24).sin() + 2.0 * n)
         .collect();
     let machine = rtec_model::machine::Machine::ideal("m");
-    let r =
-        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let r = rtec_reconcile::reconcile(
+        &[run(p, e)],
+        &[],
+        &machine,
+        &rtec_reconcile::ReconciliationOptions::default(),
+    )
+    .unwrap();
     let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
     assert_eq!(names, ["subdivision.x"], "{}", r.to_json());
     assert!((r.effects[0].0.effect.scalar(0) - 132.42).abs() < 0.05, "{}", r.effects[0].0.effect.scalar(0));
@@ -243,8 +254,13 @@ fn two_steps_of_reading_to_a_signal_period_are_enough() {
     // The error of a good scale is below a quarter of its period. Here it is the largest, three times the noise.
     let e = p.iter().zip(noise(4, p.len())).map(|(p, n)| 0.45 * wave(*p) + 0.15 * n).collect();
     let machine = rtec_model::machine::Machine::ideal("m");
-    let r =
-        rtec_reconcile::reconcile(&[run(p, e)], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let r = rtec_reconcile::reconcile(
+        &[run(p, e)],
+        &[],
+        &machine,
+        &rtec_reconcile::ReconciliationOptions::default(),
+    )
+    .unwrap();
     let names: Vec<String> = r.effects.iter().map(|(f, _)| f.effect.name()).collect();
     assert_eq!(names, ["subdivision.x"], "{}", r.verdict);
     assert!((r.effects[0].0.effect.scalar(0) - 2.0).abs() < 1e-3, "{}", r.effects[0].0.effect.scalar(0));
@@ -262,7 +278,7 @@ fn a_map_of_the_model_does_not_swallow_a_zero() {
     let simulated = machine.predict(&nominal).unwrap();
     for seed in 1..=20 {
         let e = simulated.columns[0].1.iter().zip(noise(seed, p.len())).map(|(s, n)| s + n + 4.0).collect();
-        let options = rtec_reconcile::Options::default();
+        let options = rtec_reconcile::ReconciliationOptions::default();
         let r = rtec_reconcile::reconcile(&[run(p.clone(), e)], &[], &machine, &options).unwrap();
         assert_eq!(r.verdict, rtec_reconcile::Verdict::NothingMissing, "{seed}: {}", r.to_json());
         assert!(r.refined.is_empty(), "{seed}: {}", r.to_json());
@@ -282,7 +298,7 @@ fn what_has_no_name_gets_a_marked_curve_when_asked_for() {
         .collect();
     let machine = rtec_model::machine::Machine::ideal("m");
     let train = [run(p, e)];
-    let options = rtec_reconcile::Options { unexplained: true, ..Default::default() };
+    let options = rtec_reconcile::ReconciliationOptions { unexplained: true, ..Default::default() };
     let r = rtec_reconcile::reconcile(&train, &[], &machine, &options).unwrap();
     assert_eq!(r.verdict, rtec_reconcile::Verdict::UnknownEffect);
     let (curve, laws) = r.curve.as_ref().unwrap();
@@ -321,7 +337,13 @@ fn two_bumps_of_a_part_are_both_added() {
     let columns = vec![column("w", Role::Angle, angle.clone()), column("e", error, e)];
     let record = Record::new(std::path::Path::new("part.run.toml"), RunKind::Part, columns).unwrap();
     let machine = rtec_model::machine::Machine::ideal("m");
-    let r = rtec_reconcile::reconcile(&[record], &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let r = rtec_reconcile::reconcile(
+        &[record],
+        &[],
+        &machine,
+        &rtec_reconcile::ReconciliationOptions::default(),
+    )
+    .unwrap();
     assert_eq!(r.verdict, rtec_reconcile::Verdict::Named);
     let mut centres: Vec<f64> = r
         .effects
@@ -342,10 +364,13 @@ fn two_bumps_of_a_part_are_both_added() {
 #[test]
 fn a_twin_is_listed_however_many_records_are_given() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases/rounding");
-    let read = |name: &str| rtec_records::record::read(&folder.join(format!("{name}.run.toml"))).unwrap();
+    let read =
+        |name: &str| rtec_records::run_record_files::read(&folder.join(format!("{name}.run.toml"))).unwrap();
     let train = ["pos_x", "bar_16_ccw", "bar_16_cw", "drift"].map(read);
     let machine = rtec_model::machine::Machine::read(&folder.join("machine.toml")).unwrap();
-    let r = rtec_reconcile::reconcile(&train, &[], &machine, &rtec_reconcile::Options::default()).unwrap();
+    let r =
+        rtec_reconcile::reconcile(&train, &[], &machine, &rtec_reconcile::ReconciliationOptions::default())
+            .unwrap();
     let is = |name: &str| name.starts_with("following_error.");
     let (lag, _) = r.effects.iter().find(|(f, _)| is(&f.effect.name())).unwrap();
     assert!(lag.rivals.iter().any(|r| is(&r.name)), "{:?}", lag.rivals);

@@ -6,7 +6,7 @@
 use rtec_builders::axis;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 use std::path::{Path, PathBuf};
 use test_needs::repetitions;
 
@@ -15,7 +15,7 @@ fn data(name: &str) -> Option<String> {
     Some(std::fs::read_to_string(path).unwrap())
 }
 
-fn names(r: &Reconciliation) -> Vec<String> {
+fn names(r: &ReconciliationResult) -> Vec<String> {
     r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }
 
@@ -39,7 +39,8 @@ fn plate(text: &str) -> Record {
 #[test]
 fn a_plate_that_was_turned_is_called_turned() {
     let Some(text) = data("plate_cmm/D8131_1") else { return };
-    let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
+    let r =
+        reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &ReconciliationOptions::default()).unwrap();
     assert!(names(&r).iter().any(|n| n == "rotation.x.y"), "{:?}", names(&r));
     let (rotation, _) = r.effects.iter().find(|(f, _)| f.effect.name() == "rotation.x.y").unwrap();
     // The owners' fit is 0.029° = 506 µrad, printed to 17 µrad.
@@ -52,7 +53,8 @@ fn a_plate_that_is_too_small_alike_may_be_cold() {
         return;
     }
     let Some(text) = data("plate_cmm/D2130A1") else { return };
-    let r = reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &Options::default()).unwrap();
+    let r =
+        reconcile(&[plate(&text)], &[], &Machine::ideal("cnc"), &ReconciliationOptions::default()).unwrap();
     // The owners' fit has a quadrupole beside scale, a shape over the plane without a name in the dictionary.
     assert_eq!(r.verdict, Verdict::UnknownEffect);
     assert!(r.unexplained.iter().any(|s| s.manner == "smooth over the plane"), "{:?}", r.unexplained);
@@ -88,7 +90,7 @@ fn the_iso_230_axis_has_a_map_and_a_reversal() {
         Column::new("e", Role::Error(axis("y")), e),
     ];
     let record = Record::new(&PathBuf::from("axis.run.toml"), RunKind::Positioning, columns).unwrap();
-    let r = reconcile(&[record], &[], &Machine::ideal("ecmc"), &Options::default()).unwrap();
+    let r = reconcile(&[record], &[], &Machine::ideal("ecmc"), &ReconciliationOptions::default()).unwrap();
     // A map, a reversal, and a change over the cycles: a warm-up from a zero that was set on the warm machine.
     assert_eq!(names(&r), ["position_map.y", "reversal.y", "warm_up.y"]);
     assert!(
@@ -153,7 +155,7 @@ fn a_driven_axis_has_coulomb_friction_that_differs_by_direction() {
         let record = emps(&text, corner_hz, every);
         let force = record.data(&Role::Force(axis("x"))).unwrap();
         let size = (force.iter().map(|f| f * f).sum::<f64>() / force.len() as f64).sqrt();
-        let r = reconcile(&[record], &[], &machine, &Options::default()).unwrap();
+        let r = reconcile(&[record], &[], &machine, &ReconciliationOptions::default()).unwrap();
         let [before, after] = r.gap[0].train;
         println!(
             "{corner_hz} Hz, every {every} ms: {:?} {:.2} %, before {:.1} %, every {} rows",
@@ -204,7 +206,7 @@ fn a_raw_log_of_position_and_current_is_enough() {
     let late = part(late);
     let force = late.data(&Role::Force(axis("x"))).unwrap();
     let size = (force.iter().map(|f| f * f).sum::<f64>() / force.len() as f64).sqrt();
-    let r = reconcile(&[part(early)], &[late], &machine, &Options::default()).unwrap();
+    let r = reconcile(&[part(early)], &[late], &machine, &ReconciliationOptions::default()).unwrap();
     let after = r.gap[0].holdout.unwrap()[1] / size;
     println!("{} {:?}, {:.2} % of the later force; {:?}", r.verdict, names(&r), 100.0 * after, r.derived);
     assert_eq!(names(&r)[..2], ["friction_coulomb.x", "friction_asymmetric.x"]);
@@ -245,7 +247,7 @@ fn a_spindle_grows_with_its_heat_and_later_hours_are_predicted() {
         };
         let e = early.data(&Role::Error(axis("z"))).unwrap();
         let learned = about(&late, e.iter().sum::<f64>() / e.len() as f64);
-        let r = reconcile(&[early], &[late], &model, &Options::default()).unwrap();
+        let r = reconcile(&[early], &[late], &model, &ReconciliationOptions::default()).unwrap();
         let after = r.gap[0].holdout.unwrap()[1];
         println!(
             "{split} min: {} {:?}, later {after:.3} µm; by the mean learned {learned:.3}",
@@ -291,7 +293,8 @@ fn a_decoy_is_never_the_cause_of_growth() {
             ("D3", Role::Channel, logged),
         ];
         let run = spindle(&text, 0..2341, &decoys).select(&(0..2341).step_by(4).collect::<Vec<_>>());
-        let r = reconcile(&[run], &[], &Machine::ideal("spindle"), &Options::default()).unwrap();
+        let r =
+            reconcile(&[run], &[], &Machine::ideal("spindle"), &ReconciliationOptions::default()).unwrap();
         println!(
             "{} {:?}",
             r.verdict,

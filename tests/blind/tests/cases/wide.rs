@@ -44,7 +44,7 @@ fn the_model_computes_what_the_cases_were_made_of() {
             let machine =
                 Machine::parse(Path::new("true.toml"), &format!("name = \"true\"\n{text}")).unwrap();
             for (run, path) in scene.runs.iter().zip(&made.case.train) {
-                let record = rtec_measure::record::read(path).unwrap();
+                let record = rtec_measure::run_record_files::read(path).unwrap();
                 let theirs = machine.predict(&record).unwrap();
                 for (resp, (_, theirs)) in run.responses.iter().zip(&theirs.columns) {
                     let mut ours = vec![0.0; run.n];
@@ -218,7 +218,7 @@ fn every_mistake_is_in_the_files_and_its_twin_is_clean() {
         // "In one record" means exactly one.
         assert!(!text.contains("in one record") || differ == 1, "{text}: {differ}");
         for p in &clean.train {
-            rtec_measure::record::read(p).unwrap();
+            rtec_measure::run_record_files::read(p).unwrap();
         }
         for column in &mistake.columns {
             assert!(bad[0].lines().next().unwrap().split(',').any(|c| c == column), "{text}: {column}");

@@ -6,14 +6,14 @@ use crate::rows::Agreement::Within;
 use crate::rows::Rows;
 use rtec_driver::card::AxisLines;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{ReplayCard, RequestedTotal, TracePoint, Xor};
+use rtec_driver::trace_replay::{ReplayCard, RequestedTotal, TracePoint, XorGates};
 use rtec_files::InputError;
-use rtec_rt::axis::{AxisConfig, RestPolicy};
-use rtec_rt::link_messages::{EventKind, Request};
-use rtec_sim::bench::{BenchRun, InsertionDesign, constant};
+use rtec_rt::axis::{AxisConfig, InsertionAtRestPolicy};
+use rtec_rt::link_messages::{EventKind, RequestToRt};
 use rtec_sim::computer_timing::ComputerTiming;
 use rtec_sim::corrected_axis::{CorrectedAxis as _, homed_engine};
-use rtec_sim::replay::{ReplayOutcome, replay};
+use rtec_sim::engine_replay::{ReplayOutcome, replay};
+use rtec_sim::insertion_design_bench::{BenchRun, InsertionDesign, constant};
 
 /// The signed byte of the Original RTEC: the largest total that it takes.
 pub(super) fn range(rows: &mut Rows, bench: &Bench, computer: &ComputerTiming) -> Result<(), PaperError> {
@@ -120,15 +120,15 @@ pub(super) fn belief(rows: &mut Rows, bench: &Bench) -> Result<(), PaperError> {
 pub(super) fn switches(rows: &mut Rows) -> Result<(), PaperError> {
     let place = "General Considerations";
     let config = AxisConfig {
-        rest: RestPolicy::Insert { after_ns: 1_000_000 },
+        rest: InsertionAtRestPolicy::Insert { after_ns: 1_000_000 },
         lines: AxisLines::standard(0, false),
         ..AxisConfig::default()
     };
     for (what, request) in [
-        ("corrections disabled, a nonzero request: an error message", Request::Disable),
-        ("probing mode: no compensation", Request::Probe(true)),
+        ("corrections disabled, a nonzero request: an error message", RequestToRt::Disable),
+        ("probing mode: no compensation", RequestToRt::Probe(true)),
     ] {
-        let mut card = ReplayCard::new(Xor, recording(), |_, _: State| {})?;
+        let mut card = ReplayCard::new(XorGates, recording(), |_, _: State| {})?;
         let mut refused = Vec::new();
         let mut report = |e: rtec_rt::link_messages::Event| {
             if let EventKind::Refused { why, .. } = e.kind {

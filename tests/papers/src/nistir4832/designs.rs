@@ -7,11 +7,11 @@ use crate::rows::Rows;
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchRun, Edge, InsertionDesign, constant, insert_at_rest};
 use rtec_sim::compensation_experiments::one_metre;
 use rtec_sim::computer_timing::ComputerTiming;
+use rtec_sim::corrected_machine_sim::CorrectedMachineSim;
+use rtec_sim::insertion_design_bench::{BenchRun, Edge, InsertionDesign, constant, insert_at_rest};
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::Sim;
 use std::path::Path;
 
 /// Which of the four places at rest can be corrected, with and without dither.
@@ -65,7 +65,7 @@ fn dithering(bench: &Bench, dither_counts: f64, seed: u64) -> Result<usize, Pape
     for place in 0..4 {
         let at = f64::from(place) * bench.count_um / 1e3;
         // The scale counts from where it starts: it stands at A and B low there, so one count further for each place.
-        let mut sim = Sim::new(&spec, &offset, None, [0.0; 3], seed)?;
+        let mut sim = CorrectedMachineSim::new(&spec, &offset, None, [0.0; 3], seed)?;
         sim.run([Block::Feed { to: [at, 0.0, 0.0], feed_mm_s: 1.0 }])?;
         sim.know(&spec, &offset)?;
         sim.advance(5.0)?;

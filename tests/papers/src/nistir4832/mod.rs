@@ -10,13 +10,13 @@ use crate::{PaperError, Progress};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
-use rtec_sim::bench::InsertionDesign;
 use rtec_sim::compensation_experiments::{ExperimentInputs, one_metre, over_a_part};
 use rtec_sim::computer_timing::ComputerTiming;
+use rtec_sim::corrected_machine_sim::{CorrectedMachineSim, MachineSpec};
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::insertion_designs::waveforms;
+use rtec_sim::insertion_design_bench::InsertionDesign;
+use rtec_sim::insertion_design_comparison::waveforms;
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSpec, Sim};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -126,7 +126,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
     rows.given().number((place, what, ""), 15.0, gets, Within(0.0), other);
     // A new value only every so often.
     let place = "Alternate Configurations";
-    let mut sim = Sim::new(&spec, machine, Some(machine), [0.0; 3], seed)?;
+    let mut sim = CorrectedMachineSim::new(&spec, machine, Some(machine), [0.0; 3], seed)?;
     let v_mm_s = bench.cutting_mm_min / 60.0;
     sim.set_control_period((bench.update_every_mm / v_mm_s * 1e9) as u64);
     sim.machine.load([Block::Feed { to: [length_mm, 0.0, 0.0], feed_mm_s: v_mm_s }]);
@@ -137,7 +137,7 @@ fn linear(rows: &mut Rows, bench: &Bench, machine: &Machine, seed: u64) -> Resul
     }
     let what = "a new value every 1 to 2 mm is sufficient: the error stays below one correction";
     rows.number((place, what, "µm"), 4.0 * bench.count_um, late, AtMost, "with a value every 2 mm");
-    let every_ms = rtec_sim::sim::CONTROL_NS as f64 / 1e6;
+    let every_ms = rtec_sim::corrected_machine_sim::CONTROL_NS as f64 / 1e6;
     let what = "a new value every 10 to 20 ms: our control period";
     rows.given().number((place, what, "ms"), 20.0, every_ms, AtMost, "10 ms");
     Ok(())

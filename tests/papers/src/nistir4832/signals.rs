@@ -7,11 +7,11 @@ use crate::rows::{Rows, shown};
 use rtec_driver::quadrature::State;
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::compensation_experiments::one_metre;
 use rtec_sim::computer_timing::ComputerTiming;
+use rtec_sim::corrected_machine_sim::{CorrectedMachineSim, MachineSpec};
+use rtec_sim::insertion_design_bench::{BenchResult, BenchRun, Edge, InsertionDesign, constant};
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSpec, Sim};
 use std::path::Path;
 
 /// The axis over its travel at rapid traverse: how far it counts, how fast.
@@ -67,7 +67,7 @@ fn traverse(count_um: f64, rapid_mm_min: f64, travel_mm: f64, seed: u64) -> Resu
     // A decoder that bears what is coming.
     spec.controller.decoder_hz = 1e8;
     let ideal = Machine::ideal("axis");
-    let mut sim = Sim::new(&spec, &ideal, None, [-travel_mm / 2.0, 0.0, 0.0], seed)?;
+    let mut sim = CorrectedMachineSim::new(&spec, &ideal, None, [-travel_mm / 2.0, 0.0, 0.0], seed)?;
     sim.machine.load([Block::Rapid { to: [travel_mm / 2.0, 0.0, 0.0] }]);
     let mut counts_s: f64 = 0.0;
     // At speed: over the middle half of the way.
@@ -125,7 +125,7 @@ pub(super) fn pulses(rows: &mut Rows, bench: &Bench, computer: &ComputerTiming) 
         Path::new("four.toml"),
         &format!("name = \"four counts\"\n[[effect]]\nname = \"offset.x\"\num = {}\n", 4.0 * bench.count_um),
     )?;
-    let mut sim = Sim::new(
+    let mut sim = CorrectedMachineSim::new(
         &one_metre(bench.count_um, bench.travel_mm),
         &Machine::ideal("m"),
         Some(&known),

@@ -4,11 +4,11 @@ use super::{AXES, Centre, INCH_UM, PHASES, TABLE_4, TABLE_5, error_of, record};
 use crate::rows::Agreement::{AtMost, Within};
 use crate::rows::{Rows, shown};
 use rtec_model::record::Record;
-use rtec_sim::compensation_experiments::{ExperimentResult, GaugeReadings};
-use rtec_sim::heat::FIGURE_9;
+use rtec_sim::compensation_experiments::{ExperimentResult, MandrelGaugeReadings};
+use rtec_sim::thermal_network::FIGURE_9;
 
 /// What the five gauges showed in a record.
-fn gauges<'f>(found: &'f ExperimentResult, name: &str) -> &'f [GaugeReadings] {
+fn gauges<'f>(found: &'f ExperimentResult, name: &str) -> &'f [MandrelGaugeReadings] {
     found.gauges.iter().find(|g| g.0 == name).map_or(&[], |g| &g.1)
 }
 
@@ -25,7 +25,7 @@ pub(super) fn drifts(rows: &mut Rows, found: &ExperimentResult) -> [[f64; 3]; 2]
     {
         let seen = gauges(found, name);
         // A mean over three minutes: what a gauge shows at one instant has noise.
-        let at = |minute: usize, f: &dyn Fn(&GaugeReadings) -> f64| {
+        let at = |minute: usize, f: &dyn Fn(&MandrelGaugeReadings) -> f64| {
             let near = &seen[minute.saturating_sub(1)..(minute + 2).min(seen.len())];
             near.iter().map(f).sum::<f64>() / near.len().max(1) as f64
         };

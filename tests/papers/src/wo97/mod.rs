@@ -17,8 +17,8 @@ use model::wet_model;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, Role};
 use rtec_sim::compensation_experiments::{Experiment, ExperimentInputs, ExperimentResult};
+use rtec_sim::corrected_machine_sim::MachineSpec;
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::sim::MachineSpec;
 use serde::Deserialize;
 use std::path::Path;
 

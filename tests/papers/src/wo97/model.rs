@@ -4,8 +4,8 @@ use super::{Centre, Run, error_of, record};
 use crate::PaperError;
 use crate::rows::Agreement::{AtLeast, AtMost, Within};
 use crate::rows::Rows;
-use rtec_fit::thermal::Options;
-use rtec_fit::workflow::{self, FitRequest, ThermalFit};
+use rtec_fit::thermal::ThermalFitOptions;
+use rtec_fit::workflow::{self, FitRequest, ThermalFitResult};
 use rtec_measure::plot::{Chart, Series, Style};
 use rtec_model::effect::RequiredInput;
 use rtec_model::machine::{Machine, Provenance};
@@ -49,7 +49,7 @@ pub(super) fn wet_model(
     rows.number(("CASC", "autocorrelation α of sensors 13 and 10", ""), 0.985, gets, Within(0.02), why);
     let offered = wet.names(&Role::Temperature).count();
     rows.given().number(("CASC", "sensors to begin with", ""), 20.0, offered as f64, Within(0.0), "");
-    let ThermalFit { machine: model, reports, .. } = fitted(run, wet)?;
+    let ThermalFitResult { machine: model, reports, .. } = fitted(run, wet)?;
     let mut rounds =
         "CASC, round by round: R, and µm left on blocks of time that the fit has not seen\n".to_owned();
     for report in &reports {
@@ -108,11 +108,12 @@ fn modelled(rows: &mut Rows, wet: &Record, model: &Machine) -> Result<(), PaperE
 
 /// The fit of the patent's runs, all wet: spindle cycle, warm-up with speeds and cool-down, a shift, a production cycle.
 /// It is `rtecctl model fit --no-speed` of the example's records, beside the example's geometry.
-fn fitted(run: &Run<'_>, wet: &Record) -> Result<ThermalFit, PaperError> {
+fn fitted(run: &Run<'_>, wet: &Record) -> Result<ThermalFitResult, PaperError> {
     let (runs, production) = (run.experiment("wet-runs", None)?, run.experiment("production-cycle", None)?);
     let train =
         [wet, record(&runs, "warm-day")?, record(&runs, "shift")?, record(&production, "production-cycle")?];
-    let options = Options { base: Some(geometry(run.truth)?), speed: false, ..Options::default() };
+    let options =
+        ThermalFitOptions { base: Some(geometry(run.truth)?), speed: false, ..ThermalFitOptions::default() };
     let asked = FitRequest { date: Some(20_000), options, ..FitRequest::default() };
     Ok(workflow::fit(train.map(Clone::clone).into(), Vec::new(), &asked, &mut |_| ())?)
 }

@@ -5,10 +5,10 @@ use super::{AXES, Centre, Run, error_of, record};
 use crate::PaperError;
 use rtec_model::machine::Machine;
 use rtec_sim::compensation_experiments::{PROMISED, UNSEEN};
+use rtec_sim::corrected_machine_sim::MachineSpec;
 use rtec_sim::described_machines::MachineDescriptions;
-use rtec_sim::heat::ThermalNetworkSpec;
 use rtec_sim::noise::NoiseGenerator;
-use rtec_sim::sim::MachineSpec;
+use rtec_sim::thermal_network::ThermalNetworkSpec;
 
 /// The experiments, one for each thermal state of the machine at the start.
 pub const STARTS: [&str; 6] = [

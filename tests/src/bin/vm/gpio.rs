@@ -9,11 +9,11 @@ use gpiocdev::line::{Direction, Info as LineInfo};
 use rtec_driver::card::MachineLines;
 use rtec_driver::clock::{Clock, Monotonic};
 use rtec_driver::gpio::{
-    Bias, Drive, GpioCard, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId,
+    Bias, Drive, GpioCard, GpioCardConfig, GpioInputConfig, GpioLineId, GpioLineSettings, GpioOutputConfig,
 };
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::Request;
+use rtec_rt::link_messages::RequestToRt;
 use rtec_tests::daemon::{Machine, until};
 use rtec_tests::gpio_sim::{self, GpioSim};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -234,16 +234,16 @@ static COUNTING: Counting = Counting;
 /// Runs the engine on real GPIO edges in this thread, with insertions.
 /// Nothing is allocated or released per edge.
 fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
-    let line = |name: &str| GpioLine {
+    let line = |name: &str| GpioLineSettings {
         chip: Some(chip.to_owned()),
-        line: LineId::Name(name.to_owned()),
+        line: GpioLineId::Name(name.to_owned()),
         active_low: false,
         bias: None,
         drive: None,
     };
     let input = |name, bit| GpioInputConfig { line: line(name), bit, group: 0, edges: true };
     let output = |name, bit| GpioOutputConfig { line: line(name), bit };
-    let setup = GpioSetup {
+    let setup = GpioCardConfig {
         inputs: vec![input("X_A", 0), input("X_B", 1)],
         outputs: vec![output("X_IA", 0), output("X_IB", 1)],
         events: true,
@@ -260,7 +260,7 @@ fn allocates_nothing(chip: &str, directory: &Path) -> anyhow::Result<String> {
     while edges < 300 || insertions < 5 {
         let total_counts = if edges / 40 % 2 == 0 { 10 } else { -10 };
         let before = ALLOCATIONS.get();
-        engine.take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, &mut |_| true)?;
+        engine.take(RequestToRt::Correct { axis: 0, total_counts, large: true }, &mut card, &mut |_| true)?;
         let by_ns = Monotonic.now_ns() + 20_000_000;
         engine.poll(&mut card, by_ns, &mut |_| true)?;
         let axis = engine.status().axes[0];

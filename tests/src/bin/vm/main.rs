@@ -20,7 +20,7 @@ use mapped::{far_side, mapped};
 use port::{port, port_seen};
 use real_time::real_time;
 use rtec_control::config::{Config, LatencyTestConditions};
-use rtec_rt::setup;
+use rtec_rt::realtime_setup;
 use rtec_tests::daemon::{Daemon, Machine, program, until};
 use rtec_tests::gpio_sim::{self};
 use std::fs;
@@ -104,7 +104,7 @@ fn configured(card: &str, axis: &str) -> anyhow::Result<(tempfile::TempDir, Path
     // The self-test would have measured the latencies here with this card. A card that is refused has no such file.
     let measured = match Config::parse(&file, &text) {
         Ok(config) => {
-            format!("{}\n", LatencyTestConditions::here(&config.card, 1, &setup::SystemRoot::live()))
+            format!("{}\n", LatencyTestConditions::here(&config.card, 1, &realtime_setup::SystemRoot::live()))
         }
         Err(_) => String::new(),
     };

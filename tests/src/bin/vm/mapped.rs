@@ -2,15 +2,15 @@
 
 use super::{AXIS, EDGE, armed, corrected, daemon, refused};
 use anyhow::{Context, ensure};
-use rtec_driver::card::{AxisLines, Card, CardError, MachineLines, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample, MachineLines};
+use rtec_driver::card_profile::{AddressSpace, CardProfile, Width};
 use rtec_driver::clock::Clock;
-use rtec_driver::mapped::{MappedCard, Registers};
-use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{AddressSpace, CardProfile, Width};
+use rtec_driver::mapped_registers::{MappedCard, MappedRegisterFile};
+use rtec_driver::pci::{self, PciFunctionSelector};
 use rtec_driver::quadrature::{Decoder, State};
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::engine::{Engine, MachineConfig};
-use rtec_rt::link_messages::Request;
+use rtec_rt::link_messages::RequestToRt;
 use rtec_tests::daemon::{Machine, until};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -42,7 +42,7 @@ const STEP_NS: u64 = 4_000;
 /// The machine at the card's other end, on the host.
 /// It does what the guest asks for until it is told to end.
 pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
-    let words = Registers::open(file, BYTES, "far side")?;
+    let words = MappedRegisterFile::open(file, BYTES, "far side")?;
     let phase = || words.read(PHASE, Width::Bits32);
     let say = |offset: i64, illegal: u64| {
         words.write(OFFSET, Width::Bits32, offset as u32);
@@ -53,7 +53,7 @@ pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
         let now = phase();
         match now {
             SLOW => {
-                let machine = Machine::paced(Registers::open(file, 8, "machine")?, EDGE);
+                let machine = Machine::paced(MappedRegisterFile::open(file, 8, "machine")?, EDGE);
                 machine.move_axis(true);
                 words.write(AT, Width::Bits32, now);
                 while phase() == now {
@@ -84,7 +84,7 @@ pub(super) fn far_side(file: &Path) -> anyhow::Result<()> {
 /// Runs in step with the guest: time advances only when the guest has acted.
 /// It advances by one step while the guest has something to do, else to two steps before the next edge. An edge right
 /// after a late look may be as old as that look, and has no period.
-fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {
+fn in_step(words: &MappedRegisterFile, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32) -> (i64, Decoder) {
     let lines = AxisLines::standard(0, false);
     let (mut state, mut mtc, mut scale, mut tick) =
         (State::default(), Decoder::new(State::default()), 0_i64, 0_u32);
@@ -118,7 +118,7 @@ fn in_step(words: &Registers, say: &impl Fn(i64, u64), phase: &impl Fn() -> u32)
 }
 
 /// A clock that shows the far side's time.
-struct FarTime(Registers);
+struct FarTime(MappedRegisterFile);
 
 impl Clock for FarTime {
     fn now_ns(&mut self) -> u64 {
@@ -129,12 +129,12 @@ impl Clock for FarTime {
 /// The card under test, which looks once at every step of the far side.
 struct InStep {
     card: MappedCard<FarTime>,
-    words: Registers,
+    words: MappedRegisterFile,
     tick: u32,
 }
 
 impl Card for InStep {
-    fn sample(&mut self, wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, wake_ns: u64) -> Result<CardInputSample, CardError> {
         let now_ns = u64::from(self.tick) * STEP_NS;
         let busy = wake_ns < now_ns + u64::from(COUNT_STEPS) * STEP_NS;
         self.words.write(BUSY, Width::Bits32, u32::from(busy));
@@ -156,15 +156,15 @@ impl Card for InStep {
 }
 
 /// Enables the card's BAR and maps it; also returns its file in sysfs.
-fn bar() -> anyhow::Result<(Registers, PathBuf)> {
+fn bar() -> anyhow::Result<(MappedRegisterFile, PathBuf)> {
     let profile = CardProfile::shared_memory();
     let place = profile.pci.context("the profile's place on the bus")?;
-    let card = pci::find(&PciId::Card(place.id.0, place.id.1))?;
+    let card = pci::find(&PciFunctionSelector::Card(place.id.0, place.id.1))?;
     let file = card.prepare(place.bar, AddressSpace::Memory, BYTES)?.file;
-    Ok((Registers::open(&file, BYTES, "vm")?, file))
+    Ok((MappedRegisterFile::open(&file, BYTES, "vm")?, file))
 }
 
-fn phase(words: &Registers, phase: u32) {
+fn phase(words: &MappedRegisterFile, phase: u32) {
     words.write(PHASE, Width::Bits32, phase);
     until("the far side follows", || words.read(AT, Width::Bits32) == phase);
 }
@@ -190,7 +190,7 @@ pub(super) fn mapped() -> anyhow::Result<Vec<String>> {
     fs::write("/sys/bus/pci/drivers/hilscher/bind", address)?;
     let uio = Path::new("/dev/uio0");
     until("the UIO device", || uio.exists());
-    let words = Registers::open_map(uio, 1, BYTES, "vm")?;
+    let words = MappedRegisterFile::open_map(uio, 1, BYTES, "vm")?;
     said.push(through_rtecd(&words, "uio = '/dev/uio0'\nmap = 1", "the same BAR by UIO")?);
     Ok(said)
 }
@@ -200,7 +200,7 @@ fn on_card() -> String {
 }
 
 /// Makes a few counts through the daemon, with a slow machine at the other end.
-fn through_rtecd(words: &Registers, card: &str, way: &str) -> anyhow::Result<String> {
+fn through_rtecd(words: &MappedRegisterFile, card: &str, way: &str) -> anyhow::Result<String> {
     phase(words, SLOW);
     let (corrector, _held) = daemon(&format!("backend = 'mapped'\n{card}\n"), &on_card())?;
     armed(&corrector);
@@ -215,11 +215,11 @@ fn through_rtecd(words: &Registers, card: &str, way: &str) -> anyhow::Result<Str
 }
 
 /// Counts a million with the engine itself, in step with the machine.
-fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
+fn a_million(words: &MappedRegisterFile, file: &Path) -> anyhow::Result<String> {
     phase(words, STEPPED);
-    let clock = FarTime(Registers::open(file, BYTES, "vm")?);
+    let clock = FarTime(MappedRegisterFile::open(file, BYTES, "vm")?);
     let card = MappedCard::open(file, &CardProfile::shared_memory(), clock)?;
-    let mut card = InStep { card, words: Registers::open(file, BYTES, "vm")?, tick: 0 };
+    let mut card = InStep { card, words: MappedRegisterFile::open(file, BYTES, "vm")?, tick: 0 };
     let axis = AxisConfig {
         max_correction_counts: 100_000,
         detect_ns: STEP_NS,
@@ -245,7 +245,7 @@ fn a_million(words: &Registers, file: &Path) -> anyhow::Result<String> {
         }
         requests += 1;
         let total_counts = if last { 0 } else { 2 * ((f64::from(requests) / 40.0).sin() * 200.0) as i64 };
-        engine.take(Request::Correct { axis: 0, total_counts, large: true }, &mut card, report)?;
+        engine.take(RequestToRt::Correct { axis: 0, total_counts, large: true }, &mut card, report)?;
     }
     let (axis, balanced) = (engine.status().axes[0], engine.status().balanced());
     let counted = i64::from(words.read(OFFSET, Width::Bits32) as i32);

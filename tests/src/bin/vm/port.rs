@@ -2,9 +2,9 @@
 
 use super::{AXIS, EDGE, agreed, armed, corrected, daemon, refused};
 use anyhow::{Context, ensure};
-use rtec_driver::pci::{self, PciId};
-use rtec_driver::port::Ports;
-use rtec_driver::profile::{AddressSpace, Width};
+use rtec_driver::card_profile::{AddressSpace, Width};
+use rtec_driver::pci::{self, PciFunctionSelector};
+use rtec_driver::port_io::IoPorts;
 use rtec_driver::quadrature::State;
 use rtec_driver::register_card::RegisterAccess;
 use rtec_tests::daemon::{Daemon, Lines, Machine};
@@ -54,7 +54,7 @@ const MODEM_CONTROL: usize = 4;
 const SCRATCH: usize = 7;
 
 /// The machine's side of that card.
-struct Uart(Ports);
+struct Uart(IoPorts);
 
 impl Uart {
     fn set(&self, register: usize, value: u32) -> anyhow::Result<()> {
@@ -83,7 +83,7 @@ fn io_bar() -> anyhow::Result<Vec<String>> {
     fs::write(&profile, UART)?;
     let card = format!("backend = 'port'\nprofile = '{}'\n", profile.display());
     let axis = format!("{AXIS}lines = {{ a = 'dsr', b = 'cts', invert_a = 's0', invert_b = 's1' }}\n");
-    let uart = pci::find(&PciId::Card(0x1b36, 2))?;
+    let uart = pci::find(&PciFunctionSelector::Card(0x1b36, 2))?;
 
     // The kernel's own driver holds the card.
     let (code, text) = refused(&card, &axis)?;
@@ -96,8 +96,8 @@ fn io_bar() -> anyhow::Result<Vec<String>> {
     ensure!(freed.status.success(), "{remedy}: {}", String::from_utf8_lossy(&freed.stderr));
 
     let base = uart.prepare(0, AddressSpace::Io, 8)?.start as u16;
-    let far = Uart(Ports::open(base, 8)?);
-    let look = Uart(Ports::open(base, 8)?);
+    let far = Uart(IoPorts::open(base, 8)?);
+    let look = Uart(IoPorts::open(base, 8)?);
     for (register, value) in [(LINE_CONTROL, 0x1b), (SCRATCH, 0), (MODEM_CONTROL, 0x10)] {
         far.set(register, value)?;
     }

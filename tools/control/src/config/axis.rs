@@ -1,17 +1,17 @@
 //! `[[axis]]`: one axis, its limits, and whether they let it correct anything.
 
 use super::card::{CardBackend, CardSection, read_lines};
-use super::{ConfiguredAxis, SimulatedAxis, beside, keys};
-use rtec_files::keys::{FileWithFindings, Section};
+use super::{ConfiguredAxis, SimulatedAxisDeviations, beside, keys};
+use rtec_files::toml_section_keys::{FileWithFindings, TomlSection};
 use rtec_model::record::Axis;
-use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, RestPolicy};
+use rtec_rt::axis::{AxisConfig, INCREMENT_COUNTS, InsertionAtRestPolicy};
 use std::path::PathBuf;
 
 #[allow(clippy::too_many_lines)] // The keys in order.
 /// Reads one `[[axis]]` with the recording of a replay; none if it has a mistake.
 pub(super) fn read(
     source: &mut FileWithFindings<'_>,
-    mut s: Section<'_>,
+    mut s: TomlSection<'_>,
     n: u8,
     card: &mut CardSection,
     latency: &AxisConfig,
@@ -152,8 +152,8 @@ pub(super) fn read(
         max_accel_counts_s2,
         hysteresis_counts: hysteresis,
         rest: match quiet_ms {
-            Some(ms) if insert => RestPolicy::Insert { after_ns: (ms.value * 1e6) as u64 },
-            _ => RestPolicy::Wait,
+            Some(ms) if insert => InsertionAtRestPolicy::Insert { after_ns: (ms.value * 1e6) as u64 },
+            _ => InsertionAtRestPolicy::Wait,
         },
         ..*latency
     };
@@ -176,13 +176,13 @@ pub(super) fn read(
             .any(|c| c.lines == (engine.lines.a, engine.lines.b)),
         reference_budget_counts: budget.map(|b| b.value),
         engine,
-        simulated: SimulatedAxis { count_um: simulated_um.unwrap_or(count_um), ..simulated },
+        simulated: SimulatedAxisDeviations { count_um: simulated_um.unwrap_or(count_um), ..simulated },
     };
     Some((axis, trace))
 }
 
 /// Checks the key `design`: the daemon inserts by Design C only.
-fn read_design(source: &mut FileWithFindings<'_>, s: &mut Section<'_>) {
+fn read_design(source: &mut FileWithFindings<'_>, s: &mut TomlSection<'_>) {
     if s.has_unoffered("design") {
         let expected = "\"c\", or no such key: every axis inserts by Design C (the other designs are simulated: rtecctl \
                         designs, rtecctl replay --design)";
@@ -210,7 +210,7 @@ const COUPLED: &str = "an axis of its own: two scales of one axis (a gantry) are
 /// `by_name`: its name marks it as rotary (ISO 841). Returns `true` if it was refused.
 fn refuse_other_kinds(
     source: &mut FileWithFindings<'_>,
-    s: &mut Section<'_>,
+    s: &mut TomlSection<'_>,
     owner: &str,
     by_name: Option<usize>,
 ) -> bool {
@@ -234,10 +234,10 @@ fn refuse_other_kinds(
 /// The count of `simulated`, if it has one, and its other values.
 fn read_simulated(
     source: &mut FileWithFindings<'_>,
-    s: &mut Section<'_>,
+    s: &mut TomlSection<'_>,
     kind: Option<CardBackend>,
-) -> (Option<f64>, SimulatedAxis) {
-    let mut found = SimulatedAxis { count_um: 1.0, compensates_ppm: 0.0, ignores: false };
+) -> (Option<f64>, SimulatedAxisDeviations) {
+    let mut found = SimulatedAxisDeviations { count_um: 1.0, compensates_ppm: 0.0, ignores: false };
     if !s.has("simulated") {
         return (None, found);
     }

@@ -1,14 +1,16 @@
 //! `[card]` and the lines of the machine and its axes.
 
 use super::{RegisterPlace, backend_of, beside, keys};
-use crate::line_names::{BIASES, DRIVES, LineName, gpio_line, line};
-use crate::profile;
+use crate::card_line_names::{BIASES, CardLineName, DRIVES, gpio_line, line};
+use crate::card_profile_file;
 use rtec_driver::card::{AxisLines, MachineLines};
-use rtec_driver::gpio::{self, GpioError, GpioInputConfig, GpioLine, GpioOutputConfig, GpioSetup, LineId};
-use rtec_driver::pci::{self, PciId};
-use rtec_driver::profile::{AddressSpace, CardProfile, IoBit, Width};
-use rtec_files::keys::{FileWithFindings, LocatedValue, Section};
+use rtec_driver::card_profile::{AddressSpace, CardProfile, IoBit, Width};
+use rtec_driver::gpio::{
+    self, GpioCardConfig, GpioError, GpioInputConfig, GpioLineId, GpioLineSettings, GpioOutputConfig,
+};
+use rtec_driver::pci::{self, PciFunctionSelector};
 use rtec_files::nearest;
+use rtec_files::toml_section_keys::{FileWithFindings, LocatedValue, TomlSection};
 use rtec_rt::link_messages::MAX_AXES;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::FileTypeExt;
@@ -26,16 +28,16 @@ pub(super) struct CardSection {
     pub(super) kind: Option<CardBackend>,
     pub(super) place: Option<RegisterPlace>,
     pub(super) profile: Option<CardProfile>,
-    pub(super) gpio: Gpio,
+    pub(super) gpio: ParsedGpioLines,
     pub(super) lines: MachineLines,
     /// User of each line, by direction and bit.
     pub(super) taken: BTreeMap<(bool, u8), String>,
 }
 
 /// GPIO lines read so far, and the defaults for the others.
-pub(super) struct Gpio {
-    pub(super) setup: GpioSetup,
-    pub(super) default: GpioLine,
+pub(super) struct ParsedGpioLines {
+    pub(super) setup: GpioCardConfig,
+    pub(super) default: GpioLineSettings,
     /// Lines are looked up on this computer.
     here: bool,
     /// Chips that were not found; each is reported once.
@@ -51,7 +53,7 @@ pub(super) enum CardBackend {
 }
 
 /// Reads `[card]`; `here` if this is the computer that it is meant for.
-pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut Section<'_>, here: bool) -> CardSection {
+pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut TomlSection<'_>, here: bool) -> CardSection {
     let mut section = root.table(source, "card", "[card]").with(keys::CARD);
     let registers = [AddressSpace::Memory, AddressSpace::Io].map(CardBackend::Registers);
     let kinds = [CardBackend::Mock, CardBackend::Gpio, registers[0], registers[1], CardBackend::Replay];
@@ -60,11 +62,11 @@ pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut Section<'_>, he
         kind: kind.map(|k| k.value),
         place: None,
         profile: None,
-        gpio: Gpio {
-            setup: GpioSetup { inputs: Vec::new(), outputs: Vec::new(), events: true },
-            default: GpioLine {
+        gpio: ParsedGpioLines {
+            setup: GpioCardConfig { inputs: Vec::new(), outputs: Vec::new(), events: true },
+            default: GpioLineSettings {
                 chip: None,
-                line: LineId::Offset(0),
+                line: GpioLineId::Offset(0),
                 active_low: false,
                 bias: None,
                 drive: None,
@@ -100,7 +102,7 @@ pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut Section<'_>, he
 /// Reads where the registers are, and the profile that gives them meaning.
 fn read_registers(
     source: &mut FileWithFindings<'_>,
-    section: &mut Section<'_>,
+    section: &mut TomlSection<'_>,
     card: &mut CardSection,
     (space, here): (AddressSpace, bool),
 ) {
@@ -108,13 +110,13 @@ fn read_registers(
     let named = section.text(source, "profile");
     let default = if port { "parallel-port" } else { "shared-memory" };
     card.profile = match named {
-        None => profile::shipped(default),
-        Some(at) => profile::shipped(at.value)
+        None => card_profile_file::shipped(default),
+        Some(at) => card_profile_file::shipped(at.value)
             .or_else(|| load_profile(source, &beside(source.file, at.value), at.value, at.offset)),
     };
     let pci_at = section.text(source, "pci");
     let pci = pci_at.and_then(|at| {
-        let id = PciId::parse(at.value);
+        let id = PciFunctionSelector::parse(at.value);
         if id.is_none() {
             let expected =
                 "vendor:device as \"1af4:1110\", or an address as \"0000:00:04.0\": lspci -nD shows both";
@@ -167,7 +169,7 @@ fn read_registers(
         let (found, backend) = (format!("profile \"{name}\" of {of}"), backend_of(place.space));
         source.finding(named.map_or(section.offset, |p| p.offset), found, format!("backend = \"{backend}\""));
     }
-    let of_profile = place.map(|p| PciId::Card(p.id.0, p.id.1)).filter(|_| places == 0);
+    let of_profile = place.map(|p| PciFunctionSelector::Card(p.id.0, p.id.1)).filter(|_| places == 0);
     if let Some(id) = pci.or(of_profile) {
         if here && let Err(error) = pci::find(&id) {
             let at = pci_at.or(named).map_or(section.offset, |at| at.offset);
@@ -211,21 +213,21 @@ fn load_profile(
     named: &str,
     offset: usize,
 ) -> Option<CardProfile> {
-    let text = match rtec_files::text::read(path) {
+    let text = match rtec_files::text_file::read(path) {
         Ok(text) => text,
         Err(error) => {
             let found = format!("profile {}: {}", path.display(), error.found);
-            source.finding(offset, found, profile::names_for(named));
+            source.finding(offset, found, card_profile_file::names_for(named));
             return None;
         }
     };
-    source.keep(profile::parse(path, &text))
+    source.keep(card_profile_file::parse(path, &text))
 }
 
 /// Reads the lines that belong to no axis.
 fn machine_lines(
     source: &mut FileWithFindings<'_>,
-    section: &mut Section<'_>,
+    section: &mut TomlSection<'_>,
     card: &mut CardSection,
 ) -> MachineLines {
     let mut wire = |key, output| wire(source, section, card, key, output, (MAX_AXES as u8, "the machine"));
@@ -240,14 +242,14 @@ fn machine_lines(
 /// Gives a GPIO line the next free bit.
 fn wire_gpio(
     source: &mut FileWithFindings<'_>,
-    section: &mut Section<'_>,
-    gpio: &mut Gpio,
+    section: &mut TomlSection<'_>,
+    gpio: &mut ParsedGpioLines,
     key: &'static str,
     output: bool,
     (group, owner): (u8, &str),
 ) -> Option<u8> {
     let LocatedValue { value: line, offset } = gpio_line(section, source, key, &gpio.default)?;
-    if line.chip.is_none() && matches!(line.line, LineId::Offset(_)) {
+    if line.chip.is_none() && matches!(line.line, GpioLineId::Offset(_)) {
         let expected = "a name, or a chip too: chip = \"gpiochip0\" in [card], or in the line's own table";
         source.finding(offset, format!("{key} = {} on no chip", line.line), expected);
         return None;
@@ -290,7 +292,7 @@ fn wire_gpio(
 /// Bit of one line, checked against the profile and the lines in use.
 fn wire(
     source: &mut FileWithFindings<'_>,
-    section: &mut Section<'_>,
+    section: &mut TomlSection<'_>,
     card: &mut CardSection,
     key: &'static str,
     output: bool,
@@ -303,7 +305,7 @@ fn wire(
     let profile = card.profile.as_ref()?;
     let direction = if output { "an output" } else { "an input" };
     let bit = match at.value {
-        LineName::Name(name) => match (profile.lines.get(name), output) {
+        CardLineName::Name(name) => match (profile.lines.get(name), output) {
             (Some(IoBit::Input(bit)), false) | (Some(IoBit::Output(bit)), true) => *bit,
             (found, _) => {
                 let what = if found.is_some() { ", which goes the other way" } else { "" };
@@ -317,7 +319,7 @@ fn wire(
                 return None;
             }
         },
-        LineName::Bit(bit) => {
+        CardLineName::Bit(bit) => {
             let registers = if output { &profile.outputs } else { &profile.inputs };
             let bits: u32 = registers.iter().map(|r| r.width.bits()).sum();
             if u32::from(bit) >= bits {
@@ -340,7 +342,7 @@ fn wire(
 /// Reads the lines of an axis from `lines`, or takes the standard layout.
 pub(super) fn read_lines(
     source: &mut FileWithFindings<'_>,
-    section: &mut Section<'_>,
+    section: &mut TomlSection<'_>,
     n: u8,
     card: &mut CardSection,
     owner: &str,

@@ -1,10 +1,10 @@
 //! `[control]`: sockets with their users, and files that outlive the process.
 
 use super::{Config, ConfigFindings, INSTALLED, beside, keys};
-use crate::owned_directory::directory_owner;
-use crate::role::Role;
+use crate::client_role::ClientRole;
+use crate::owner_only_directory::directory_owner;
 use nix::unistd::{Group, Uid};
-use rtec_files::keys::{FileWithFindings, Section};
+use rtec_files::toml_section_keys::{FileWithFindings, TomlSection};
 use std::path::{Path, PathBuf};
 
 /// Longest path of a Unix socket, bytes (unix(7): 108 with the zero at its end).
@@ -18,8 +18,8 @@ pub struct ControlConfig {
     pub socket: PathBuf,
     pub group: Option<String>,
     pub mode: Option<u32>,
-    pub operate: RoleSocket,
-    pub view: RoleSocket,
+    pub operate: RoleSocketConfig,
+    pub view: RoleSocketConfig,
     pub state_file: Option<PathBuf>,
     pub log_file: Option<PathBuf>,
     pub log_anchor: bool,
@@ -33,7 +33,7 @@ pub struct ControlConfig {
 /// Without a group only the daemon's own user may use it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 #[allow(missing_docs)] // the table of keys describes them
-pub struct RoleSocket {
+pub struct RoleSocketConfig {
     pub socket: Option<PathBuf>,
     pub group: Option<String>,
     pub mode: Option<u32>,
@@ -43,7 +43,7 @@ pub struct RoleSocket {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ConfiguredSocket {
     /// Role of its connections.
-    pub role: Role,
+    pub role: ClientRole,
     /// Its path.
     pub path: PathBuf,
     /// The group that may use it.
@@ -98,22 +98,22 @@ impl ControlConfig {
             mode: mode.unwrap_or(if group.is_some() { 0o660 } else { 0o600 }),
             group: group.clone(),
         };
-        let socket_at = |role, named: &RoleSocket| {
+        let socket_at = |role, named: &RoleSocketConfig| {
             let path = named.socket.clone().unwrap_or_else(|| derived(&self.socket, role));
             at(role, path, &named.group, named.mode)
         };
         [
-            at(Role::SetUp, self.socket.clone(), &self.group, self.mode),
-            socket_at(Role::Operate, &self.operate),
-            socket_at(Role::View, &self.view),
+            at(ClientRole::SetUp, self.socket.clone(), &self.group, self.mode),
+            socket_at(ClientRole::Operate, &self.operate),
+            socket_at(ClientRole::View, &self.view),
         ]
     }
 }
 
 /// The socket of a role, from the path of the main one.
 /// `control.sock` gives `control-view.sock`.
-pub fn derived(socket: &Path, role: Role) -> PathBuf {
-    if role == Role::SetUp {
+pub fn derived(socket: &Path, role: ClientRole) -> PathBuf {
+    if role == ClientRole::SetUp {
         return socket.to_owned();
     }
     let mut name = socket.file_stem().unwrap_or_default().to_owned();
@@ -148,12 +148,16 @@ pub fn default_directory() -> PathBuf {
 }
 
 /// Reads `[control]`; `here` if this is the computer that it is meant for.
-pub(super) fn read(source: &mut FileWithFindings<'_>, root: &mut Section<'_>, here: bool) -> ControlConfig {
+pub(super) fn read(
+    source: &mut FileWithFindings<'_>,
+    root: &mut TomlSection<'_>,
+    here: bool,
+) -> ControlConfig {
     let mut table = root.table(source, "control", "[control]").with(keys::CONTROL);
     let own = read_role_socket(source, &mut table, here);
     let [operate, view] = ["operate", "view"].map(|role| {
         if !table.has(role) {
-            return RoleSocket::default();
+            return RoleSocketConfig::default();
         }
         let mut inner = table.table(source, role, role).with(keys::SOCKET);
         let socket_at = read_role_socket(source, &mut inner, here);
@@ -221,7 +225,7 @@ pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     }
     let sockets = control.sockets();
     for s in &sockets {
-        if s.role > Role::View && s.mode & 0o006 != 0 {
+        if s.role > ClientRole::View && s.mode & 0o006 != 0 {
             notes.push(format!(
                 "[control]: every user of this computer may use the socket of role \"{}\" (mode 0{:o})",
                 s.role, s.mode
@@ -254,7 +258,11 @@ pub(super) fn notes(control: &ControlConfig, here: bool) -> Vec<String> {
     notes
 }
 
-fn read_role_socket(source: &mut FileWithFindings<'_>, table: &mut Section<'_>, here: bool) -> RoleSocket {
+fn read_role_socket(
+    source: &mut FileWithFindings<'_>,
+    table: &mut TomlSection<'_>,
+    here: bool,
+) -> RoleSocketConfig {
     let socket = table.text(source, "socket");
     let group = table.text(source, "group");
     if let Some(at) = group
@@ -274,7 +282,7 @@ fn read_role_socket(source: &mut FileWithFindings<'_>, table: &mut Section<'_>, 
         let found = format!("mode = 0{:o}", at.value);
         source.finding(at.offset, found, "0600, 0660 or 0666: whoever uses a socket reads and writes it");
     }
-    RoleSocket {
+    RoleSocketConfig {
         socket: socket.map(|at| beside(source.file, at.value)),
         group: group.map(|g| g.value.to_owned()),
         mode: mode.map(|m| m.value),
@@ -288,9 +296,9 @@ mod tests {
     #[test]
     fn each_role_has_a_path_of_its_own() {
         let at = |p: &str, role| derived(Path::new(p), role).display().to_string();
-        assert_eq!(at("/run/rtec/control.sock", Role::View), "/run/rtec/control-view.sock");
-        assert_eq!(at("s", Role::Operate), "s-operate");
-        assert_eq!(at("s", Role::SetUp), "s");
+        assert_eq!(at("/run/rtec/control.sock", ClientRole::View), "/run/rtec/control-view.sock");
+        assert_eq!(at("s", ClientRole::Operate), "s-operate");
+        assert_eq!(at("s", ClientRole::SetUp), "s");
     }
 
     #[test]

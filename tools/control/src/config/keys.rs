@@ -1,8 +1,10 @@
 //! Every key of `rtec.toml`: these tables read, check and show it.
 
 use rtec_files::keys;
-use rtec_files::keys::AcceptedValue::{self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word};
-use rtec_files::keys::{KeySpec, REQUIRED, markdown};
+use rtec_files::toml_section_keys::AcceptedKeyValue::{
+    self, Choice, Flag, Line, Name, Number, Own, Text, Whole, Word,
+};
+use rtec_files::toml_section_keys::{REQUIRED, TomlKeySpec, markdown};
 
 keys! {
     /// `[machine]`.
@@ -11,7 +13,7 @@ keys! {
     mtc_off: Choice(&["freeze", "hold"]), "", "`freeze`", "when `mtc_ready` falls: freeze the corrections, or hold the feed too";
 }
 
-const LINE: AcceptedValue = AcceptedValue::Own("a line's name or bit");
+const LINE: AcceptedKeyValue = AcceptedKeyValue::Own("a line's name or bit");
 
 keys! {
     /// `[card]`; the keys that apply depend on the backend.
@@ -35,7 +37,7 @@ keys! {
     hold: LINE, "", "not wired", "the line of feed hold";
 }
 
-const COUNTS: AcceptedValue = AcceptedValue::Whole(1, 1_000_000_000);
+const COUNTS: AcceptedKeyValue = AcceptedKeyValue::Whole(1, 1_000_000_000);
 
 keys! {
     /// `[[axis]]`.
@@ -81,7 +83,7 @@ keys! {
     feedback: Choice(&["used", "ignored"]), "", "`used`", "whether its controller uses the feedback that it is sent";
 }
 
-const NS: AcceptedValue = AcceptedValue::Whole(0, 1_000_000_000);
+const NS: AcceptedKeyValue = AcceptedKeyValue::Whole(0, 1_000_000_000);
 
 keys! {
     /// `[rt]`.
@@ -139,7 +141,7 @@ keys! {
 
 /// The tables of the reference page, in its order.
 pub fn reference() -> String {
-    let sections: [(&str, &[KeySpec]); 11] = [
+    let sections: [(&str, &[TomlKeySpec]); 11] = [
         ("[machine]", MACHINE),
         ("[card]", CARD),
         ("[[axis]]", AXIS),

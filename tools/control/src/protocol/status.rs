@@ -1,6 +1,8 @@
 //! The status, as `rtecctl status --json` prints it.
 
-use super::{PartTable, PartTableState, RunningModel, SensorReading, explain_not_homed, explain_unknown};
+use super::{
+    PartTable, PartTableState, RunningModelReport, SensorStateReport, explain_not_homed, explain_unknown,
+};
 use rtec_rt::link_messages::Fault;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -25,7 +27,7 @@ pub struct DaemonStatus {
     pub enabled: bool,
     /// Who asked for feed hold, while it is on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub hold: Option<HoldReport>,
+    pub hold: Option<FeedHoldReport>,
     /// Time since the daemon's start, s.
     pub uptime_s: f64,
     /// The ledger of every axis balances.
@@ -55,7 +57,7 @@ pub struct DaemonStatus {
     pub rt: RtStatus,
     /// The running model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub model: Option<RunningModel>,
+    pub model: Option<RunningModelReport>,
     /// The loaded part table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<PartTable>,
@@ -64,7 +66,7 @@ pub struct DaemonStatus {
     pub table_now: Option<PartTableState>,
     /// The temperature sensors, in the configuration's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<SensorReading>,
+    pub sensors: Vec<SensorStateReport>,
     /// The axes, in the configuration's order.
     pub axes: Vec<AxisReport>,
 }
@@ -91,7 +93,7 @@ impl DaemonStatus {
 
 /// Feed hold, while it is on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct HoldReport {
+pub struct FeedHoldReport {
     /// Who asked for it: a user, `the controller`, `fault`, or `unknown`.
     /// It is `unknown` if feed hold was on when the daemon started.
     pub by: String,

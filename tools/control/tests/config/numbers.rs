@@ -117,7 +117,7 @@ fn runs(config: &Config) {
         if n % 100 == 0 {
             let max = config.axes[0].engine.max_correction_counts;
             for total_counts in [max, -max, 0] {
-                let request = Request::Correct { axis: 0, total_counts, large: true };
+                let request = RequestToRt::Correct { axis: 0, total_counts, large: true };
                 engine.take(request, &mut card, &mut |_| true).expect("taken");
             }
         }
@@ -135,11 +135,11 @@ struct Strokes {
 }
 
 impl Card for Strokes {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         self.looks += 1;
         self.t_ns += 1 << (self.looks % 34);
         let place = if self.looks % 200 < 100 { self.looks } else { 400 - self.looks % 200 };
-        Ok(Sample::level(self.t_ns, [0, 1, 3, 2][place as usize % 4]))
+        Ok(CardInputSample::level(self.t_ns, [0, 1, 3, 2][place as usize % 4]))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

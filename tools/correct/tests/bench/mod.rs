@@ -3,19 +3,19 @@
 #![allow(dead_code)] // each test program uses a part of it
 
 use rtec_correct::part_table::PartTable;
-use rtec_correct::{AxisSetup, Corrector};
+use rtec_correct::{AxisCorrectionSettings, Corrector};
 use rtec_files::InputError;
 use rtec_model::machine::Machine;
 use rtec_model::record::Role;
 use rtec_part::error_cor_file::{FeatureErrors, PointError};
-use rtec_rt::link_messages::{MAX_AXES, Mode, Status};
+use rtec_rt::link_messages::{CorrectorMode, CorrectorStatus, MAX_AXES};
 use rtec_sensors::{SensorConfig, SensorMonitor, SensorSource};
 use std::path::Path;
 
 /// A machine of one or more axes whose engine completes each request at once.
 pub(crate) struct Bench {
     pub(crate) corrector: Corrector,
-    pub(crate) status: Status,
+    pub(crate) status: CorrectorStatus,
     pub(crate) watches: Vec<SensorMonitor>,
     pub(crate) now_s: f64,
 }
@@ -48,8 +48,8 @@ pub(crate) const LAG: &str =
     "[[effect]]\nname = \"thermal_lag.z\"\nsensor = \"T1\"\nminus = \"T2\"\num_per_K = 10.0\ntau_s = 100.0\n";
 
 /// An axis with counts of 1 µm.
-pub(crate) fn axis(name: &str) -> AxisSetup {
-    AxisSetup {
+pub(crate) fn axis(name: &str) -> AxisCorrectionSettings {
+    AxisCorrectionSettings {
         name: name.to_owned(),
         count_um: 1.0,
         increment_counts: 2,
@@ -66,7 +66,8 @@ impl Bench {
     /// A bench with this ramp and start time; these sensors come before T1 and T2.
     pub(crate) fn of(ramp_um_s: f64, now_s: f64, mut sensors: Vec<SensorConfig>) -> Self {
         sensors.extend(["T1", "T2"].map(|name| sensor(name, Role::Temperature)));
-        let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+        let mut status =
+            CorrectorStatus { mode: CorrectorMode::Run, axes_used: 3, ..CorrectorStatus::default() };
         status.axes.iter_mut().for_each(|a| a.homed = true);
         let watches: Vec<SensorMonitor> = sensors.into_iter().map(SensorMonitor::new).collect();
         let mut corrector = Corrector::new(["x", "y", "z"].map(axis).to_vec(), ramp_um_s, 0.0, now_s);

@@ -9,13 +9,13 @@ fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
     let wanted = part(["z", "x"]);
     bench.corrector.load_table(wanted.clone(), part_errors()).unwrap();
     assert_eq!(bench.corrector.table_shown(), Some(wanted));
-    let mut seen = |z_mm: i64, change: fn(&mut Status)| {
+    let mut seen = |z_mm: i64, change: fn(&mut CorrectorStatus)| {
         let kept = bench.status;
         bench.status.axes[2].position_counts = z_mm * 1000;
         change(&mut bench.status);
         bench.run(0.5, 2, |_| None);
         let now = bench.corrector.table_now(&bench.status).unwrap();
-        bench.status = Status { t_ns: bench.status.t_ns, ..kept };
+        bench.status = CorrectorStatus { t_ns: bench.status.t_ns, ..kept };
         now
     };
     let on = seen(40, |_| {});
@@ -24,9 +24,9 @@ fn a_part_table_acts_near_its_arc_and_says_when_it_does_not() {
     let far = seen(140, |_| {});
     assert_eq!((far.state.as_str(), far.off_mm, far.um), ("ready", 100.0, [0.0; 2]));
     for (change, why) in [
-        ((|s| s.mode = Mode::Disabled) as fn(&mut Status), "corrections are off"),
-        (|s| s.mode = Mode::Shadow, "shadow mode"),
-        (|s| s.mode = Mode::Probe, "probing"),
+        ((|s| s.mode = CorrectorMode::Disabled) as fn(&mut CorrectorStatus), "corrections are off"),
+        (|s| s.mode = CorrectorMode::Shadow, "shadow mode"),
+        (|s| s.mode = CorrectorMode::Probe, "probing"),
         (|s| s.axes[0].homed = false, "axis x: is not homed"),
         (
             |s| {
@@ -63,7 +63,7 @@ fn a_hollow_arcs_table_acts_where_the_nose_runs_inside() {
 fn a_straight_features_table_acts_along_it_and_fades_beyond_its_ends() {
     let (sin, cos) = (0.5, 0.75_f64.sqrt());
     let um = [0.0, 8.0, 12.0, 4.0, 2.0];
-    let point = |k: usize| StraightPointError {
+    let point = |k: usize| StraightFeaturePointError {
         angle_rad: 120.0_f64.to_radians(),
         error_um: um[k],
         along_mm: 10.0 * k as f64 - 20.0,
@@ -81,7 +81,7 @@ fn a_straight_features_table_acts_along_it_and_fades_beyond_its_ends() {
         bench.status.axes[0].position_counts = (x_mm * 1000.0).round() as i64;
         bench.run(0.5, 2, |_| None);
         let now = bench.corrector.table_now(&bench.status).unwrap();
-        bench.status = Status { t_ns: bench.status.t_ns, ..kept };
+        bench.status = CorrectorStatus { t_ns: bench.status.t_ns, ..kept };
         now
     };
     // Between two points, at one, off it where it fades from 2 to 10 mm, and beyond its end.

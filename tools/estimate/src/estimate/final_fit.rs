@@ -1,15 +1,15 @@
 //! The last fit: values and intervals of the set that was found.
 
-use super::{EstimatedMember, RefinedEffect, SetUpEstimate};
-use crate::contribution::Contribution;
-use crate::hypothesis_family::Scan;
+use super::{CorrectedKnownEffect, EstimatedHypothesis, SetUpEstimate};
+use crate::candidate_hypotheses::HypothesisSearchSpace;
+use crate::hypothesis_contribution::HypothesisContribution;
+use crate::measurement_model::{chance_of, is_beyond_chance};
 use crate::priors::HELD;
-use crate::problem::{chance_of, is_beyond_chance};
 use crate::search::{HypothesisSearch, HypothesisSet, same_period};
 use crate::search_limits::LAST_STEPS;
-use crate::setup;
+use crate::set_up_terms;
 use rtec_least_squares::dot;
-use rtec_model::effect::{Effect, ParameterSearch, Refine};
+use rtec_model::effect::{Effect, ParameterFitMethod, ParameterRefinement};
 use rtec_model::machine::NORMAL_95;
 
 /// The last fit: all linear and non-linear parameters together.
@@ -24,7 +24,7 @@ pub(super) struct FinalFit<'s, 'p> {
 
 /// A member of the last fit.
 pub(super) struct FinalFitMember {
-    pub(super) cause: Contribution,
+    pub(super) cause: HypothesisContribution,
     /// Size of its prior, in typical sizes.
     pub(super) level: f64,
     /// Index of its first column; the linear ones come first, then the non-linear ones.
@@ -68,7 +68,7 @@ pub(super) fn bent(
     }
     let law = effect.description();
     let mut scan = &family.scan;
-    if let Scan::Beside { law, .. } = scan {
+    if let HypothesisSearchSpace::Beside { law, .. } = scan {
         let accompanied = |e: &Effect| e.description().name == *law && e.axes() == effect.axes();
         let mut waves = set.members.iter().filter_map(|m| m.cause.effect()).filter(|e| accompanied(e));
         // A wave of the set decides the period of both.
@@ -78,16 +78,16 @@ pub(super) fn bent(
         let wave = families.iter().find(|f| f.effect.as_ref().is_some_and(accompanied));
         scan = wave.map_or(scan, |f| &f.scan);
     }
-    let of = |(value, p): (usize, &rtec_model::effect::Parameter)| {
-        if p.search != ParameterSearch::Smooth {
+    let of = |(value, p): (usize, &rtec_model::effect::LawParameter)| {
+        if p.search != ParameterFitMethod::Smooth {
             return None;
         }
         let v = effect.scalar(value);
         let (sd, with) = match (scan, p.refine) {
-            (_, Refine::Step(_)) => (1.0, None),
-            (Scan::Wave { along, unit, .. }, _) => {
+            (_, ParameterRefinement::Step(_)) => (1.0, None),
+            (HypothesisSearchSpace::Wave { along, unit, .. }, _) => {
                 let turns = std::f64::consts::TAU * along.middle() / unit / (v * v);
-                (0.1 * v, law.place(ParameterSearch::Phase).map(|phase| (phase, turns)))
+                (0.1 * v, law.place(ParameterFitMethod::Phase).map(|phase| (phase, turns)))
             }
             _ => (v.abs(), None),
         };
@@ -98,7 +98,7 @@ pub(super) fn bent(
 
 impl<'s, 'p> FinalFit<'s, 'p> {
     pub(super) fn new(search: &'s HypothesisSearch<'p>, set: &HypothesisSet, model: &'s [Effect]) -> Self {
-        let mut causes: Vec<Contribution> = set.members.iter().map(|m| m.cause.clone()).collect();
+        let mut causes: Vec<HypothesisContribution> = set.members.iter().map(|m| m.cause.clone()).collect();
         let mut best: Option<Self> = None;
         let beta = search.coefficients(set);
         let mut solved: Vec<Option<Effect>> =
@@ -145,7 +145,7 @@ impl<'s, 'p> FinalFit<'s, 'p> {
         search: &'s HypothesisSearch<'p>,
         set: &HypothesisSet,
         model: &'s [Effect],
-        causes: &[Contribution],
+        causes: &[HypothesisContribution],
         solved: &[Option<Effect>],
     ) -> Self {
         let rows = search.problem.rows;
@@ -232,7 +232,7 @@ impl<'s, 'p> FinalFit<'s, 'p> {
     }
 
     /// Values and half widths of the members.
-    pub(super) fn fill(&self, found: &mut [EstimatedMember]) {
+    pub(super) fn fill(&self, found: &mut [EstimatedHypothesis]) {
         let rows = self.search.problem.rows;
         for (f, m) in found.iter_mut().zip(&self.members) {
             if f.effect.is_none() {
@@ -288,13 +288,14 @@ impl<'s, 'p> FinalFit<'s, 'p> {
                 }
                 *h = NORMAL_95 * variance.max(0.0).sqrt();
             }
-            if let Some(p) = effect.description().place(ParameterSearch::Phase) {
+            if let Some(p) = effect.description().place(ParameterFitMethod::Phase) {
                 // An interval of an angle is at most half a turn to either side.
                 half[p] = half[p].min(std::f64::consts::PI);
             }
-            if let (Some([from, to]), Some(p)) =
-                (f.moments, effect.description().parameters.iter().position(|p| p.refine == Refine::Moment))
-            {
+            if let (Some([from, to]), Some(p)) = (
+                f.moments,
+                effect.description().parameters.iter().position(|p| p.refine == ParameterRefinement::Moment),
+            ) {
                 half[p] = 0.5 * (to - from);
                 effect = effect.with(&[(p, f64::midpoint(from, to))]).unwrap_or(effect);
             }
@@ -308,12 +309,12 @@ impl<'s, 'p> FinalFit<'s, 'p> {
     }
 
     /// Gives a wave that accompanies another the other's period and its interval.
-    pub(super) fn tie_periods(found: &mut [EstimatedMember]) {
+    pub(super) fn tie_periods(found: &mut [EstimatedHypothesis]) {
         for i in 0..found.len() {
             let Some(effect) = found[i].effect.clone() else { continue };
-            let wave = effect.description().place(ParameterSearch::Amplitude).is_some();
+            let wave = effect.description().place(ParameterFitMethod::Amplitude).is_some();
             let Some(law) = effect.description().searched.beside.filter(|_| wave) else { continue };
-            let near = |f: &&EstimatedMember| {
+            let near = |f: &&EstimatedHypothesis| {
                 f.effect.as_ref().is_some_and(|e| {
                     e.description().name == law && e.axes() == effect.axes() && same_period(e, &effect)
                 })
@@ -326,7 +327,7 @@ impl<'s, 'p> FinalFit<'s, 'p> {
     }
 
     /// The model's effects as estimated from the rows.
-    pub(super) fn known(&self, found: &[EstimatedMember]) -> Vec<RefinedEffect> {
+    pub(super) fn known(&self, found: &[EstimatedHypothesis]) -> Vec<CorrectedKnownEffect> {
         let problem = self.search.problem;
         let from = problem.terms.len();
         (0..self.model.len())
@@ -364,7 +365,7 @@ impl<'s, 'p> FinalFit<'s, 'p> {
                     }
                 }
                 let after = effect.with_values(&values)?;
-                Some(RefinedEffect { place, after, half, beyond_chance: beyond })
+                Some(CorrectedKnownEffect { place, after, half, beyond_chance: beyond })
             })
             .collect()
     }
@@ -373,12 +374,12 @@ impl<'s, 'p> FinalFit<'s, 'p> {
     pub(super) fn jumps(
         &self,
         search: &HypothesisSearch<'_>,
-        found: &[EstimatedMember],
+        found: &[EstimatedHypothesis],
     ) -> Vec<SetUpEstimate> {
-        let terms = setup::jumps(search.problem.rows);
-        let of = |(m, f): (&FinalFitMember, &EstimatedMember)| {
+        let terms = set_up_terms::jumps(search.problem.rows);
+        let of = |(m, f): (&FinalFitMember, &EstimatedHypothesis)| {
             let shape = f.shape.as_ref()?;
-            let Contribution::Shape(both) = &m.cause else { return None };
+            let HypothesisContribution::Shape(both) = &m.cause else { return None };
             let term = terms
                 .iter()
                 .find(|t| t.column.iter().zip(&both.1[0]).all(|(a, b)| (*a == 0.0) == (*b == 0.0)))?;
@@ -386,7 +387,7 @@ impl<'s, 'p> FinalFit<'s, 'p> {
             Some(SetUpEstimate {
                 record: term.record,
                 response: shape.response.clone(),
-                what: setup::SetUpTermKind::Jump,
+                what: set_up_terms::SetUpTermKind::Jump,
                 value: self.beta[m.at] * size,
                 half: NORMAL_95 * self.covariance(m.at, m.at).sqrt() * size,
             })
@@ -401,11 +402,11 @@ impl<'s, 'p> FinalFit<'s, 'p> {
 
     pub(super) fn set_up(&self) -> Vec<SetUpEstimate> {
         let problem = self.search.problem;
-        let named = |w: setup::SetUpTermKind| {
-            use setup::SetUpTermKind::{CentreFirst, CentreSecond, Jump, Line, Zero};
+        let named = |w: set_up_terms::SetUpTermKind| {
+            use set_up_terms::SetUpTermKind::{CentreFirst, CentreSecond, Jump, Line, Zero};
             matches!(w, Zero | CentreFirst | CentreSecond | Line | Jump)
         };
-        let of = |(i, t): (usize, &setup::SetUpTerm)| {
+        let of = |(i, t): (usize, &set_up_terms::SetUpTerm)| {
             let row = t.column.iter().position(|x| *x != 0.0)?;
             let segment = problem.rows.segments.iter().find(|s| s.rows.contains(&row))?;
             Some(SetUpEstimate {

@@ -1,21 +1,23 @@
 //! Candidates to join a set, and their non-linear parameters.
 
 use super::{
-    Columns, HypothesisSearch, HypothesisSet, Member, ScreenedHypothesis, difference, gain, gain_of_one,
-    log_sum,
+    Columns, HypothesisSearch, HypothesisSet, HypothesisSetMember, ScreenedHypothesis, difference, gain,
+    gain_of_one, log_sum,
 };
-use crate::contribution::{Contribution, UnnamedShape};
-use crate::hypothesis_columns::ScreeningProducts;
-use crate::hypothesis_family::{HypothesisFamilies, HypothesisFamily, Scan};
+use crate::candidate_hypotheses::{CandidateHypotheses, HypothesesOfOneName, HypothesisSearchSpace};
+use crate::hypothesis_column_bank::ScreeningProducts;
+use crate::hypothesis_contribution::{HypothesisContribution, UnnamedShape};
 use crate::priors::{ALIKE, BENT_SHARE, CONTRIBUTION, LISTED, USUAL_SHARE, USUAL_WITHIN, WIDE};
-use crate::rows::Rows;
+use crate::rows_and_noise::MeasuredRows;
 use crate::search_limits::{
     CHANGING, DIFFERENCES, HARMONICS, PEAKS, SAW_PHASES, TRIED, USUAL_TRIED, WAVES_KEPT,
 };
 use crate::unnamed_shapes::{changing_wave, envelopes};
-use crate::wave::Periodogram;
+use crate::wave_periodogram::Periodogram;
 use rtec_least_squares::{QrFactor, add, dot, products_beside};
-use rtec_model::effect::{Effect, ParameterSearch, Refine, TemperatureDifference, ThermalDependence};
+use rtec_model::effect::{
+    Effect, ParameterFitMethod, ParameterRefinement, TemperatureDifference, ThermalDependence,
+};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -46,7 +48,7 @@ impl HypothesisSearch<'_> {
             }
             let prior = self.prior(set, number);
             match &family.scan {
-                Scan::Grid(points) => {
+                HypothesisSearchSpace::Grid(points) => {
                     let of = |group: usize| {
                         let (columns, at) = self.families.bank.group(group);
                         let p = columns.len();
@@ -88,22 +90,22 @@ impl HypothesisSearch<'_> {
                         }
                     }
                 }
-                Scan::Sensors { sensors, points } => {
+                HypothesisSearchSpace::Sensors { sensors, points } => {
                     seeds.extend(self.sensor_seeds(number, sensors, points, look, left, prior));
                 }
-                Scan::Beside { law, known } => {
+                HypothesisSearchSpace::Beside { law, known } => {
                     let Some(effect) = &family.effect else { continue };
                     let own = set.members.iter().filter_map(|m| m.cause.effect());
                     let own = own.filter(|e| e.description().name == *law && e.axes() == effect.axes());
                     for period in known.iter().copied().chain(own.map(|e| e.scalar(0))) {
                         let Some(effect) = effect.with(&[(0, period)]) else { continue };
-                        let cause = Contribution::Effect { effect, free: 2, reference: false };
+                        let cause = HypothesisContribution::Effect { effect, free: 2, reference: false };
                         let score = prior + self.gain(&set.factor, &self.columns(&cause)).total;
                         seeds.push(ScreenedHypothesis { family: number, cause, weight: 0.0, score });
                     }
                 }
-                Scan::Wave { along, .. } if along.is_long() && !long => {}
-                Scan::Wave { .. } => {
+                HypothesisSearchSpace::Wave { along, .. } if along.is_long() && !long => {}
+                HypothesisSearchSpace::Wave { .. } => {
                     let weighed = weighed.get_or_insert_with(|| {
                         let mut r = set.factor.residual().to_vec();
                         self.base.noise.transpose(self.problem.rows, &mut r);
@@ -128,7 +130,7 @@ impl HypothesisSearch<'_> {
         prior: f64,
     ) -> Vec<ScreenedHypothesis> {
         let family = self.family(number);
-        let Scan::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
+        let HypothesisSearchSpace::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
         let mut seeds = Vec::new();
         let mut at = along.peaks(weighed, PEAKS);
         let facts = family.effect.as_ref().and_then(|e| e.description().searched.wave);
@@ -195,7 +197,7 @@ impl HypothesisSearch<'_> {
         prior: f64,
     ) -> Vec<ScreenedHypothesis> {
         let n = sensors.len();
-        let [alone, paired] = HypothesisFamilies::sensor_weights(n);
+        let [alone, paired] = CandidateHypotheses::sensor_weights(n);
         // The best time constant of each difference: score, weight, grid point.
         let mut best = vec![(f64::NEG_INFINITY, 0.0, 0); n * n];
         let mut all = Vec::new();
@@ -228,7 +230,7 @@ impl HypothesisSearch<'_> {
             .map(|(score, weight, k, i, j)| {
                 let mut effect = points[k].2.clone();
                 effect.delta = Some(difference(sensors, i, j));
-                let cause = Contribution::Effect { effect, free: 1, reference: false };
+                let cause = HypothesisContribution::Effect { effect, free: 1, reference: false };
                 ScreenedHypothesis { family: number, cause, weight, score: prior + total + score - first }
             })
             .collect()
@@ -238,14 +240,14 @@ impl HypothesisSearch<'_> {
     /// A wave without a name has harmonics, each of size one over its number.
     pub(super) fn wave(
         &self,
-        family: &HypothesisFamily,
+        family: &HypothesesOfOneName,
         frequency: f64,
         harmonics: usize,
-    ) -> Option<Contribution> {
-        let Scan::Wave { along, unit, .. } = &family.scan else { return None };
+    ) -> Option<HypothesisContribution> {
+        let HypothesisSearchSpace::Wave { along, unit, .. } = &family.scan else { return None };
         if let Some(effect) = &family.effect {
             let effect = effect.with(&[(0, 1.0 / (frequency * unit))])?;
-            return Some(Contribution::Effect { effect, free: 2, reference: false });
+            return Some(HypothesisContribution::Effect { effect, free: 2, reference: false });
         }
         let of = |k: usize| {
             let k = k as f64;
@@ -253,15 +255,17 @@ impl HypothesisSearch<'_> {
         };
         let fine = |k: &usize| *k == 1 || *k as f64 * frequency <= along.range()[1];
         let columns = (1..=harmonics).filter(fine).flat_map(of).collect();
-        Some(Contribution::Shape(Arc::new((family.shape.clone()?, columns))))
+        Some(HypothesisContribution::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
     /// The wave of another frequency that looks the same at these positions.
     /// Of several, the one with the highest prior.
     #[must_use]
-    pub fn alike(&self, member: &Member) -> Vec<ScreenedHypothesis> {
+    pub fn alike(&self, member: &HypothesisSetMember) -> Vec<ScreenedHypothesis> {
         let family = self.family(member.family);
-        let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, member.cause.effect()) else {
+        let (HypothesisSearchSpace::Wave { along, unit, .. }, Some(effect)) =
+            (&family.scan, member.cause.effect())
+        else {
             return Vec::new();
         };
         let of = |f: f64| {
@@ -304,11 +308,12 @@ impl HypothesisSearch<'_> {
             }
             1.0 - dot(other.residual(), other.residual()) / power
         };
-        let is_map = matches!(own.cause, Contribution::Map { .. });
-        let of = |(family, f): (usize, &HypothesisFamily)| {
-            let Scan::Grid(points) = &f.scan else { return None };
+        let is_map = matches!(own.cause, HypothesisContribution::Map { .. });
+        let of = |(family, f): (usize, &HypothesesOfOneName)| {
+            let HypothesisSearchSpace::Grid(points) = &f.scan else { return None };
             let other = family != own.family && f.replaces.is_none();
-            let mut maps = points.iter().filter(|p| other && matches!(p.2, Contribution::Map { .. }));
+            let mut maps =
+                points.iter().filter(|p| other && matches!(p.2, HypothesisContribution::Map { .. }));
             let (_, weight, cause) =
                 maps.find(|p| shows(if is_map { self.columns(&p.2) } else { self.bow(&p.2) }) > ALIKE)?;
             Some(ScreenedHypothesis { family, cause: cause.clone(), weight: *weight, score: f.prior })
@@ -317,13 +322,13 @@ impl HypothesisSearch<'_> {
     }
 
     /// The bow of a map: a parabola over its knots, without constant and straight line.
-    fn bow(&self, map: &Contribution) -> Columns {
-        let Contribution::Map { effect, .. } = map else { return Columns::new() };
+    fn bow(&self, map: &HypothesisContribution) -> Columns {
+        let HypothesisContribution::Map { effect, .. } = map else { return Columns::new() };
         let knots = effect.get(0);
         let share = |k: &f64| (k - knots[0]) / (knots[knots.len() - 1] - knots[0]);
         let powers = (0..3).map(|p| knots.iter().map(|k| share(k).powi(p)).collect()).collect();
-        let mut columns =
-            self.columns(&Contribution::Map { effect: effect.clone(), directions: Arc::new(powers) });
+        let mut columns = self
+            .columns(&HypothesisContribution::Map { effect: effect.clone(), directions: Arc::new(powers) });
         let mut bow = QrFactor::new(&columns.pop().unwrap_or_default());
         for line in columns {
             bow.push_free(&line);
@@ -392,7 +397,9 @@ impl HypothesisSearch<'_> {
     /// Log prior weight of a wave's period; zero for other causes.
     pub(super) fn weight_at(&self, family: usize, effect: Option<&Effect>) -> f64 {
         let family = self.family(family);
-        let (Scan::Wave { along, unit, .. }, Some(effect)) = (&family.scan, effect) else { return 0.0 };
+        let (HypothesisSearchSpace::Wave { along, unit, .. }, Some(effect)) = (&family.scan, effect) else {
+            return 0.0;
+        };
         wave_weight(family, 1.0 / (effect.scalar(0) * unit), *unit, along.range(), along.span())
     }
 
@@ -400,17 +407,22 @@ impl HypothesisSearch<'_> {
     /// They are growth with a square of ΔT, another reference temperature, and a wave that changes.
     pub(super) fn richer(seed: &ScreenedHypothesis) -> Vec<ScreenedHypothesis> {
         let mut out = Vec::new();
-        let Contribution::Effect { effect, free, .. } = &seed.cause else { return out };
+        let HypothesisContribution::Effect { effect, free, .. } = &seed.cause else { return out };
         let law = effect.description();
         if law.companion.is_some() && effect.delta.is_some() {
             if effect.coefficient_count() > *free {
-                let cause = Contribution::Effect { effect: effect.clone(), free: free + 1, reference: false };
+                let cause = HypothesisContribution::Effect {
+                    effect: effect.clone(),
+                    free: free + 1,
+                    reference: false,
+                };
                 out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
             let pair = effect.delta.as_ref().is_some_and(TemperatureDifference::is_pair);
             let constant = effect.companion().is_some_and(|c| c.description().constant);
             if !pair && !constant {
-                let cause = Contribution::Effect { effect: effect.clone(), free: *free, reference: true };
+                let cause =
+                    HypothesisContribution::Effect { effect: effect.clone(), free: *free, reference: true };
                 out.push(ScreenedHypothesis { cause, weight: seed.weight + BENT_SHARE.ln(), ..seed.clone() });
             }
         }
@@ -426,13 +438,13 @@ impl HypothesisSearch<'_> {
         seed: &ScreenedHypothesis,
     ) -> Option<ScreenedHypothesis> {
         let family = self.family(seed.family);
-        let Scan::Wave { along, unit, .. } = &family.scan else { return None };
+        let HypothesisSearchSpace::Wave { along, unit, .. } = &family.scan else { return None };
         let rows = self.problem.rows;
         let shape = match &seed.cause {
-            Contribution::Shape(both) if both.1.len() == 2 => both.0.clone(),
+            HypothesisContribution::Shape(both) if both.1.len() == 2 => both.0.clone(),
             cause => UnnamedShape::like(rows, cause.effect()?, "")?,
         };
-        let of = |f: &HypothesisFamily| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
+        let of = |f: &HypothesesOfOneName| f.shape.as_ref().is_some_and(|s| s.response == shape.response);
         let number = self.families.list.iter().position(of)?;
         let shape = UnnamedShape { manner: "periodic, of changing size".to_owned(), ..shape };
         let envelopes = self.envelopes(seed.family, along);
@@ -455,7 +467,7 @@ impl HypothesisSearch<'_> {
         let half = CHANGING as i32 / 2;
         let near = (-half..=half).filter(|k| *k != 0).filter_map(beside);
         let columns = near.chain([own(&seed.cause.columns(rows))]).max_by(|a, b| a.0.total_cmp(&b.0))?.1;
-        let cause = Contribution::Shape(Arc::new((shape, columns)));
+        let cause = HypothesisContribution::Shape(Arc::new((shape, columns)));
         Some(ScreenedHypothesis { family: number, cause, weight: seed.weight, score: seed.score })
     }
 
@@ -472,11 +484,13 @@ impl HypothesisSearch<'_> {
     pub(super) fn one_wave_for_two(&self, set: &HypothesisSet) -> HypothesisSet {
         let mut best = set.clone();
         for (j, wave) in set.members.iter().enumerate() {
-            let is_wave = matches!(self.family(wave.family).scan, Scan::Wave { .. });
+            let is_wave = matches!(self.family(wave.family).scan, HypothesisSearchSpace::Wave { .. });
             let Some(like) = wave.cause.effect().filter(|_| is_wave) else { continue };
             let Some(like) = UnnamedShape::like(self.problem.rows, like, "") else { continue };
-            let same = |m: &Member| match &m.cause {
-                Contribution::Shape(own) => own.0.response == like.response && own.0.against == like.against,
+            let same = |m: &HypothesisSetMember| match &m.cause {
+                HypothesisContribution::Shape(own) => {
+                    own.0.response == like.response && own.0.against == like.against
+                }
                 _ => m.family == wave.family,
             };
             for i in (0..set.members.len()).filter(|i| *i != j && same(&set.members[*i])) {
@@ -512,16 +526,21 @@ fn saw_phase((along, among): (Vec<f64>, Vec<f64>), left: f64, freedom: f64) -> f
 
 /// A saw-tooth of this frequency that falls back at a phase, in turns.
 /// Chillers, pumps and thermostats that switch leave one over time.
-fn saw_tooth(family: &HypothesisFamily, frequency: f64, phase: f64, n: usize) -> Option<Contribution> {
-    let Scan::Wave { along, .. } = &family.scan else { return None };
+fn saw_tooth(
+    family: &HypothesesOfOneName,
+    frequency: f64,
+    phase: f64,
+    n: usize,
+) -> Option<HypothesisContribution> {
+    let HypothesisSearchSpace::Wave { along, .. } = &family.scan else { return None };
     let shape = UnnamedShape { manner: "saw-tooth".to_owned(), ..family.shape.clone()? };
     let column = along.over(n, |at| 2.0 * CONTRIBUTION * ((frequency * at - phase).rem_euclid(1.0) - 0.5));
-    Some(Contribution::Shape(Arc::new((shape, vec![column]))))
+    Some(HypothesisContribution::Shape(Arc::new((shape, vec![column]))))
 }
 
 /// Whether a growth changes sign within the measured temperatures.
 /// No part of a machine does that.
-pub(super) fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
+pub(super) fn turns_back(rows: &MeasuredRows<'_>, effect: &Effect) -> bool {
     let [per_k, per_k2] = effect.coefficients()[..] else { return false };
     if effect.description().heat != ThermalDependence::Growth || per_k2 == 0.0 {
         return false;
@@ -534,7 +553,7 @@ pub(super) fn turns_back(rows: &Rows<'_>, effect: &Effect) -> bool {
 /// Log prior weight of a wave of this frequency.
 /// Uniform in the logarithm of the period; usual periods weigh more.
 pub(super) fn wave_weight(
-    family: &HypothesisFamily,
+    family: &HypothesesOfOneName,
     frequency: f64,
     unit: f64,
     [from, to]: [f64; 2],
@@ -560,25 +579,33 @@ pub(super) struct ParameterStep {
     parameter: usize,
     /// First step.
     step: f64,
-    how: Refine,
+    how: ParameterRefinement,
     /// Range that the rows can show.
     range: [f64; 2],
 }
 
-pub(super) fn parameter_steps(family: &HypothesisFamily, effect: &Effect) -> Vec<ParameterStep> {
+pub(super) fn parameter_steps(family: &HypothesesOfOneName, effect: &Effect) -> Vec<ParameterStep> {
     if family.replaces.is_some() {
         return Vec::new();
     }
-    if let Scan::Wave { along, unit, .. } = &family.scan {
+    if let HypothesisSearchSpace::Wave { along, unit, .. } = &family.scan {
         let step = 0.2 / along.span() * unit;
-        return vec![ParameterStep { parameter: 0, step, how: Refine::Stays, range: everything() }];
+        return vec![ParameterStep {
+            parameter: 0,
+            step,
+            how: ParameterRefinement::Stays,
+            range: everything(),
+        }];
     }
-    let of = |(parameter, p): (usize, &rtec_model::effect::Parameter)| {
-        let (Refine::Step(step) | Refine::Factor(step) | Refine::TimeConstant(step)) = p.refine else {
+    let of = |(parameter, p): (usize, &rtec_model::effect::LawParameter)| {
+        let (ParameterRefinement::Step(step)
+        | ParameterRefinement::Factor(step)
+        | ParameterRefinement::TimeConstant(step)) = p.refine
+        else {
             return None;
         };
         let range = family.range(parameter);
-        (p.search == ParameterSearch::Smooth).then_some(ParameterStep {
+        (p.search == ParameterFitMethod::Smooth).then_some(ParameterStep {
             parameter,
             step,
             how: p.refine,
@@ -597,9 +624,9 @@ impl ParameterStep {
     fn moved(&self, effect: &Effect, by: f64) -> Option<Effect> {
         let v = effect.scalar(self.parameter);
         let to = match self.how {
-            Refine::Step(_) => v + by,
+            ParameterRefinement::Step(_) => v + by,
             // A period moves by its frequency.
-            Refine::Stays => 1.0 / (1.0 / v + by),
+            ParameterRefinement::Stays => 1.0 / (1.0 / v + by),
             _ => v * by.exp(),
         };
         let to = to.clamp(self.range[0], self.range[1]);
@@ -607,7 +634,7 @@ impl ParameterStep {
     }
 }
 
-impl HypothesisFamily {
+impl HypothesesOfOneName {
     /// Range of one parameter that the rows can show.
     fn range(&self, parameter: usize) -> [f64; 2] {
         let wider = |[lo, hi]: [f64; 2], effect: &Effect| {
@@ -616,8 +643,10 @@ impl HypothesisFamily {
         };
         let none = [f64::INFINITY, f64::NEG_INFINITY];
         let [lo, hi] = match &self.scan {
-            Scan::Grid(points) => points.iter().filter_map(|p| p.2.effect()).fold(none, wider),
-            Scan::Sensors { points, .. } => points.iter().map(|p| &p.2).fold(none, wider),
+            HypothesisSearchSpace::Grid(points) => {
+                points.iter().filter_map(|p| p.2.effect()).fold(none, wider)
+            }
+            HypothesisSearchSpace::Sensors { points, .. } => points.iter().map(|p| &p.2).fold(none, wider),
             _ => none,
         };
         if lo < hi { [lo, hi] } else { everything() }

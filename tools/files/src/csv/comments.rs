@@ -1,6 +1,6 @@
 //! Comments in a table, and lines of other programs.
 
-use crate::decimal::number;
+use crate::decimal_parser::number;
 
 /// A line without its comment and the blanks at its end.
 /// Empty if it has only separators.

@@ -1,9 +1,9 @@
 //! The names of a table's columns.
 
 use super::row::{Cell, Row};
+use crate::column_units;
 use crate::input_error::InputError;
 use crate::message_text::{cut, nearest, quoted};
-use crate::units;
 use std::path::{Path, PathBuf};
 
 /// The columns' names, from the first row.
@@ -99,8 +99,8 @@ impl Header {
     /// It does; the finding has both units.
     pub fn is_in_unit_of(&self, name: &str, place: usize) -> Result<(), InputError> {
         let column = self.names().nth(place).unwrap_or_default();
-        let Some(said) = units::stated(name).map(|s| s.unit) else { return Ok(()) };
-        units::contradicted(column, said).map_or(Ok(()), |stated| {
+        let Some(said) = column_units::stated(name).map(|s| s.unit) else { return Ok(()) };
+        column_units::contradicted(column, said).map_or(Ok(()), |stated| {
             let found = format!("the column {column} as {name}: its name says {stated}");
             Err(self
                 .finding(found, format!("a column in {said}, or its values in {said} under another name")))

@@ -2,7 +2,7 @@
 
 use super::comments::outside_quotes;
 use super::{Parser, has_quote};
-use crate::decimal::{number, plain_decimal};
+use crate::decimal_parser::{number, plain_decimal};
 use crate::input_error::InputError;
 use crate::message_text::{quoted, shown};
 use std::borrow::Cow;

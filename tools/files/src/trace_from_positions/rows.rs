@@ -1,11 +1,11 @@
 //! The rows of a position record.
 
-use super::jumps::range_of;
+use super::impossible_jumps::range_of;
 use super::{LENGTHS, PositionRecord, TIMES};
 use crate::clock_column::{self, ClockColumn};
 use crate::csv::{Header, Reader};
-use crate::text::open_regular;
-use crate::{InputError, TableNumberFormat, units};
+use crate::text_file::open_regular;
+use crate::{InputError, TableNumberFormat, column_units};
 
 /// The rows of a position record, as time in ns and position in counts.
 pub(super) struct PositionRows {
@@ -45,8 +45,9 @@ fn unit_of(
     option: &str,
 ) -> Result<Option<(&'static str, f64)>, InputError> {
     let name = header.names().nth(place).unwrap_or_default();
-    let stated = units::stated(name);
-    if let Some((unit, stated)) = given.and_then(|unit| Some((unit, units::contradicted(name, unit)?))) {
+    let stated = column_units::stated(name);
+    if let Some((unit, stated)) = given.and_then(|unit| Some((unit, column_units::contradicted(name, unit)?)))
+    {
         let found = format!("the column {name} with {option} {unit}: its name says {stated}");
         let expected = format!("{option} {stated}, or none; or another name if that is wrong");
         return Err(header.finding(found, expected));
@@ -68,7 +69,7 @@ impl PositionRows {
         let named: Vec<&str> = named.collect();
         let expected = "a header such as t_s,position_mm";
         let time_of = |name: &str| {
-            let stated = units::stated(name)?;
+            let stated = column_units::stated(name)?;
             let is_time = stated.name == "t" || stated.name.eq_ignore_ascii_case("time");
             TIMES.into_iter().find(|(unit, _)| is_time && *unit == stated.unit)
         };

@@ -1,7 +1,7 @@
 //! The edges of a scale with its interpolator, on straight lines between positions.
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::TracePoint;
+use rtec_driver::trace_replay::TracePoint;
 
 /// A scale with its interpolator, on straight lines between samples.
 pub(super) struct SimulatedScale {

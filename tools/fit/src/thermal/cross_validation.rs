@@ -1,6 +1,6 @@
 //! Judges a structure by blocked cross-validation in time.
 
-use super::problem::Problem;
+use super::fit_candidates::TermSelectionProblem;
 use super::term::Term;
 use rtec_least_squares::{QrFactor, add, dot};
 use rtec_measure::iso230::correlation;
@@ -10,7 +10,7 @@ use std::rc::Rc;
 
 /// A structure with its cross-validation.
 #[derive(Debug, Clone)]
-pub(super) struct ValidatedStructure {
+pub(super) struct CrossValidatedTerms {
     pub(super) terms: Vec<Term>,
     /// Mean square per fold.
     pub(super) mse: Vec<f64>,
@@ -40,7 +40,7 @@ const OWN_SHARE: f64 = 3e-4;
 /// Largest movement of one term, relative to the response's whole movement.
 const CANCELLED: f64 = 2.0;
 
-impl ValidatedStructure {
+impl CrossValidatedTerms {
     /// Root of the mean over the folds.
     pub(super) fn rms(&self) -> f64 {
         (self.mse.iter().sum::<f64>() / self.mse.len() as f64).sqrt()
@@ -144,7 +144,7 @@ impl CrossValidatedSolution {
 
 impl FoldLeastSquares {
     /// Response and constant on some folds; `None` if the response does not vary.
-    fn new(problem: &Problem, folds: &[usize]) -> Option<Self> {
+    fn new(problem: &TermSelectionProblem, folds: &[usize]) -> Option<Self> {
         let stretches: Rc<[Range<usize>]> = problem.stretches(folds).collect();
         let roots = stretches.iter().flat_map(|s| &problem.weight[s.clone()]).map(|w| w.sqrt()).collect();
         let mut from = 0;
@@ -162,7 +162,8 @@ impl FoldLeastSquares {
         Some(Self { factor, means: vec![mean], square: dot(&response, &response), ..empty })
     }
 
-    /// A column's weighted rows less their mean, and the mean; `None` if it does not vary.
+    /// A column's weighted rows less their mean, and the mean.
+    /// `None` if it does not vary.
     fn rows(&self, column: &[f64]) -> Option<(Vec<f64>, f64)> {
         let total = dot(&self.roots, &self.roots);
         let mut rows = Vec::with_capacity(self.roots.len());
@@ -173,7 +174,8 @@ impl FoldLeastSquares {
         (dot(&rows, &rows) > 1e-18 * total).then_some((rows, mean))
     }
 
-    /// The same with one more column; `None` if it does not vary, or depends on those before it.
+    /// The same with one more column.
+    /// `None` if it does not vary, or depends on those before it.
     pub(super) fn with(&self, column: &[f64]) -> Option<Self> {
         let (rows, mean) = self.rows(column)?;
         let mut more = self.clone();
@@ -196,19 +198,19 @@ impl FoldLeastSquares {
 
     /// Fits and judges these terms, whose columns are here.
     /// `None` if they are dependent.
-    pub(super) fn judge(&self, terms: &[Term]) -> Option<ValidatedStructure> {
+    pub(super) fn judge(&self, terms: &[Term]) -> Option<CrossValidatedTerms> {
         let CrossValidatedSolution { mse, coefficients, left } = self.solve()?;
         let residual = self.factor.residual().iter().zip(&*self.roots).map(|(r, root)| r / root);
         let independent = independent(residual).max(self.folds.len() as f64);
         let r = (1.0 - left).max(0.0).sqrt();
-        Some(ValidatedStructure { terms: terms.to_vec(), mse, r, coefficients, left, independent })
+        Some(CrossValidatedTerms { terms: terms.to_vec(), mse, r, coefficients, left, independent })
     }
 }
 
-impl Problem {
+impl TermSelectionProblem {
     /// Fits the terms on the given folds, judged by leaving out each in turn.
     /// `None` if the columns are dependent.
-    pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<ValidatedStructure> {
+    pub(super) fn judge(&self, terms: &[Term], folds: &[usize]) -> Option<CrossValidatedTerms> {
         self.beside(terms, folds)?.judge(terms)
     }
 
@@ -271,7 +273,7 @@ impl Problem {
     }
 
     /// Whether a judged structure is physical.
-    pub(super) fn is_physical(&self, judged: &ValidatedStructure, folds: &[usize]) -> bool {
+    pub(super) fn is_physical(&self, judged: &CrossValidatedTerms, folds: &[usize]) -> bool {
         self.physical(&judged.terms, &judged.coefficients, folds)
     }
 }
@@ -281,7 +283,7 @@ mod tests {
     #![allow(clippy::unwrap_used)] // a test's own helpers
 
     use super::*;
-    use crate::thermal::Options;
+    use crate::thermal::ThermalFitOptions;
     use nalgebra::{DMatrix, DVector};
     use rtec_model::record::{Axis, Column, Record, Role, RunKind};
     use std::path::Path;
@@ -314,7 +316,8 @@ mod tests {
     #[test]
     fn a_structure_is_judged_as_by_singular_values() {
         let record = drift(3);
-        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let problem =
+            TermSelectionProblem::new(&[&record], &response(), &ThermalFitOptions::default()).unwrap();
         let folds = [0, 1, 3, 4, 6, 7, 8, 9];
         let terms = [difference(0, 0), difference(1, 40)];
         let judged = problem.judge(&terms, &folds).unwrap();
@@ -345,7 +348,8 @@ mod tests {
     #[test]
     fn a_column_without_news_is_refused() {
         let record = drift(3);
-        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let problem =
+            TermSelectionProblem::new(&[&record], &response(), &ThermalFitOptions::default()).unwrap();
         let folds: Vec<usize> = (0..problem.folds).collect();
         let beside = problem.beside(&[difference(0, 0)], &folds).unwrap();
         let more = beside.with(&problem.column(difference(1, 7))).unwrap();
@@ -363,7 +367,8 @@ mod tests {
     #[test]
     fn the_order_of_terms_is_no_gain() {
         let record = drift(3);
-        let problem = Problem::new(&[&record], &response(), &Options::default()).unwrap();
+        let problem =
+            TermSelectionProblem::new(&[&record], &response(), &ThermalFitOptions::default()).unwrap();
         let folds: Vec<usize> = (0..problem.folds).collect();
         let judge = |terms: &[Term]| problem.judge(terms, &folds).unwrap();
         for lag in 0..60 {
@@ -380,15 +385,18 @@ mod tests {
         for (name, degc) in [("A", 25.0), ("Z", 0.0)] {
             record.columns.push(Column::new(name, Role::Temperature, vec![degc; record.rows()]));
         }
-        let problem = |options: &Options| Problem::new(&[&record], &response(), options).unwrap();
-        let all = problem(&Options::default());
+        let problem = |options: &ThermalFitOptions| {
+            TermSelectionProblem::new(&[&record], &response(), options).unwrap()
+        };
+        let all = problem(&ThermalFitOptions::default());
         assert_eq!(
             (all.sensors, all.still, all.environment),
             (vec!["T0".into()], vec!["A".into(), "Z".into()], None)
         );
-        let named = problem(&Options { environment: Some("A".into()), ..Options::default() });
+        let named =
+            problem(&ThermalFitOptions { environment: Some("A".into()), ..ThermalFitOptions::default() });
         assert_eq!((named.sensors, named.still), (vec!["T0".into(), "A".into()], vec!["Z".into()]));
-        let (_, reports) = crate::thermal::fit(&[&record], &[], &Options::default()).unwrap();
+        let (_, reports) = crate::thermal::fit(&[&record], &[], &ThermalFitOptions::default()).unwrap();
         let said = &reports[0].warnings;
         assert!(said.iter().any(|s| s.starts_with("A reads the same in every row")), "{said:?}");
         assert!(reports[0].kept.iter().all(|k| !k.sensor.contains('A') && !k.sensor.contains('Z')));
@@ -400,10 +408,11 @@ mod tests {
             return;
         }
         let record = drift(260);
-        let said = Problem::new(&[&record], &response(), &Options::default()).err().unwrap();
+        let said =
+            TermSelectionProblem::new(&[&record], &response(), &ThermalFitOptions::default()).err().unwrap();
         assert!(said.found.contains("260 temperatures") && said.expected.contains("--sensors"), "{said}");
         let few = ["T0", "T7"].map(rtec_model::effect::TemperatureDifference::single);
-        let named = Options { sensors: few.to_vec(), ..Options::default() };
-        assert!(Problem::new(&[&record], &response(), &named).is_ok());
+        let named = ThermalFitOptions { sensors: few.to_vec(), ..ThermalFitOptions::default() };
+        assert!(TermSelectionProblem::new(&[&record], &response(), &named).is_ok());
     }
 }

@@ -3,11 +3,11 @@
 //! nothing warms do not show a lag, so leaving one of them out has no effect.
 
 use super::cross_validation::independent;
-use super::problem::Problem;
-use super::rows::{Centred, Rows, lags_of};
+use super::fit_candidates::TermSelectionProblem;
+use super::least_squares_rows::{CentredRows, LeastSquaresRows, lags_of};
 use super::term::{Term, relagged, squared};
-use crate::denoise::SmoothingUncertainty;
 use crate::statistics::mean;
+use crate::temperature_denoising::SmoothingUncertainty;
 use rtec_files::InputError;
 use rtec_model::machine::NORMAL_95;
 use rtec_model::record::{Record, Role, shared_step};
@@ -32,7 +32,7 @@ fn student(degrees_of_freedom: f64) -> f64 {
 }
 
 /// 95 % intervals by leaving out each block: of coefficients, and of lags by term.
-pub(super) struct Jackknife {
+pub(super) struct JackknifeIntervals {
     pub(super) coefficients: Vec<[f64; 2]>,
     /// Intervals of omitted squares, by the index of their difference's term.
     pub(super) squares: BTreeMap<usize, [f64; 2]>,
@@ -48,7 +48,7 @@ const DRAWS: usize = 12;
 
 /// The terms with their lags refined between the grid's steps, on all rows.
 pub(super) fn tuned(
-    problem: &mut Problem,
+    problem: &mut TermSelectionProblem,
     mut terms: Vec<Term>,
     train: &[&Record],
     response: &Role,
@@ -64,7 +64,7 @@ pub(super) fn tuned(
 
 /// The lags with the least sum of squares on the blocks that `take` selects, s.
 fn best_lags(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     terms: &[Term],
     start_s: &[f64],
     train: &[&Record],
@@ -75,9 +75,9 @@ fn best_lags(
     let lagged: Vec<usize> = (0..terms.len())
         .filter(|k| matches!(terms[*k], Term::Thermal { lag: 1.., square: false, .. }))
         .collect();
-    let mut rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
+    let mut rows = LeastSquaresRows::with_lags(problem, terms, &lags_s, train, response)?;
     let taken = rows.runs(&|i| take(rows.fold[i]));
-    let mut centred = (!taken.is_empty()).then(|| Centred::new(&rows, &taken));
+    let mut centred = (!taken.is_empty()).then(|| CentredRows::new(&rows, &taken));
     // If there are several, each is refined with the others held, in two rounds.
     for _ in 0..lagged.len().min(2) {
         for &k in &lagged {
@@ -114,7 +114,7 @@ const BESIDE: f64 = 0.05;
 /// All other parameters are refitted at each lag; the number of values is that of independent ones. `None` if
 /// it does not curve upwards.
 fn lag_half_width(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     terms: &[Term],
     lags_s: &[f64],
     k: usize,
@@ -126,7 +126,7 @@ fn lag_half_width(
         for j in shared(terms, k) {
             tried[j] *= by.exp();
         }
-        let rows = Rows::with_lags(problem, terms, &tried, train, response)?;
+        let rows = LeastSquaresRows::with_lags(problem, terms, &tried, train, response)?;
         let n = rows.y.len();
         let of = |c: Vec<f64>| (0..n).map(|i| rows.residual(&c, i)).collect::<Vec<f64>>();
         Ok::<_, InputError>(rows.solve(&|_| true).map(of))
@@ -177,17 +177,17 @@ fn smallest(
 /// The intervals of every coefficient and every lag.
 /// They come from leaving out each block in turn, with the lags fitted again.
 pub(super) fn jackknife(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     terms: &[Term],
     train: &[&Record],
     response: &Role,
     full: &[f64],
-) -> Result<Jackknife, InputError> {
+) -> Result<JackknifeIntervals, InputError> {
     let start_s = lags_of(problem, terms);
     let (mut parts, mut lags): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
     for f in 0..problem.folds {
         let lags_s = best_lags(problem, terms, &start_s, train, response, &|fold| fold != f)?;
-        let rows = Rows::with_lags(problem, terms, &lags_s, train, response)?;
+        let rows = LeastSquaresRows::with_lags(problem, terms, &lags_s, train, response)?;
         if let Some(c) = rows.solve(&|i| rows.fold[i] != f) {
             parts.push(c);
             lags.push(lags_s);
@@ -211,18 +211,18 @@ pub(super) fn jackknife(
         tau_s.insert(k, [(lo.exp() - clock_s).max(0.0), hi.exp() + clock_s]);
     }
     let coefficients = (0..full.len()).map(|k| drawn.allow_for(full[k], of(k), |(c, _)| c[k])).collect();
-    Ok(Jackknife { coefficients, squares: BTreeMap::new(), tau_s })
+    Ok(JackknifeIntervals { coefficients, squares: BTreeMap::new(), tau_s })
 }
 
 /// Coefficients and lags fitted to random draws of the true temperatures.
-struct MonteCarloFits(Vec<(Vec<f64>, Vec<f64>)>);
+struct FitsToTemperatureDraws(Vec<(Vec<f64>, Vec<f64>)>);
 
 fn drawn(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     terms: &[Term],
     train: &[&Record],
     response: &Role,
-) -> Result<MonteCarloFits, InputError> {
+) -> Result<FitsToTemperatureDraws, InputError> {
     let start_s = lags_of(problem, terms);
     let mut found = Vec::new();
     let draws = if problem.spread.iter().all(SmoothingUncertainty::is_empty) { 0 } else { DRAWS };
@@ -230,13 +230,13 @@ fn drawn(
         let drawn: Vec<Record> = problem.spread.iter().zip(train).map(|(s, r)| s.draw(r, n)).collect();
         let drawn: Vec<&Record> = drawn.iter().collect();
         let lags_s = best_lags(problem, terms, &start_s, &drawn, response, &|_| true)?;
-        let rows = Rows::with_lags(problem, terms, &lags_s, &drawn, response)?;
+        let rows = LeastSquaresRows::with_lags(problem, terms, &lags_s, &drawn, response)?;
         found.extend(rows.solve(&|_| true).map(|c| (c, lags_s)));
     }
-    Ok(MonteCarloFits(found))
+    Ok(FitsToTemperatureDraws(found))
 }
 
-impl MonteCarloFits {
+impl FitsToTemperatureDraws {
     /// The interval of a value, including the uncertainty of its temperatures.
     fn allow_for(
         &self,
@@ -250,13 +250,13 @@ impl MonteCarloFits {
     }
 }
 
-impl Jackknife {
+impl JackknifeIntervals {
     /// A square that may be zero, by its index among the terms.
     /// Its interval contains zero, or it is not certain to predict unseen blocks better. The comparison is
     /// with the best lag without the square.
     pub(super) fn idle_square(
         &self,
-        problem: &mut Problem,
+        problem: &mut TermSelectionProblem,
         terms: &[Term],
         train: &[&Record],
         response: &Role,
@@ -294,7 +294,7 @@ impl Jackknife {
     /// the values with and without it.
     pub(super) fn allow_for_squares(
         &mut self,
-        problem: &mut Problem,
+        problem: &mut TermSelectionProblem,
         terms: &[Term],
         train: &[&Record],
         response: &Role,
@@ -309,7 +309,7 @@ impl Jackknife {
             }
             let other: Vec<Term> = terms.iter().copied().chain([square]).collect();
             let other = tuned(problem, other, train, response)?;
-            let rows = Rows::new(problem, &other, train, response)?;
+            let rows = LeastSquaresRows::new(problem, &other, train, response)?;
             let Some(c) = rows.solve(&|_| true) else { continue };
             let alternative = jackknife(problem, &other, train, response, &c)?;
             let hull = |a: &mut [f64; 2], b: [f64; 2]| *a = [a[0].min(b[0]), a[1].max(b[1])];

@@ -20,58 +20,58 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `problem`, `term` | the candidates: differences, lags, the rows binned for the search |
+//! | `fit_candidates`, `term` | the candidates: differences, lags, the rows binned for the search |
 //! | `cross_validation` | a structure judged by blocked cross-validation |
-//! | `sensor_choice` | the choice of sensors alone, for comparison |
-//! | `select` | CASC, the refit, and the exchange of terms |
-//! | `rows` | least squares over every row |
+//! | `sensor_selection_only` | the choice of sensors alone, for comparison |
+//! | `term_selection` | CASC, the refit, and the exchange of terms |
+//! | `least_squares_rows` | least squares over every row |
 //! | `prediction_interval`, `jackknife` | 95 % intervals of the prediction, and of the parameters |
-//! | `effects` | the structure as effects of the dictionary |
-//! | `compare` | simpler predictions, hold-outs, dry against wet |
+//! | `terms_to_effects` | the structure as effects of the dictionary |
+//! | `baselines_and_holdouts` | simpler predictions, hold-outs, dry against wet |
 //! | `report`, `charts` | the results, as figures and charts |
 
+mod baselines_and_holdouts;
 mod charts;
-mod compare;
 mod cross_validation;
-mod effects;
+mod fit_candidates;
 mod jackknife;
+mod least_squares_rows;
 mod prediction_interval;
-mod problem;
 mod report;
-mod rows;
-mod select;
-mod sensor_choice;
+mod sensor_selection_only;
 mod term;
+mod term_selection;
+mod terms_to_effects;
 
 pub use charts::{prediction_chart, residual_chart};
 pub(crate) use jackknife::{Intervals, jackknife_interval};
 pub use report::{
-    CrossValidatedRms, DryWet, FittedEffect, ParameterEstimate, PredictionInterval, RankedSensor,
-    RedundantSensor, Round, ThermalFitReport,
+    CrossValidatedRms, DryWetComparison, FittedEffect, ParameterEstimate, PredictionInterval, RankedSensor,
+    RedundantSensor, RefitRound, ThermalFitReport,
 };
-pub use select::{REDUNDANT, ROUNDS};
-pub use sensor_choice::select_differences;
+pub use sensor_selection_only::select_differences;
+pub use term_selection::{REDUNDANT, ROUNDS};
 
-use crate::denoise::{SmoothingUncertainty, smoothed};
 use crate::statistics::mean_square;
-use compare::{baselines, dry_wet, judge_holdouts};
-use cross_validation::ValidatedStructure;
-use effects::effects;
-use jackknife::{Jackknife, jackknife, tuned};
-use prediction_interval::{OfferedDifferences, halves, mean_only, nested};
-use problem::Problem;
-use rows::Rows;
+use crate::temperature_denoising::{SmoothingUncertainty, smoothed};
+use baselines_and_holdouts::{baselines, dry_wet, judge_holdouts};
+use cross_validation::CrossValidatedTerms;
+use fit_candidates::TermSelectionProblem;
+use jackknife::{JackknifeIntervals, jackknife, tuned};
+use least_squares_rows::LeastSquaresRows;
+use prediction_interval::{OfferedTemperatureDifferences, halves, mean_only, nested};
 use rtec_files::InputError;
 use rtec_files::date;
-use rtec_model::effect::{Effect, TemperatureDifference, ThermalDependence, ValueError};
+use rtec_model::effect::{Effect, ParameterValueError, TemperatureDifference, ThermalDependence};
 use rtec_model::machine::{EffectWithProvenance, FitNote, Machine, Provenance, RecordRanges, SourceRecord};
 use rtec_model::record::{Record, Role};
 use std::collections::BTreeMap;
 use term::{Term, unlagged};
+use terms_to_effects::effects;
 
 /// The options of a fit.
 #[derive(Debug, Clone)]
-pub struct Options {
+pub struct ThermalFitOptions {
     /// Differences to choose from; empty for all sensors.
     /// A sensor without `minus` is compared with the environment.
     pub sensors: Vec<TemperatureDifference>,
@@ -94,7 +94,7 @@ pub struct Options {
     pub valid_days: i64,
 }
 
-impl Default for Options {
+impl Default for ThermalFitOptions {
     fn default() -> Self {
         Self {
             sensors: Vec::new(),
@@ -110,7 +110,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl ThermalFitOptions {
     /// Differences of the base's growth effects on this response.
     /// They are pairs of a sensor and the one subtracted.
     fn base_differences(&self, response: &Role) -> Vec<(String, Option<String>)> {
@@ -142,7 +142,7 @@ impl Options {
 pub fn fit(
     train: &[&Record],
     holdout: &[&Record],
-    options: &Options,
+    options: &ThermalFitOptions,
 ) -> Result<(Machine, Vec<ThermalFitReport>), InputError> {
     // The name lists the responses; every effect lists its records.
     let responses: Vec<String> = train[0]
@@ -181,14 +181,14 @@ fn fit_response(
     train: &[&Record],
     holdout: &[&Record],
     response: &Role,
-    options: &Options,
+    options: &ThermalFitOptions,
     machine: &mut Machine,
 ) -> Result<ThermalFitReport, InputError> {
     // Select terms and fit values on smoothed temperatures. Judge predictions on raw logs, as the live model
     // reads them.
     let (quiet, spread): (Vec<Record>, Vec<SmoothingUncertainty>) = train.iter().map(|r| smoothed(r)).unzip();
     let quiet: &[&Record] = &quiet.iter().collect::<Vec<_>>();
-    let mut problem = Problem::new(quiet, response, options)?;
+    let mut problem = TermSelectionProblem::new(quiet, response, options)?;
     problem.spread = spread;
     let all: Vec<usize> = (0..problem.folds).collect();
     let whole = |found: &str, expected: &str| InputError::whole(&train[0].path, found, expected);
@@ -221,8 +221,8 @@ fn fit_response(
         blocks = mean_only(&problem, train, response)?;
     }
     intervals.allow_for_squares(&mut problem, &terms, quiet, response)?;
-    let rows = Rows::new(&problem, &terms, train, response)?;
-    let plain = Rows::new(&problem, &unlagged(&terms), train, response)?;
+    let rows = LeastSquaresRows::new(&problem, &terms, train, response)?;
+    let plain = LeastSquaresRows::new(&problem, &unlagged(&terms), train, response)?;
     let guards = rows.guards(&problem, &terms, &plain, &|_| true);
     let effects = effects(&problem, &terms, &coefficients, &intervals, &guards, response)
         .map_err(|e| whole(&e.to_string(), "parameters within the law's bounds"))?;
@@ -237,7 +237,7 @@ fn fit_response(
         valid_until: date::format(options.date + options.valid_days),
         rms_um: blocks.mean_square().sqrt(),
         half_width_um: half_width_um.max(1e-9),
-        valid: OfferedDifferences::new(&problem, train, response)?.ranges(&problem, &|_| true),
+        valid: OfferedTemperatureDifferences::new(&problem, train, response)?.ranges(&problem, &|_| true),
         at_mm: None,
         by_kind_um: by_kind(train, half_width_um.max(1e-9)),
         from: train.iter().map(|r| SourceRecord::of(r)).collect(),
@@ -259,7 +259,7 @@ fn fit_response(
     let coverage_halves = halves(&problem, train, response, half_width_um)?;
     warnings.extend(coverage_halves.and_then(|held| unlike(held, half_width_um)));
     warnings.extend(outdone(&baselines, &blocks.folds));
-    let ranked = |j: &ValidatedStructure| problem.ranked(j, &all);
+    let ranked = |j: &CrossValidatedTerms| problem.ranked(j, &all);
     let kept: Vec<RankedSensor> = chosen.kept.iter().map(ranked).collect();
     warnings.extend(chosen.rivals(&problem).filter(|_| !terms.is_empty()));
     warnings.extend(chosen.by_all_rows(&problem).filter(|_| !terms.is_empty()));
@@ -296,7 +296,7 @@ fn fit_response(
 struct RetainedTerms {
     terms: Vec<Term>,
     coefficients: Vec<f64>,
-    intervals: Jackknife,
+    intervals: JackknifeIntervals,
     /// A message about a single growth that was removed because it may be zero.
     left_out: Option<String>,
 }
@@ -304,7 +304,7 @@ struct RetainedTerms {
 /// Tunes the terms and removes squares, or a single growth, that may be zero.
 /// `None` if the rows do not determine the values.
 fn settle(
-    problem: &mut Problem,
+    problem: &mut TermSelectionProblem,
     mut terms: Vec<Term>,
     train: &[&Record],
     response: &Role,
@@ -313,7 +313,7 @@ fn settle(
     let mut left_out = None;
     loop {
         terms = tuned(problem, terms, train, response)?;
-        let rows = Rows::new(problem, &terms, train, response)?;
+        let rows = LeastSquaresRows::new(problem, &terms, train, response)?;
         let Some(coefficients) = rows.solve(&|_| true) else { return Ok(None) };
         // The search averages rows. Over every row a gain may exceed the law's bounds; then the term is
         // dropped.
@@ -402,10 +402,10 @@ fn by_kind(records: &[&Record], half_width_um: f64) -> BTreeMap<String, f64> {
 fn enter(
     effects: Vec<(Effect, Intervals)>,
     train: &[&Record],
-    options: &Options,
+    options: &ThermalFitOptions,
     own: &mut Machine,
     machine: &mut Machine,
-) -> Result<Vec<FittedEffect>, ValueError> {
+) -> Result<Vec<FittedEffect>, ParameterValueError> {
     let mut fitted = Vec::new();
     for (effect, interval) in effects {
         fitted.push(FittedEffect::of(&effect, &interval));
@@ -437,7 +437,7 @@ fn add_fitted_effect(
     effect: Effect,
     provenance: Provenance,
     train: &[&Record],
-) -> Result<(), ValueError> {
+) -> Result<(), ParameterValueError> {
     let earlier = |l: &EffectWithProvenance| {
         l.provenance.set_up && provenance.set_up && l.effect.name() == effect.name()
     };

@@ -1,8 +1,8 @@
 //! The 95 % prediction interval.
 //! It combines what the fit cannot know in a row with the residuals of unseen blocks.
 
-use super::problem::Problem;
-use super::rows::Rows;
+use super::fit_candidates::TermSelectionProblem;
+use super::least_squares_rows::LeastSquaresRows;
 use super::term::{Term, unlagged};
 use crate::statistics::{mean_square, quantile, rms};
 use rtec_files::InputError;
@@ -26,12 +26,12 @@ pub(super) struct TemperatureDifferenceBounds {
     pub(super) tau_s: f64,
 }
 
-impl Rows {
+impl LeastSquaresRows {
     /// Bounds of a fit's differences on the rows that `take` selects.
     /// `plain` has the same terms without lag.
     pub(super) fn guards(
         &self,
-        problem: &Problem,
+        problem: &TermSelectionProblem,
         terms: &[Term],
         plain: &Self,
         take: &dyn Fn(usize) -> bool,
@@ -78,15 +78,19 @@ impl Rows {
 /// Every offered difference as measured, chosen or not.
 /// If one leaves the range that the fit has seen, the machine is in an unknown state, whatever the chosen
 /// differences show.
-pub(super) struct OfferedDifferences {
-    rows: Rows,
+pub(super) struct OfferedTemperatureDifferences {
+    rows: LeastSquaresRows,
     offered: Vec<Term>,
 }
 
-impl OfferedDifferences {
-    pub(super) fn new(problem: &Problem, train: &[&Record], response: &Role) -> Result<Self, InputError> {
+impl OfferedTemperatureDifferences {
+    pub(super) fn new(
+        problem: &TermSelectionProblem,
+        train: &[&Record],
+        response: &Role,
+    ) -> Result<Self, InputError> {
         let offered: Vec<Term> = problem.offered.iter().map(|pair| Term::plain(*pair)).collect();
-        Ok(Self { rows: Rows::new(problem, &offered, train, response)?, offered })
+        Ok(Self { rows: LeastSquaresRows::new(problem, &offered, train, response)?, offered })
     }
 
     /// The range of each difference, and how much the response moved with it.
@@ -94,7 +98,7 @@ impl OfferedDifferences {
     /// shrinks a slope but not that ratio.
     pub(super) fn ranges(
         &self,
-        problem: &Problem,
+        problem: &TermSelectionProblem,
         take: &dyn Fn(usize) -> bool,
     ) -> Vec<ValidTemperatureRange> {
         let rows: Vec<usize> = (0..self.rows.y.len()).filter(|i| take(*i)).collect();
@@ -139,7 +143,7 @@ impl NestedCrossValidation {
 
 /// The same without any term: only the constant.
 pub(super) fn mean_only(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     train: &[&Record],
     response: &Role,
 ) -> Result<NestedCrossValidation, InputError> {
@@ -148,7 +152,7 @@ pub(super) fn mean_only(
 }
 
 pub(super) fn nested(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     train: &[&Record],
     response: &Role,
 ) -> Result<Option<NestedCrossValidation>, InputError> {
@@ -156,7 +160,7 @@ pub(super) fn nested(
 }
 
 fn blocks(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     train: &[&Record],
     response: &Role,
     choose: &dyn Fn(&[usize]) -> Option<Vec<Term>>,
@@ -164,7 +168,7 @@ fn blocks(
     let mut folds = Vec::new();
     // Per fold: the residual of every row, and x of its interval.
     let mut left: Vec<Vec<(f64, f64)>> = Vec::new();
-    let watched = OfferedDifferences::new(problem, train, response)?;
+    let watched = OfferedTemperatureDifferences::new(problem, train, response)?;
     for f in 0..problem.folds {
         let others: Vec<usize> = (0..problem.folds).filter(|o| *o != f).collect();
         let Some(terms) = choose(&others) else { return Ok(None) };
@@ -197,12 +201,12 @@ fn blocks(
 /// Model and terms are chosen on that other half; both directions are given. It shows how reliable the
 /// interval is in states that the fit has not seen.
 pub(super) fn halves(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     train: &[&Record],
     response: &Role,
     half_width_um: f64,
 ) -> Result<Option<[f64; 2]>, InputError> {
-    let watched = OfferedDifferences::new(problem, train, response)?;
+    let watched = OfferedTemperatureDifferences::new(problem, train, response)?;
     let middle = problem.folds / 2;
     let mut held = [0.0; 2];
     for (held, later) in held.iter_mut().zip([true, false]) {
@@ -218,15 +222,15 @@ pub(super) fn halves(
 
 /// Residuals of the `asked` blocks under a fit without them, and the interval's x.
 fn unseen(
-    problem: &Problem,
+    problem: &TermSelectionProblem,
     terms: &[Term],
     train: &[&Record],
     response: &Role,
-    watched: &OfferedDifferences,
+    watched: &OfferedTemperatureDifferences,
     asked: &dyn Fn(usize) -> bool,
 ) -> Result<Option<Vec<(f64, f64)>>, InputError> {
-    let rows = Rows::new(problem, terms, train, response)?;
-    let plain = Rows::new(problem, &unlagged(terms), train, response)?;
+    let rows = LeastSquaresRows::new(problem, terms, train, response)?;
+    let plain = LeastSquaresRows::new(problem, &unlagged(terms), train, response)?;
     let Some(c) = rows.solve(&|i| !asked(rows.fold[i])) else { return Ok(None) };
     let guards = rows.guards(problem, terms, &plain, &|i| !asked(rows.fold[i]));
     let ranges = watched.ranges(problem, &|i| !asked(rows.fold[i]));

@@ -44,7 +44,7 @@ pub struct RedundantSensor {
 
 /// One round of the refit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Round {
+pub struct RefitRound {
     /// The added term, or after the refit's rounds the exchange of one for another.
     pub added: String,
     /// R after it.
@@ -83,7 +83,7 @@ pub struct FittedEffect {
 impl FittedEffect {
     pub(crate) fn of(effect: &Effect, interval: &Intervals) -> Self {
         let minus = effect.delta.as_ref().and_then(|d| d.minus().map(str::to_owned));
-        let parameter = |(i, p): (usize, &rtec_model::effect::Parameter)| {
+        let parameter = |(i, p): (usize, &rtec_model::effect::LawParameter)| {
             let value = effect.scalar(i);
             let [low, high] = interval.get(&p.name).map_or([value, value], |v| v[0]);
             (p.name.clone(), ParameterEstimate { value, low, high })
@@ -138,7 +138,7 @@ pub struct PredictionInterval {
 
 /// The structure fitted on dry and on wet rows alone, as the patent compares.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct DryWet {
+pub struct DryWetComparison {
     /// Growth per kelvin by term, dry.
     pub dry: BTreeMap<String, f64>,
     /// Growth per kelvin by term, wet.
@@ -170,7 +170,7 @@ pub struct ThermalFitReport {
     /// The best pairs, best first.
     pub pairs: Vec<RankedSensor>,
     /// The refit, round by round.
-    pub rounds: Vec<Round>,
+    pub rounds: Vec<RefitRound>,
     /// First sensors that the data cannot distinguish from the chosen one.
     pub alternatives: Vec<RankedSensor>,
     /// The fitted effects.
@@ -183,7 +183,7 @@ pub struct ThermalFitReport {
     pub interval95: PredictionInterval,
     /// Dry against wet, if the data have both.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub dry_wet: Option<DryWet>,
+    pub dry_wet: Option<DryWetComparison>,
     /// Messages to read before the model is used.
     pub warnings: Vec<String>,
 }

@@ -3,8 +3,8 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_fit::chain as chain_fit;
-use rtec_model::chain::Chain;
+use rtec_fit::kinematic_chain_fit as chain_fit;
+use rtec_model::kinematic_chain::KinematicChain;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::{Path, PathBuf};
@@ -46,7 +46,7 @@ impl Noise {
 /// Simulates what the true chain shows at a tool point along a path.
 /// The path has positions and temperatures (T1 T2 T3 T6 T8 T18); the noise is in µm.
 fn measure(
-    truth: &Chain,
+    truth: &KinematicChain,
     tool_mm: [f64; 3],
     path: &[([f64; 3], [f64; 6])],
     noise_um: f64,
@@ -96,13 +96,13 @@ fn stroke(axis: usize, half_mm: f64, temperatures: [f64; 6]) -> Vec<([f64; 3], [
 /// Measures an axis' six components, and the rotations of its guide (squareness).
 /// A gauge is at four points of the spindle.
 fn of_axis(
-    chain: &Chain,
-    truth: &Chain,
+    chain: &KinematicChain,
+    truth: &KinematicChain,
     names: &[String],
     axis: usize,
     noise_um: f64,
     temperatures: &[[f64; 6]],
-) -> (Chain, chain_fit::ChainReport) {
+) -> (KinematicChain, chain_fit::ChainFitReport) {
     let path: Vec<_> = temperatures.iter().flat_map(|t| stroke(axis, 250.0, *t)).collect();
     let offsets = [[0.0, 0.0, -150.0], [200.0, 0.0, -150.0], [0.0, 200.0, -150.0], [0.0, 0.0, -350.0]];
     let records: Vec<Record> = offsets
@@ -110,21 +110,23 @@ fn of_axis(
         .enumerate()
         .map(|(n, tool)| measure(truth, *tool, &path, noise_um, 7 + n as u64))
         .collect();
-    let runs: Vec<chain_fit::ChainRun<'_>> = records
+    let runs: Vec<chain_fit::RecordWithToolPoint<'_>> = records
         .iter()
         .zip(offsets)
-        .map(|(record, tool)| chain_fit::ChainRun { record, tool_mm: Some(tool) })
+        .map(|(record, tool)| chain_fit::RecordWithToolPoint { record, tool_mm: Some(tool) })
         .collect();
     chain_fit::fit(chain, names, &runs).unwrap()
 }
 
 const SIX: [&str; 6] = ["dx", "dy", "dz", "ex", "ey", "ez"];
 
-fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::FittedChainTerm>, PathBuf, tempfile::TempDir) {
-    let truth = Chain::read(&data("three_axis.toml")).unwrap();
+fn three_axis(
+    noise_um: f64,
+) -> (KinematicChain, Vec<chain_fit::FittedChainTerm>, PathBuf, tempfile::TempDir) {
+    let truth = KinematicChain::read(&data("three_axis.toml")).unwrap();
     let (dir, path) = template("three_axis.toml");
     let warm = [[23.0, 20.0, 20.0, 20.0, 20.0, 20.0], COLD];
-    let mut chain = Chain::read(&path).unwrap();
+    let mut chain = KinematicChain::read(&path).unwrap();
     let mut terms = Vec::new();
     // Seen from the work, which moves on Y's guide, X is out of square to Y.
     for (joint, guide, axis, temperatures) in [
@@ -136,7 +138,7 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::FittedChainTerm>, PathBuf
         names.extend(guide.iter().map(|g| (*g).to_owned()));
         let (fitted, report) = of_axis(&chain, &truth, &names, axis, noise_um, temperatures);
         chain_fit::write(&path, &fitted, &report, &path).unwrap();
-        chain = Chain::read(&path).unwrap();
+        chain = KinematicChain::read(&path).unwrap();
         assert_eq!(chain, fitted, "what is written is what was fitted");
         terms.extend(report.terms);
     }
@@ -152,13 +154,13 @@ fn three_axis(noise_um: f64) -> (Chain, Vec<chain_fit::FittedChainTerm>, PathBuf
     let runs: Vec<_> = records
         .iter()
         .zip(tools)
-        .map(|(record, tool)| chain_fit::ChainRun { record, tool_mm: Some(tool) })
+        .map(|(record, tool)| chain_fit::RecordWithToolPoint { record, tool_mm: Some(tool) })
         .collect();
     let names: Vec<String> = ["dx", "dy", "dz", "ex", "ey"].iter().map(|c| format!("spindle.{c}")).collect();
     let (fitted, report) = chain_fit::fit(&chain, &names, &runs).unwrap();
     chain_fit::write(&path, &fitted, &report, &path).unwrap();
     terms.extend(report.terms);
-    (Chain::read(&path).unwrap(), terms, path, dir)
+    (KinematicChain::read(&path).unwrap(), terms, path, dir)
 }
 
 /// 21 geometric errors and the spindle's growth and tilt, with no prior values.
@@ -168,8 +170,8 @@ fn three_axis_machine_component_by_component() {
     if !test_needs::long() {
         return;
     }
-    let truth = Chain::read(&data("three_axis.toml")).unwrap();
-    let coefficients = |c: &Chain| -> Vec<f64> {
+    let truth = KinematicChain::read(&data("three_axis.toml")).unwrap();
+    let coefficients = |c: &KinematicChain| -> Vec<f64> {
         let of = c.joints.iter().flat_map(|j| &j.components).flat_map(|c| &c.terms);
         of.map(|t| t.coefficient).collect()
     };
@@ -206,7 +208,7 @@ fn noise_gives_intervals_that_hold() {
     if !test_needs::long() {
         return;
     }
-    let truth = Chain::read(&data("three_axis.toml")).unwrap();
+    let truth = KinematicChain::read(&data("three_axis.toml")).unwrap();
     let (chain, terms, ..) = three_axis(0.2);
     let held = terms.iter().filter(|t| {
         let kind = SIX.iter().position(|n| *n == t.component).unwrap();
@@ -235,17 +237,17 @@ fn turning_centre_component_by_component() {
     if !test_needs::long() {
         return;
     }
-    let truth = Chain::read(&data("turning_centre.toml")).unwrap();
+    let truth = KinematicChain::read(&data("turning_centre.toml")).unwrap();
     let (_dir, path) = template("turning_centre.toml");
-    let mut chain = Chain::read(&path).unwrap();
+    let mut chain = KinematicChain::read(&path).unwrap();
     let warm = |t2: f64, t3: f64| [20.0, t2, t3, 20.0, 20.0, 20.0];
     let tools = [[-80.0, 0.0, -35.0], [20.0, 0.0, -35.0], [-80.0, 0.0, 65.0]];
-    let go = |chain: &Chain, names: &[&str], path: &[([f64; 3], [f64; 6])]| {
+    let go = |chain: &KinematicChain, names: &[&str], path: &[([f64; 3], [f64; 6])]| {
         let records: Vec<Record> = tools.iter().map(|t| measure(&truth, *t, path, 0.0, 3)).collect();
         let runs: Vec<_> = records
             .iter()
             .zip(tools)
-            .map(|(record, tool)| chain_fit::ChainRun { record, tool_mm: Some(tool) })
+            .map(|(record, tool)| chain_fit::RecordWithToolPoint { record, tool_mm: Some(tool) })
             .collect();
         let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
         chain_fit::fit(chain, &names, &runs).unwrap().0
@@ -287,9 +289,9 @@ fn turning_centre_component_by_component() {
 /// A coefficient that a record does not show is refused with a reason.
 #[test]
 fn what_a_record_does_not_determine_is_refused() {
-    let truth = Chain::read(&data("three_axis.toml")).unwrap();
+    let truth = KinematicChain::read(&data("three_axis.toml")).unwrap();
     let record = measure(&truth, truth.tool_mm, &stroke(0, 200.0, COLD), 0.0, 1);
-    let run = [chain_fit::ChainRun { record: &record, tool_mm: None }];
+    let run = [chain_fit::RecordWithToolPoint { record: &record, tool_mm: None }];
     for (component, found) in [
         ("z slide.dz", "do not determine z slide.dz"),
         // Nothing warms.

@@ -126,10 +126,10 @@ fn a_coarse_or_noisy_sensor_is_no_lag() {
     if !test_needs::long() {
         return;
     }
-    let options = thermal::Options {
+    let options = thermal::ThermalFitOptions {
         sensors: vec![TemperatureDifference::single("T1")],
         environment: Some("T2".to_owned()),
-        ..thermal::Options::default()
+        ..thermal::ThermalFitOptions::default()
     };
     let mut dice = Dice::new(7);
     let (mut lags_of_none, mut found, mut held, mut gains) = (0, 0, 0, 0);

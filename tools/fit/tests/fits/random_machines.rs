@@ -4,7 +4,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_fit::thermal::{self, Options};
+use rtec_fit::thermal::{self, ThermalFitOptions};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -112,7 +112,7 @@ fn judged(seed: u64) -> Vec<(&'static str, bool)> {
     let mut d = Dice::new(900 + seed);
     let truths = [Truth::random(&mut d)];
     let record = drift(&mut d, &truths);
-    let (_, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
+    let (_, reports) = thermal::fit(&[&record], &[], &ThermalFitOptions::default()).unwrap();
     for (truth, r) in truths.iter().zip(&reports) {
         let laws: Vec<_> = r.effects.iter().filter(|e| e.sensor.is_some()).collect();
         let Some(truth) = truth else {

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_fit::thermal::{self, Options};
+use rtec_fit::thermal::{self, ThermalFitOptions};
 use rtec_measure::drilled_plate;
 use rtec_measure::import;
 use rtec_measure::iso230;
@@ -72,9 +72,9 @@ fn real_plate_equals_the_owners_fit() {
         return;
     };
     let record = import::cmm_plate(&path, &text, Path::new("plate.run.toml")).unwrap();
-    let squares = drilled_plate::evaluate(&record, drilled_plate::Norm::Squares).unwrap();
+    let squares = drilled_plate::evaluate(&record, drilled_plate::PlateFitLoss::Squares).unwrap();
     // The owners minimise the sum of the fourth powers (a squared length handed to a least-squares routine).
-    let p = drilled_plate::evaluate(&record, drilled_plate::Norm::Fourth).unwrap();
+    let p = drilled_plate::evaluate(&record, drilled_plate::PlateFitLoss::Fourth).unwrap();
     let owners = |key: &str, n: usize| -> f64 {
         let line = fit.lines().find(|l| l.starts_with(key)).unwrap();
         line[key.len()..].split_whitespace().nth(n).unwrap().parse().unwrap()
@@ -106,7 +106,7 @@ fn real_plate_equals_the_owners_fit() {
 fn the_older_plate_reads_too() {
     let Some((path, text)) = shared("plate_cmm/D2130A1") else { return };
     let record = import::cmm_plate(&path, &text, Path::new("plate.run.toml")).unwrap();
-    let p = drilled_plate::evaluate(&record, drilled_plate::Norm::Squares).unwrap();
+    let p = drilled_plate::evaluate(&record, drilled_plate::PlateFitLoss::Squares).unwrap();
     assert_eq!(p.holes, text.lines().skip(4).filter(|l| !l.trim().is_empty()).count());
     assert!(p.rms_um > 1.0 && p.rms_um < 10.0, "{}", p.rms_um);
 }
@@ -137,7 +137,7 @@ fn real_spindle_is_predicted_from_temperatures() {
     }
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     let record = spindle(&text, 0..2341);
-    let (machine, reports) = thermal::fit(&[&record], &[], &Options::default()).unwrap();
+    let (machine, reports) = thermal::fit(&[&record], &[], &ThermalFitOptions::default()).unwrap();
     let r = &reports[0];
     let linear = &r.baselines["linear T0-T15"];
     println!("environment {:?}; {}", r.environment, r.rounds.last().unwrap().added);
@@ -170,7 +170,7 @@ fn real_spindle_is_predicted_into_unseen_later_time() {
     }
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     let (early, late) = (spindle(&text, 0..1800), spindle(&text, 1800..2341));
-    let (_, reports) = thermal::fit(&[&early], &[&late], &Options::default()).unwrap();
+    let (_, reports) = thermal::fit(&[&early], &[&late], &ThermalFitOptions::default()).unwrap();
     let r = &reports[0];
     let of = |name: &str| r.baselines[name].holdout[0];
     println!(
@@ -193,7 +193,7 @@ fn real_spindle_is_predicted_from_wherever_it_is_cut() {
     let Some((_, text)) = shared("spindle_thermal/first_half.csv") else { return };
     for cut in [700, 1000, 1170, 1500] {
         let (early, late) = (spindle(&text, 0..cut), spindle(&text, cut..2341));
-        let (_, reports) = thermal::fit(&[&early], &[&late], &Options::default()).unwrap();
+        let (_, reports) = thermal::fit(&[&early], &[&late], &ThermalFitOptions::default()).unwrap();
         let (own, mean) = (reports[0].rms_um.holdout[0], reports[0].baselines["mean"].holdout[0]);
         println!("{cut} rows learned: {own:.2} µm, the mean {mean:.2}");
         assert!(own < 0.5 * mean, "{cut} rows learned: {own:.2} µm, the mean {mean:.2}");

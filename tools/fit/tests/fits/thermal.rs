@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_fit::thermal::{self, Options};
+use rtec_fit::thermal::{self, ThermalFitOptions};
 use rtec_model::effect::TemperatureDifference;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -153,7 +153,7 @@ fn twenty_sensors_become_few_and_a_tenth_of_the_drift_is_left() {
         &[(30.0, 2.0, true), (100.0, 5.0, true), (45.0, 0.0, true), (60.0, 3.5, false), (120.0, 5.5, true)],
         99,
     );
-    let (machine, reports) = thermal::fit(&[&train], &[&unseen], &Options::default()).unwrap();
+    let (machine, reports) = thermal::fit(&[&train], &[&unseen], &ThermalFitOptions::default()).unwrap();
     let r = &reports[0];
     let mut sensors: Vec<&str> =
         r.effects.iter().flat_map(|e| [e.sensor.as_deref(), e.minus.as_deref()]).flatten().collect();
@@ -215,7 +215,8 @@ fn a_lag_earns_its_place_or_is_not_there() {
             ("air".to_owned(), Role::Temperature, (0..n).map(|_| 20.0 + 0.02 * noise.normal()).collect()),
             ("e".to_owned(), error("z"), e),
         ];
-        let (machine, reports) = thermal::fit(&[&record(columns)], &[], &Options::default()).unwrap();
+        let (machine, reports) =
+            thermal::fit(&[&record(columns)], &[], &ThermalFitOptions::default()).unwrap();
         let growth = &reports[0].effects[1];
         let gain = growth.parameters["um_per_K"];
         assert!(gain.low <= 1.7 + 0.02 && gain.high >= 1.7 - 0.02, "{gain:?}");
@@ -259,7 +260,7 @@ fn no_interval_is_narrower_than_the_gauges_scatter() {
                 .map(|(c, name)| (name.to_owned(), Role::Temperature, c)),
         );
         all.push(("e".to_owned(), error("z"), e));
-        let (machine, reports) = thermal::fit(&[&record(all)], &[], &Options::default()).unwrap();
+        let (machine, reports) = thermal::fit(&[&record(all)], &[], &ThermalFitOptions::default()).unwrap();
         let stated = reports[0].interval95.half_width_um;
         println!("seed {seed}: ± {stated:.3} µm, {:.3} RMS", reports[0].rms_um.train);
         assert!(stated > 1.7 * NOISE_UM, "seed {seed}: ± {stated} µm; {}", machine.to_text());
@@ -300,7 +301,7 @@ fn a_lag_that_the_record_is_too_short_for_is_said() {
         Record::new(Path::new("d.run.toml"), RunKind::Drift, columns.collect()).unwrap()
     };
     let said = |r: Record| {
-        let options = Options { environment: Some("air".into()), ..Options::default() };
+        let options = ThermalFitOptions { environment: Some("air".into()), ..ThermalFitOptions::default() };
         let (_, reports) = thermal::fit(&[&r], &[], &options).unwrap();
         reports[0].warnings.iter().any(|w| w.contains("as long as records of"))
     };
@@ -342,7 +343,7 @@ fn an_interval_that_other_states_may_break_is_said() {
             .zip(roles)
             .zip(c)
             .map(|((name, role), data)| ((*name).to_owned(), Role::parse(role).unwrap(), data));
-        let options = Options { environment: Some("T0".into()), ..Options::default() };
+        let options = ThermalFitOptions { environment: Some("T0".into()), ..ThermalFitOptions::default() };
         let (_, reports) = thermal::fit(&[&record(columns.collect())], &[], &options).unwrap();
         let held = reports[0].interval95.coverage_halves.unwrap();
         let warned = reports[0].warnings.iter().any(|w| w.contains("states as these records show them"));
@@ -393,7 +394,8 @@ fn bodies_that_say_little_alone_are_found_together() {
         let sensors =
             (1..=gains.len()).map(|k| TemperatureDifference::pair(&format!("T{k}"), "T0")).collect();
         for sensors in [sensors, Vec::new()] {
-            let options = Options { environment: Some("T0".into()), sensors, ..Options::default() };
+            let options =
+                ThermalFitOptions { environment: Some("T0".into()), sensors, ..ThermalFitOptions::default() };
             let (_, reports) = thermal::fit(&[&record], &[], &options).unwrap();
             let r = &reports[0];
             let rounds: Vec<&String> = r.rounds.iter().map(|r| &r.added).collect();

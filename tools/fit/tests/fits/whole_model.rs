@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_fit::linear_least_squares::fit_named;
-use rtec_fit::thermal::{self, Options};
+use rtec_fit::thermal::{self, ThermalFitOptions};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
@@ -154,7 +154,11 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
         let names = ["scale.x", "scale.y", "reversal.x", "reversal.y", "squareness.x.y"].map(str::to_owned);
         let ideal = Machine::ideal("m");
         let (base, _) = fit_named(&ideal, &names, &geometry, "2026-05-01", 365).unwrap();
-        let options = Options { base: Some(base), environment: Some("air".to_owned()), ..Options::default() };
+        let options = ThermalFitOptions {
+            base: Some(base),
+            environment: Some("air".to_owned()),
+            ..ThermalFitOptions::default()
+        };
         let (machine, _) = thermal::fit(&[&train[4]], &[], &options).unwrap();
         // The model is written and read again.
         let machine = Machine::parse(Path::new("m.toml"), &machine.to_text()).unwrap();
@@ -176,7 +180,7 @@ fn the_interval_of_the_whole_model_holds_on_every_kind_of_run() {
         far.columns.iter_mut().find(|c| c.name == "x").unwrap().data.iter_mut().for_each(|x| *x += 400.0);
         let role = Role::Error(Axis::new("x").unwrap());
         assert_eq!(machine.half_widths_um(&far, &role), None);
-        let alone = Options { environment: Some("air".to_owned()), ..Options::default() };
+        let alone = ThermalFitOptions { environment: Some("air".to_owned()), ..ThermalFitOptions::default() };
         let (of_drift, _) = thermal::fit(&[&train[4]], &[], &alone).unwrap();
         assert_eq!(of_drift.half_widths_um(&later[0], &role), None, "a drift says nothing of the travel");
         assert!(of_drift.half_widths_um(&later[4], &role).is_some());

@@ -5,12 +5,12 @@
 //! effect explains is fitted beside them and widens the intervals (`structure`). Intervals are 95 %.
 
 use super::unexplained_structure::{self, StructureVariance, UnexplainedHarmonics};
-use super::{ByAxis, Trace, law};
+use super::{ByAxis, CircleTrace, law};
 use crate::each_once;
 use crate::iso230::lacks;
 use nalgebra::{DMatrix, DVector};
 use rtec_files::Result;
-use rtec_least_squares::{Directions, orthonormal, projected_out};
+use rtec_least_squares::{DeterminedDirections, orthonormal, projected_out};
 use rtec_model::ballbar_circle::{rates, tick};
 use rtec_model::effect::{Dictionary, Effect, EffectInputColumns, laws};
 use rtec_model::record::{Axis, Role, median, rounding_error};
@@ -22,7 +22,7 @@ use std::ops::Range;
 
 /// A reversal spike of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Spike {
+pub struct FittedReversalSpike {
     /// Height right after the reversal, µm, with the sign of the new direction.
     pub um: f64,
     /// Travel over which it decays to 1/e, mm.
@@ -31,14 +31,14 @@ pub struct Spike {
 
 /// A cyclic error of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Cyclic {
+pub struct FittedCyclicError {
     /// Period along the axis, mm.
     pub period_mm: f64,
     /// Amplitude, µm.
     pub um: f64,
 }
 
-impl Cyclic {
+impl FittedCyclicError {
     /// Whether the period is one of a screw: a lead, or half of it (bearing).
     /// The tolerance is the period's interval, or the dictionary's bound of a scale error, which is slightly
     /// above the loosest screw of ISO 3408-3.
@@ -64,7 +64,7 @@ fn made_periods_mm() -> impl Iterator<Item = f64> {
 
 /// The share of one cause in the circular deviation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Contribution {
+pub struct CauseContribution {
     /// The cause.
     pub cause: String,
     /// Range of its effect on the radius, µm.
@@ -78,7 +78,7 @@ type Values = BTreeMap<String, (f64, f64)>;
 
 /// Causes that these runs cannot separate: only their sum is known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct NotSeparable {
+pub struct InseparableCauses {
     /// The causes.
     pub causes: [&'static str; 2],
     /// Range of their joint effect on the radius, µm.
@@ -105,21 +105,21 @@ pub struct Diagnosis {
     /// Reversal per axis, µm, as `reversal.A`: mean up minus mean down.
     pub reversal: ByAxis<f64>,
     /// Spike per axis.
-    pub spike: ByAxis<Spike>,
+    pub spike: ByAxis<FittedReversalSpike>,
     /// Following error of the first axis minus the second, ms: `following_error.A`.
     pub servo_mismatch_ms: Option<f64>,
     /// Cyclic error per axis with a period of a screw.
-    pub cyclic: ByAxis<Cyclic>,
+    pub cyclic: ByAxis<FittedCyclicError>,
     /// Cyclic error per axis with a period that no screw has.
     /// It may be a map as well as a wave.
-    pub form: ByAxis<Cyclic>,
+    pub form: ByAxis<FittedCyclicError>,
     /// 95 % intervals by name.
     pub interval_95: BTreeMap<String, [f64; 2]>,
     /// Separable causes: those with a share, largest first, then the others.
-    pub contributions: Vec<Contribution>,
+    pub contributions: Vec<CauseContribution>,
     /// Causes that one direction of rotation at one feed cannot separate.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub not_separable: Option<NotSeparable>,
+    pub not_separable: Option<InseparableCauses>,
     /// RMS of the least residual that the causes can leave, µm.
     pub rms: f64,
     /// Standard deviation of one reading, µm, of the record where it is largest.
@@ -166,7 +166,7 @@ const ROUNDING_STEPS: usize = 3;
 /// A term of the fit: a weighted sum of effects.
 /// `free` lists the free values of the first effect.
 #[derive(Clone)]
-pub(super) struct Term {
+pub(super) struct FitTerm {
     pub(super) name: String,
     pub(super) parts: Vec<(Effect, f64)>,
     pub(super) free: Vec<usize>,
@@ -174,7 +174,7 @@ pub(super) struct Term {
     pub(super) only: Option<usize>,
 }
 
-impl Term {
+impl FitTerm {
     /// Whether it is reported: spikes and cyclic errors only if they are in `told`.
     fn is_told(&self, told: &[String]) -> bool {
         !(self.name.starts_with("spike.") || self.name.starts_with("cyclic.")) || told.contains(&self.name)
@@ -183,8 +183,8 @@ impl Term {
 
 /// The fit of one plane.
 #[derive(Clone)]
-pub(super) struct Fit<'t> {
-    pub(super) traces: &'t [Trace],
+pub(super) struct DiagnosisFit<'t> {
+    pub(super) traces: &'t [CircleTrace],
     /// First stacked row of each trace.
     pub(super) start: Vec<usize>,
     pub(super) n: usize,
@@ -192,7 +192,7 @@ pub(super) struct Fit<'t> {
     pub(super) y: DVector<f64>,
     /// That circle of each record: radius and centre, µm.
     circle: Vec<[f64; 3]>,
-    pub(super) terms: Vec<Term>,
+    pub(super) terms: Vec<FitTerm>,
     /// Rows that follow the one before them in the same contour.
     pub(super) follows: Vec<bool>,
     /// Rows that are fitted.
@@ -222,7 +222,7 @@ pub(super) struct ValueUncertainty {
 }
 
 /// Fits one plane.
-pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<Diagnosis> {
+pub(super) fn diagnose(traces: &[CircleTrace], warnings: &mut Vec<String>) -> Result<Diagnosis> {
     let mut settled_mm = SETTLED_MM;
     loop {
         let mut said = Vec::new();
@@ -241,12 +241,12 @@ pub(super) fn diagnose(traces: &[Trace], warnings: &mut Vec<String>) -> Result<D
 /// The readings of a coarse gauge less the rounding error that the laws predict.
 /// Equal values round alike, so rounding looks like a cause. Where noise or structure dithers the readings
 /// the correction vanishes. `None` for gauges without steps.
-fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trace>>> {
+fn without_rounding(traces: &[CircleTrace], settled_mm: f64) -> Result<Option<Vec<CircleTrace>>> {
     let axes = traces[0].record.circle().map(|c| c.plane.clone());
     let Some(axes) = axes.filter(|_| traces.iter().any(|t| t.step_um > 0.0)) else { return Ok(None) };
     let mut finer = traces.to_vec();
     for _ in 0..ROUNDING_STEPS {
-        let mut fit = Fit::of_laws(&finer, [&axes[0], &axes[1]], settled_mm, &mut Vec::new())?;
+        let mut fit = DiagnosisFit::of_laws(&finer, [&axes[0], &axes[1]], settled_mm, &mut Vec::new())?;
         fit.memory();
         let left = fit.left();
         let start = fit.start;
@@ -266,7 +266,7 @@ fn without_rounding(traces: &[Trace], settled_mm: f64) -> Result<Option<Vec<Trac
 }
 
 /// As `diagnose`, from rows at least this far from both axes' reversals, mm.
-fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>) -> Result<Diagnosis> {
+fn diagnose_beyond(traces: &[CircleTrace], settled_mm: f64, warnings: &mut Vec<String>) -> Result<Diagnosis> {
     let all_circles = traces.iter().all(|t| t.record.circle().is_some());
     let Some(circle) = traces[0].record.circle().filter(|_| all_circles) else {
         let no_circle =
@@ -282,13 +282,13 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
     };
     let axes = circle.plane.each_ref();
     let mut told = Vec::new();
-    let mut fit = Fit::of_laws(traces, axes, settled_mm, warnings)?;
+    let mut fit = DiagnosisFit::of_laws(traces, axes, settled_mm, warnings)?;
     fit.search(axes, &mut told);
     // With one direction of rotation structure looks like reversal and squareness: assume it is there.
     if !fit.structure.both_ways || fit.harmonics_show() {
         // Effects found before may have been structure.
         told.clear();
-        fit = Fit::of_laws(traces, axes, settled_mm, &mut Vec::new())?;
+        fit = DiagnosisFit::of_laws(traces, axes, settled_mm, &mut Vec::new())?;
         fit.take_beside(&fit.structure.columns.clone());
         fit.search(axes, &mut told);
     }
@@ -314,17 +314,17 @@ fn diagnose_beyond(traces: &[Trace], settled_mm: f64, warnings: &mut Vec<String>
 }
 
 /// Mean radius and centre of a record's least-squares circles, µm.
-fn circle_of(trace: &Trace) -> [f64; 3] {
+fn circle_of(trace: &CircleTrace) -> [f64; 3] {
     let contours = trace.evaluate();
     let n = contours.len().max(1) as f64;
     let mean = |of: &dyn Fn(&super::ContourResult) -> f64| contours.iter().map(of).sum::<f64>() / n;
     [mean(&|c| c.radius_um), mean(&|c| c.centre_um[0]), mean(&|c| c.centre_um[1])]
 }
 
-impl<'t> Fit<'t> {
+impl<'t> DiagnosisFit<'t> {
     /// A fit with the linear laws.
     fn of_laws(
-        traces: &'t [Trace],
+        traces: &'t [CircleTrace],
         [a, b]: [&Axis; 2],
         settled_mm: f64,
         warnings: &mut Vec<String>,
@@ -361,7 +361,7 @@ impl<'t> Fit<'t> {
     }
 
     /// The terms, each with the places of its free values among all.
-    pub(super) fn placed(&self) -> impl Iterator<Item = (&Term, Range<usize>)> {
+    pub(super) fn placed(&self) -> impl Iterator<Item = (&FitTerm, Range<usize>)> {
         self.terms.iter().scan(0, |end, t| {
             let start = *end;
             *end += t.free.len();
@@ -376,7 +376,7 @@ impl<'t> Fit<'t> {
         self.prepare_beside();
     }
 
-    fn new(traces: &'t [Trace], settled_mm: f64) -> Self {
+    fn new(traces: &'t [CircleTrace], settled_mm: f64) -> Self {
         let mut start = Vec::new();
         let (mut n, mut y, mut follows, mut counts) = (0, Vec::new(), Vec::new(), Vec::new());
         let circle: Vec<[f64; 3]> = traces.iter().map(circle_of).collect();
@@ -435,7 +435,7 @@ impl<'t> Fit<'t> {
     pub(super) fn push(&mut self, name: &str, parts: Option<Vec<(Effect, f64)>>) {
         let Some(parts) = parts else { return };
         let free = vec![0; usize::from(!parts.is_empty())];
-        self.terms.push(Term { name: name.to_owned(), parts, free, only: None });
+        self.terms.push(FitTerm { name: name.to_owned(), parts, free, only: None });
     }
 
     /// Columns over all rows; `fill` writes the `width` columns of one record.
@@ -466,7 +466,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Derivatives of a term by its free values.
-    pub(super) fn slopes(&self, term: &Term) -> Vec<DVector<f64>> {
+    pub(super) fn slopes(&self, term: &FitTerm) -> Vec<DVector<f64>> {
         let mut sum: Vec<DVector<f64>> = Vec::new();
         for (effect, weight) in &term.parts {
             let width = effect.values().len();
@@ -483,7 +483,7 @@ impl<'t> Fit<'t> {
 
     /// Shift of a record's circle by a straight law, µm.
     /// Away from the machine's zero the law also shifts the centre, which is set-up and not shape.
-    fn shift(&self, term: &Term, trace: usize) -> [f64; 2] {
+    fn shift(&self, term: &FitTerm, trace: usize) -> [f64; 2] {
         if !["scale_mismatch_ppm", "squareness_urad"].contains(&term.name.as_str()) {
             return [0.0; 2];
         }
@@ -498,7 +498,7 @@ impl<'t> Fit<'t> {
     }
 
     /// Effect of a cause on the shape of the circles.
-    fn shape(&self, term: &Term) -> DVector<f64> {
+    fn shape(&self, term: &FitTerm) -> DVector<f64> {
         let mut out = self.value(term);
         for (k, (trace, start)) in self.traces.iter().zip(&self.start).enumerate() {
             let [a, b] = self.shift(term, k);
@@ -509,7 +509,7 @@ impl<'t> Fit<'t> {
         out
     }
 
-    pub(super) fn value(&self, term: &Term) -> DVector<f64> {
+    pub(super) fn value(&self, term: &FitTerm) -> DVector<f64> {
         let mut out = DVector::zeros(self.n);
         for (effect, weight) in &term.parts {
             let columns = self.basis(effect, term.only);
@@ -553,7 +553,8 @@ impl<'t> Fit<'t> {
         if self.beside.ncols() == 0 {
             return left;
         }
-        let amplitudes = Directions::by(&self.all_whitened(&self.beside)).solve(&self.whitened(&left));
+        let amplitudes =
+            DeterminedDirections::by(&self.all_whitened(&self.beside)).solve(&self.whitened(&left));
         left - &self.beside * amplitudes
     }
 
@@ -625,7 +626,7 @@ impl<'t> Fit<'t> {
     pub(super) fn step(&mut self) -> f64 {
         let before = self.white(&self.left()).norm_squared();
         let j = self.jacobian();
-        let by = Directions::by(&j).solve(&self.white(&self.left()));
+        let by = DeterminedDirections::by(&j).solve(&self.white(&self.left()));
         // Halve the step until it does not increase the sum.
         for k in 0..8 {
             let kept: Vec<Vec<(Effect, f64)>> = self.terms.iter().map(|t| t.parts.clone()).collect();
@@ -664,8 +665,8 @@ impl<'t> Fit<'t> {
         let white = self.white(&left);
         let variance = white.norm_squared() / freedom * UnexplainedHarmonics::excess_correlation(&white);
         let variance = if self.beside.ncols() > 0 { CHOSEN_AMONG * variance } else { variance };
-        let variance = self.traces.iter().map(Trace::rounding_um2).fold(variance, f64::max);
-        let directions = Directions::by(&j);
+        let variance = self.traces.iter().map(CircleTrace::rounding_um2).fold(variance, f64::max);
+        let directions = DeterminedDirections::by(&j);
         let told_beside = self.structure_variance(&left, variance);
         // Change of each value per µm in each of the laws' orders.
         let moves = told_beside
@@ -745,7 +746,7 @@ impl<'t> Fit<'t> {
 
     /// The physical range of each free value.
     fn widest(&self) -> impl Iterator<Item = f64> {
-        let of = |t: &Term| -> Vec<f64> {
+        let of = |t: &FitTerm| -> Vec<f64> {
             let parameters = t.parts.first().map(|(e, _)| &e.description().parameters);
             let width = |i: &usize| parameters.map_or(f64::INFINITY, |p| p[*i].bounds[1] - p[*i].bounds[0]);
             t.free.iter().map(width).collect()
@@ -763,17 +764,18 @@ impl<'t> Fit<'t> {
 
     fn scatter_um(&self) -> f64 {
         let left = self.left();
-        let of = |(t, start): (&Trace, &usize)| t.scatter_um(&left.as_slice()[*start..][..t.radial.len()]);
+        let of =
+            |(t, start): (&CircleTrace, &usize)| t.scatter_um(&left.as_slice()[*start..][..t.radial.len()]);
         self.traces.iter().zip(&self.start).map(of).fold(0.0, f64::max)
     }
 
     /// Causes and set-up terms that these runs cannot determine, in words.
     fn not_told(&self, told: &[String], shown: &ValueUncertainty) -> Vec<String> {
-        let is_open = |(t, places): &(&Term, Range<usize>)| {
+        let is_open = |(t, places): &(&FitTerm, Range<usize>)| {
             !shown.resolved[places.clone()].iter().all(|r| *r) && self.separates(&t.name) && t.is_told(told)
         };
         let set_up = |_| "the set-up (centre, radius)".to_owned();
-        let name = |(t, _): (&Term, _)| t.only.map_or_else(|| cause(&t.name), set_up);
+        let name = |(t, _): (&FitTerm, _)| t.only.map_or_else(|| cause(&t.name), set_up);
         each_once(self.placed().filter(is_open).map(name))
     }
 
@@ -783,7 +785,7 @@ impl<'t> Fit<'t> {
         &self,
         shown: &ValueUncertainty,
         told: &[String],
-    ) -> (Values, Vec<Contribution>, Option<NotSeparable>) {
+    ) -> (Values, Vec<CauseContribution>, Option<InseparableCauses>) {
         let mut values = Values::new();
         let (mut contributions, mut not_separable) = (Vec::new(), None);
         for (t, places) in
@@ -802,18 +804,22 @@ impl<'t> Fit<'t> {
                     let share = values.get(&t.name).map_or(0.0, |(v, half)| half / v.abs());
                     let interval_95 = [um * (1.0 - share).max(0.0), um * (1.0 + share)];
                     let causes = ["squareness", "servo mismatch"];
-                    not_separable = Some(NotSeparable { causes, um, interval_95 });
+                    not_separable = Some(InseparableCauses { causes, um, interval_95 });
                     continue;
                 }
                 let holds_zero = |(value, half): &(f64, f64)| value.abs() <= *half;
                 let told = !values.get(&t.name).is_some_and(holds_zero);
-                contributions.push(Contribution { cause: cause(&t.name), um, percent: told.then_some(0.0) });
+                contributions.push(CauseContribution {
+                    cause: cause(&t.name),
+                    um,
+                    percent: told.then_some(0.0),
+                });
             }
         }
         if self.unexplained_um(shown).is_some() {
             let form = self.left() - self.noise();
             let cause = "not explained, the same both ways".to_owned();
-            contributions.push(Contribution { cause, um: form.max() - form.min(), percent: Some(0.0) });
+            contributions.push(CauseContribution { cause, um: form.max() - form.min(), percent: Some(0.0) });
         }
         contributions
             .sort_by(|a, b| b.percent.is_some().cmp(&a.percent.is_some()).then(b.um.total_cmp(&a.um)));
@@ -846,16 +852,16 @@ impl<'t> Fit<'t> {
             axes.iter().map(|a| (a, format!("reversal.{a}"))).filter(|(_, name)| self.separates(name));
         let reversal = reversal.filter_map(|(a, name)| Some((a.to_string(), get(&name)?))).collect();
         let spike = of_axes("spike", ["um", "length_mm"]).into_iter();
-        let spike = spike.map(|(a, [um, length_mm])| (a, Spike { um, length_mm }));
+        let spike = spike.map(|(a, [um, length_mm])| (a, FittedReversalSpike { um, length_mm }));
         let cyclic = of_axes("cyclic", ["period_mm", "um"]).into_iter();
-        let cyclic = cyclic.map(|(a, [period_mm, um])| (a, Cyclic { period_mm, um }));
+        let cyclic = cyclic.map(|(a, [period_mm, um])| (a, FittedCyclicError { period_mm, um }));
         let unexplained_um = self.unexplained_um(shown);
         let (cyclic, form): (Vec<_>, Vec<_>) = cyclic.partition(|(a, c)| {
             let half_mm = values.get(&format!("cyclic.{a}.period_mm")).map_or(0.0, |v| v.1);
             // A wave weaker than the structure may be part of that, whatever its period.
             c.is_of_a_screw(half_mm) && unexplained_um.is_none_or(|rms| c.um > SQRT_2 * rms)
         });
-        let form: ByAxis<Cyclic> = form.into_iter().collect();
+        let form: ByAxis<FittedCyclicError> = form.into_iter().collect();
         for c in &mut contributions {
             if let Some(axis) = c.cause.strip_prefix("cyclic error ").filter(|a| form.contains_key(*a)) {
                 c.cause = format!("form that repeats {axis}");
@@ -945,7 +951,7 @@ impl<'t> Fit<'t> {
             return None;
         }
         let all = self.all_whitened(harmonics);
-        let directions = Directions::by(&all);
+        let directions = DeterminedDirections::by(&all);
         let variances = directions.covariance.diagonal() * variance;
         self.structure.structure_variance(&directions.solve(&self.whitened(left)), &variances)
     }
@@ -953,7 +959,7 @@ impl<'t> Fit<'t> {
 
 /// Rows at their contour's feed; all rows for a fine clock or an uneven feed.
 /// A coarse clock does not resolve the speed of a start or stop, so lag would look like reversals and spikes.
-fn at_feed(trace: &Trace) -> Vec<bool> {
+fn at_feed(trace: &CircleTrace) -> Vec<bool> {
     let n = trace.angle.len();
     let Some(t) = trace.record.data(&Role::Time).filter(|t| tick(t).is_some()) else { return vec![true; n] };
     let speed: Vec<f64> = rates(&trace.angle, t).iter().map(|r| r.abs()).collect();
@@ -969,7 +975,7 @@ fn at_feed(trace: &Trace) -> Vec<bool> {
 }
 
 /// Whether an axis is so near its reversal that the row's direction is uncertain.
-fn turns(trace: &Trace, angle: f64, settled_mm: f64) -> bool {
+fn turns(trace: &CircleTrace, angle: f64, settled_mm: f64) -> bool {
     let radius_mm = trace.record.circle().map_or(f64::INFINITY, |c| c.radius_mm);
     [angle.cos(), angle.sin()].iter().any(|share| radius_mm * (1.0 - share.abs()) < settled_mm)
 }
@@ -1008,5 +1014,5 @@ pub(super) fn columns_of(all: &DMatrix<f64>) -> Vec<DVector<f64>> {
 }
 
 fn residual(j: &DMatrix<f64>, y: &DVector<f64>) -> DVector<f64> {
-    y - j * Directions::by(j).solve(y)
+    y - j * DeterminedDirections::by(j).solve(y)
 }

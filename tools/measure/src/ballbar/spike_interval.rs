@@ -4,8 +4,8 @@
 //! short on one side. The profile of the likelihood is used instead: all heights and lengths whose sum of
 //! squares is within the level. The level includes autocorrelation and structure.
 
-use super::Trace;
-use super::diagnosis::{Fit, Term};
+use super::CircleTrace;
+use super::diagnosis::{DiagnosisFit, FitTerm};
 use nalgebra::{DMatrix, DVector};
 use rtec_least_squares::orthonormal;
 use rtec_model::record::Axis;
@@ -16,20 +16,20 @@ const LENGTHS: i32 = 24;
 const HALVINGS: i32 = 14;
 
 /// Best height of a spike of one length, beside the other terms.
-struct FittedHeight {
+struct FittedSpikeHeight {
     gain: f64,
     um: f64,
     /// Rise of the sum of squares per µm², from the best height.
     curvature: f64,
 }
 
-impl Fit<'_> {
+impl DiagnosisFit<'_> {
     /// Intervals of a spike's height (µm) and length (mm).
     /// `rises` are the allowed rises of the sum of squares.
     ///
     /// The law counts the travel from the last row of the old direction, but the axis turned after it. The
     /// height at the turn is smaller by the decay over that travel. The interval holds both heights.
-    pub(super) fn spike_profile(&self, spike: &Term, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
+    pub(super) fn spike_profile(&self, spike: &FitTerm, rises: [f64; 2]) -> Option<[[f64; 2]; 2]> {
         let (effect, _) = spike.parts.first()?;
         let others = self.terms.iter().filter(|t| t.name != spike.name).flat_map(|t| self.slopes(t));
         let others: Vec<DVector<f64>> = others.map(|c| self.white(&c)).collect();
@@ -40,7 +40,7 @@ impl Fit<'_> {
             let shape = apart(self.basis(&effect.with(&[(1, length_mm)])?, None).first()?);
             let (curvature, with) = (shape.norm_squared(), shape.dot(&measured));
             let gain = with * with / curvature;
-            (curvature > 0.0).then(|| FittedHeight { gain, um: with / curvature, curvature })
+            (curvature > 0.0).then(|| FittedSpikeHeight { gain, um: with / curvature, curvature })
         };
         let best_mm = effect.scalar(1);
         let best = at(best_mm)?.gain;
@@ -78,8 +78,8 @@ impl Fit<'_> {
 }
 
 /// Mean travel from the last row of the old direction to the turn, mm.
-fn mean_unseen_mm(traces: &[Trace], axis: &Axis) -> f64 {
-    let of = |t: &Trace| -> Vec<f64> {
+fn mean_unseen_mm(traces: &[CircleTrace], axis: &Axis) -> f64 {
+    let of = |t: &CircleTrace| -> Vec<f64> {
         let Some(circle) = t.record.circle() else { return Vec::new() };
         let (sin, cos) = (f64::sin as fn(f64) -> f64, f64::cos as fn(f64) -> f64);
         let (share, slope) = if circle.plane[0] == *axis { (cos, sin) } else { (sin, cos) };

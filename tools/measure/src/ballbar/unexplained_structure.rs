@@ -5,7 +5,7 @@
 //! the angle. Orders from three up are fitted. Orders 0 to 2 are radius, centre, scale and squareness. How
 //! much structure adds to those orders is estimated from the orders just above.
 
-use super::Trace;
+use super::CircleTrace;
 use nalgebra::{DMatrix, DVector};
 use rtec_least_squares::principal;
 use rtec_model::record::Role;
@@ -50,7 +50,7 @@ pub(super) struct StructureVariance {
 
 impl UnexplainedHarmonics {
     /// Harmonics of these records, of `n` rows altogether.
-    pub(super) fn of(traces: &[Trace], n: usize) -> Self {
+    pub(super) fn of(traces: &[CircleTrace], n: usize) -> Self {
         let angles = || traces.iter().flat_map(|t| t.angle.iter().copied());
         let senses = || traces.iter().flat_map(|t| &t.contours).map(|c| c.1);
         let both = senses().any(|s| s > 0.0) && senses().any(|s| s < 0.0);
@@ -146,7 +146,7 @@ pub(super) const DRIFTS: usize = 3;
 
 /// Linear drift of radius and centre over a record's time; empty without time.
 /// Out and back on one path, curved drift is the same in both directions: harmonics include it.
-pub(super) fn drift(trace: &Trace, start: usize, n: usize) -> Vec<DVector<f64>> {
+pub(super) fn drift(trace: &CircleTrace, start: usize, n: usize) -> Vec<DVector<f64>> {
     let Some(t) = trace.record.data(&Role::Time) else { return Vec::new() };
     let (from, to) = (t.first().copied().unwrap_or(0.0), t.last().copied().unwrap_or(0.0));
     if to <= from {

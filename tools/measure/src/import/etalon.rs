@@ -9,14 +9,14 @@ use rtec_files::{InputError, Result};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 
-struct Block {
+struct ErrorComponentBlock {
     name: String,
     line: usize,
     points: Vec<(f64, f64)>,
 }
 
-fn blocks(from: &Path, text: &str) -> Result<Vec<Block>> {
-    let mut blocks: Vec<Block> = Vec::new();
+fn blocks(from: &Path, text: &str) -> Result<Vec<ErrorComponentBlock>> {
+    let mut blocks: Vec<ErrorComponentBlock> = Vec::new();
     let mut open: Option<usize> = None;
     for (i, raw) in text.lines().enumerate() {
         let line = raw.split("//").next().unwrap_or("").trim();
@@ -34,7 +34,11 @@ fn blocks(from: &Path, text: &str) -> Result<Vec<Block>> {
             if blocks.iter().any(|b| b.name == name) {
                 return Err(at(format!("[{name}] a second time"), "each block once"));
             }
-            blocks.push(Block { name: name.trim().to_owned(), line: i + 1, points: Vec::new() });
+            blocks.push(ErrorComponentBlock {
+                name: name.trim().to_owned(),
+                line: i + 1,
+                points: Vec::new(),
+            });
             continue;
         }
         let Some(block) = blocks.last_mut() else {

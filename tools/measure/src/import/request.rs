@@ -3,10 +3,10 @@
 use super::{ImportColumn, Sampling, TableSyntax, UserTableFormat, add_note};
 use super::{any_text, cmm_plate, ecmc_dat, etalon, halsampler, linuxcnc_comp, rtl, shdr, table};
 use crate::Sink;
-use crate::derivatives::derive;
-use crate::export::linuxcnc::Unit;
+use crate::compensation_export::linuxcnc::LinuxcncLinearUnit;
+use crate::motion_from_positions::derive;
 #[cfg(feature = "clap")]
-use rtec_files::cli_options::one_of;
+use rtec_files::cli_option_parsers::one_of;
 use rtec_files::file_kind::FileKind;
 use rtec_files::{InputError, InputNotice, Result};
 use rtec_model::ballbar_circle::Circle;
@@ -91,8 +91,8 @@ pub struct ImportRequest {
     #[cfg_attr(feature = "clap", arg(long))]
     pub numbered: bool,
     /// linuxcnc-comp: the machine's `LINEAR_UNITS`
-    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm"))]
-    pub unit: Unit,
+    #[cfg_attr(feature = "clap", arg(long, value_parser = one_of(&LinuxcncLinearUnit::ALL, &[]), default_value = "mm"))]
+    pub unit: LinuxcncLinearUnit,
     /// own: the file that describes the table
     #[cfg_attr(feature = "clap", arg(long, value_name = "FORM.toml", required_if_eq("format", "own")))]
     pub form: Option<PathBuf>,
@@ -113,11 +113,11 @@ impl ImportRequest {
     /// The first finding in the file or in the options.
     pub fn read(&self, circle: Option<Circle>, out: &Path, say: Sink<'_>) -> Result<Record> {
         let file = self.file.as_path();
-        let bytes = rtec_files::text::bytes(file)?;
+        let bytes = rtec_files::text_file::bytes(file)?;
         let text = if self.format == ImportFormat::Rtl {
             any_text(file, &bytes)?
         } else {
-            let (text, encoding) = rtec_files::text::decode_western(file, &bytes)?;
+            let (text, encoding) = rtec_files::text_file::decode_western(file, &bytes)?;
             if let Some(encoding) = encoding {
                 say(InputNotice::Note(format!("{}: read as {encoding}", file.display())));
             }
@@ -135,7 +135,8 @@ impl ImportRequest {
             say(InputNotice::Note(written));
         }
         if matches!(self.format, ImportFormat::LinuxcncComp0 | ImportFormat::LinuxcncComp1) {
-            let unit = if self.unit == Unit::Inch { "inches, written in mm and µm" } else { "mm" };
+            let unit =
+                if self.unit == LinuxcncLinearUnit::Inch { "inches, written in mm and µm" } else { "mm" };
             let text = format!("positions and corrections were read in {unit}: --unit states another");
             say(InputNotice::Note(text));
         }
@@ -190,7 +191,7 @@ impl ImportRequest {
             ImportFormat::Csv => table(file, text, &columns()?, &form, kind()?, out)?,
             ImportFormat::Own => {
                 let path = self.form.as_deref().unwrap_or(Path::new("--form"));
-                UserTableFormat::parse(path, &rtec_files::text::read(path)?)?.read(file, text, out)?
+                UserTableFormat::parse(path, &rtec_files::text_file::read(path)?)?.read(file, text, out)?
             }
             ImportFormat::CmmPlate => cmm_plate(file, text, out)?,
             ImportFormat::Rtl => rtl(file, text, &axis()?, out)?,

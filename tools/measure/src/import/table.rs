@@ -4,8 +4,8 @@
 use super::{add_note, finite, record_of};
 use rtec_files::clock_column::{self, ClockColumn, EpochTime, has_zone};
 use rtec_files::csv::{Cell, Header, Reader, Row};
-use rtec_files::text::rounded;
-use rtec_files::{DecimalMarks, InputError, Result, TableNumberFormat, units};
+use rtec_files::text_file::rounded;
+use rtec_files::{DecimalMarks, InputError, Result, TableNumberFormat, column_units};
 use rtec_model::record::{Column, LINEAR, Record, Role, RunKind};
 use std::borrow::Cow;
 use std::path::Path;
@@ -80,13 +80,13 @@ impl ImportColumn {
         add: f64,
     ) -> Result<Self, (String, String)> {
         let own = role.unit();
-        let unit = unit.map(units::plain);
+        let unit = unit.map(column_units::plain);
         let (unit_there, further) = match (own, unit) {
             (None, any) => (any.unwrap_or("1"), [1.0, 0.0]),
             (Some(own), None) => (own, [1.0, 0.0]),
             (Some(own), Some(u)) if u == own => (own, [1.0, 0.0]),
             (Some(own), Some(u)) => {
-                let others = units::others(own);
+                let others = column_units::others(own);
                 let known: Vec<&str> = std::iter::once(own).chain(others.iter().map(|o| o.0)).collect();
                 let error = || (format!("`{u}`"), format!("a unit of {role}: {}", known.join(", ")));
                 let (_, f, a) = others.iter().find(|o| o.0 == u).ok_or_else(error)?;
@@ -96,7 +96,7 @@ impl ImportColumn {
         let scale = [factor * further[0], add * further[0] + further[1]];
         Ok(Self {
             column: column.to_owned(),
-            name: units::with_unit_replaced(name, unit_there),
+            name: column_units::with_unit_replaced(name, unit_there),
             unit: unit_there.to_owned(),
             role,
             scale,
@@ -114,14 +114,15 @@ impl ImportColumn {
     fn by_header(&self, header: &Header, place: usize) -> Result<(Self, Option<String>)> {
         let name = header.names().nth(place).unwrap_or_default();
         if let Some((said, stated)) =
-            self.unit_said.as_deref().and_then(|s| Some((s, units::contradicted(name, s)?)))
+            self.unit_said.as_deref().and_then(|s| Some((s, column_units::contradicted(name, s)?)))
         {
             let (role, found) = (&self.role, format!("column {name} as {said}: its name says {stated}"));
             let expected =
                 format!("{name}={role}:{stated}, or {name}={role}:{said}*1={said} if the name is wrong");
             return Err(header.finding(found, expected));
         }
-        let Some(stated) = units::stated(name).filter(|_| !self.unit_given && self.role.unit() != Some("1"))
+        let Some(stated) =
+            column_units::stated(name).filter(|_| !self.unit_given && self.role.unit() != Some("1"))
         else {
             return Ok((self.clone(), None));
         };
@@ -387,7 +388,7 @@ const SUMMER_S: f64 = 3600.0;
 const COUNTER: f64 = 4_294_967_296.0;
 
 /// Order of day and month in a column; `None` if no cell looks like a date.
-fn slash_order(text: &str, place: usize, by: char) -> Option<clock_column::SlashOrder> {
+fn slash_order(text: &str, place: usize, by: char) -> Option<clock_column::SlashDateOrder> {
     let is_date = |cell: &str| cell.contains(['/', '-']);
     is_date(text).then_some(())?;
     let cell =
@@ -442,8 +443,8 @@ impl TimeColumnState {
     /// Parses a numeric time, or returns what was expected.
     /// It is relative to the first row if its epoch is long before the run.
     fn number(&mut self, number: f64, w: &ImportColumn, first: bool) -> Result<f64, String> {
-        let in_days = (w.scale[0] - units::DAY_S).abs() < 0.5;
-        let in_filetime = w.scale[0].to_bits() == units::FILETIME_S.to_bits();
+        let in_days = (w.scale[0] - column_units::DAY_S).abs() < 0.5;
+        let in_filetime = w.scale[0].to_bits() == column_units::FILETIME_S.to_bits();
         let counted = || match () {
             () if in_days => clock_column::spreadsheet(number),
             () if in_filetime => clock_column::filetime(number),

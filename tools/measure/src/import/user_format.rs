@@ -16,7 +16,7 @@
 
 use super::table::{ImportColumn, TableSyntax, table};
 use rtec_files::Result;
-use rtec_files::toml::Document;
+use rtec_files::strict_toml::Document;
 use rtec_model::record::{Record, Role, RunKind};
 use std::path::Path;
 

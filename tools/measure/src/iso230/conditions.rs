@@ -25,9 +25,9 @@
 //! drift_um = 1.7
 //! ```
 
-use super::air::Air;
+use super::air_refraction::LaserPathAir;
 use rtec_files::Result;
-use rtec_files::toml::{Document, Entry, Table};
+use rtec_files::strict_toml::{Document, Table, TomlKeyValue};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -37,7 +37,7 @@ pub(crate) const REFERENCE_DEGC: f64 = 20.0;
 
 /// A body that grows with its temperature.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Expansion {
+pub struct ExpandingBody {
     /// The sensor on it.
     pub sensor: String,
     /// Its coefficient of linear expansion, ppm/K.
@@ -47,17 +47,17 @@ pub struct Expansion {
 
 /// Conditions of a test.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Conditions {
+pub struct TestConditions {
     /// Words about machine, place and people, and about the test, in the file's order.
     pub words: Vec<(String, String)>,
     /// Words about the instrument.
     pub instrument: Vec<(String, String)>,
     /// The machine's scale, for the reduction to 20 °C.
-    pub scale: Option<Expansion>,
+    pub scale: Option<ExpandingBody>,
     /// The body it was measured against: work piece or artefact.
-    pub workpiece: Option<Expansion>,
+    pub workpiece: Option<ExpandingBody>,
     /// The air along a laser's path.
-    pub air: Option<Air>,
+    pub air: Option<LaserPathAir>,
     /// Half widths and expanded values by key; see [`PositioningUncertainty`].
     pub stated: BTreeMap<String, f64>,
 }
@@ -87,20 +87,20 @@ const PAIRS: [(&str, &str); 4] = [
     ("device_off_20_K", "device_expansion_ppm_per_K"),
 ];
 
-impl Conditions {
+impl TestConditions {
     /// Reads a file of conditions.
     ///
     /// # Errors
     /// The first finding, with file, line and column.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = rtec_files::text::read(path)?;
+        let text = rtec_files::text_file::read(path)?;
         Self::parse(path, &text)
     }
 
     /// Conditions from text; `path` is for messages.
     ///
     /// # Errors
-    /// As [`Conditions::read`].
+    /// As [`TestConditions::read`].
     pub fn parse(path: &Path, text: &str) -> Result<Self> {
         let doc = Document::parse(path, text)?;
         let root = doc.root();
@@ -114,7 +114,7 @@ impl Conditions {
                     found.scale = t.get("scale").map(expansion).transpose()?;
                     found.workpiece = t.get("workpiece").map(expansion).transpose()?;
                 }
-                ("air", Some(t)) => found.air = Some(Air::read(&t)?),
+                ("air", Some(t)) => found.air = Some(LaserPathAir::read(&t)?),
                 ("uncertainty", Some(t)) => {
                     t.only(&KEYS.map(|k| k.0))?;
                     for (key, meaning) in KEYS {
@@ -188,10 +188,11 @@ impl Conditions {
             return None;
         }
         let mut contributors = along(&stated, radius_mm.unwrap_or(0.0));
-        let square = |all: &[Contributor]| all.iter().map(|c| c.u_um * c.u_um).sum::<f64>();
+        let square = |all: &[UncertaintyContributor]| all.iter().map(|c| c.u_um * c.u_um).sum::<f64>();
         let fixed = square(&contributors);
-        let scatter = Contributor { name: "scatter of a reading".to_owned(), u_um: 2.0 * scatter_um };
-        let each: Vec<Contributor> =
+        let scatter =
+            UncertaintyContributor { name: "scatter of a reading".to_owned(), u_um: 2.0 * scatter_um };
+        let each: Vec<UncertaintyContributor> =
             [drift_of(&stated), scatter].into_iter().filter(|c| c.u_um > 0.0).collect();
         let anew = square(&each);
         contributors.extend(each);
@@ -228,7 +229,7 @@ fn plain(key: &str) -> String {
     UNITS.iter().find_map(in_unit).unwrap_or_else(|| key.replace('_', " "))
 }
 
-fn word(entry: &Entry<'_>) -> Result<String> {
+fn word(entry: &TomlKeyValue<'_>) -> Result<String> {
     let number = entry.as_number().map(|n| n.to_string()).or(entry.as_bool().map(|b| b.to_string()));
     let text = entry.as_str().map(str::to_owned).or(number);
     // A date is written without quotes.
@@ -243,7 +244,7 @@ const LARGEST_UM: f64 = 500.0;
 /// Largest contributor in mm.
 const LARGEST_MM: f64 = 100.0;
 
-fn expansion(entry: Entry<'_>) -> Result<Expansion> {
+fn expansion(entry: TomlKeyValue<'_>) -> Result<ExpandingBody> {
     const FORM: &str = "{ sensor = \"T3\", ppm_per_K = 8.5 }";
     let t = entry.table(FORM)?;
     t.only(&["sensor", "ppm_per_K"])?;
@@ -255,12 +256,12 @@ fn expansion(entry: Entry<'_>) -> Result<Expansion> {
         let expected = "a coefficient of 0.001 to 100 ppm/K, as steel's 11.5, or 0; below zero to -2 for what shrinks as it warms";
         return Err(value.mismatch(expected));
     }
-    Ok(Expansion { sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(), ppm_per_k })
+    Ok(ExpandingBody { sensor: t.required("sensor", FORM)?.str("the sensor's name")?.to_owned(), ppm_per_k })
 }
 
 /// One contributor to an uncertainty.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Contributor {
+pub struct UncertaintyContributor {
     /// Its name.
     pub name: String,
     /// Its expanded uncertainty (k = 2) over the travel, µm.
@@ -298,7 +299,7 @@ pub struct PositioningUncertainty {
     pub k: f64,
     /// Length that it is for, mm.
     pub length_mm: f64,
-    pub contributors: Vec<Contributor>,
+    pub contributors: Vec<UncertaintyContributor>,
     pub A: f64,
     pub E: f64,
     pub R: f64,
@@ -313,7 +314,7 @@ fn get(stated: &BTreeMap<String, f64>, key: &str) -> f64 {
 }
 
 /// Contributors along a length that are not zero.
-fn along(stated: &BTreeMap<String, f64>, length_mm: f64) -> Vec<Contributor> {
+fn along(stated: &BTreeMap<String, f64>, length_mm: f64) -> Vec<UncertaintyContributor> {
     let get = |key: &str| get(stated, key);
     let (metres, root3) = (length_mm / 1000.0, 3.0_f64.sqrt());
     let cosine_um = get("misalignment_mm").powi(2) / (2.0 * length_mm.max(1e-9)) * 1000.0;
@@ -330,12 +331,12 @@ fn along(stated: &BTreeMap<String, f64>, length_mm: f64) -> Vec<Contributor> {
     }
     all.push(("set-up".to_owned(), get("set_up_um")));
     let there = all.into_iter().filter(|(_, u_um)| *u_um > 0.0);
-    there.map(|(name, u_um)| Contributor { name, u_um }).collect()
+    there.map(|(name, u_um)| UncertaintyContributor { name, u_um }).collect()
 }
 
 /// Drift of one reading: a range, independent in every reading.
-fn drift_of(stated: &BTreeMap<String, f64>) -> Contributor {
-    Contributor { name: "drift (E_VE)".to_owned(), u_um: get(stated, "drift_um") / 3.0_f64.sqrt() }
+fn drift_of(stated: &BTreeMap<String, f64>) -> UncertaintyContributor {
+    UncertaintyContributor { name: "drift (E_VE)".to_owned(), u_um: get(stated, "drift_um") / 3.0_f64.sqrt() }
 }
 
 /// Expanded uncertainties (k = 2) of the figures of a circle or of a drift test.
@@ -353,7 +354,7 @@ pub struct CircleAndDriftUncertainty {
     /// Coverage factor.
     pub k: f64,
     /// Contributors in one reading.
-    pub contributors: Vec<Contributor>,
+    pub contributors: Vec<UncertaintyContributor>,
     /// Expanded uncertainty of a difference of two readings, µm.
     #[serde(rename = "U_difference_um")]
     pub difference_um: f64,
@@ -420,7 +421,7 @@ mod tests {
 
     #[test]
     fn conditions_are_read_with_their_places() {
-        let c = Conditions::parse(Path::new("c.toml"), FILE).unwrap();
+        let c = TestConditions::parse(Path::new("c.toml"), FILE).unwrap();
         assert_eq!(c.words[2], ("feed (mm/min)".to_owned(), "1000".to_owned()));
         assert_eq!(c.scale.as_ref().unwrap().sensor, "T3");
         for (from, to, line, found) in [
@@ -439,7 +440,7 @@ mod tests {
             ("machine_ppm_per_K = 11.0\n", "", 13, "machine_temperature_K = 0.5"),
             ("machine_temperature_K = 0.5", "device_off_20_K = 3.0", 13, "machine_ppm_per_K = 11"),
         ] {
-            let e = Conditions::parse(Path::new("c.toml"), &FILE.replacen(from, to, 1)).unwrap_err();
+            let e = TestConditions::parse(Path::new("c.toml"), &FILE.replacen(from, to, 1)).unwrap_err();
             assert!(e.line == line && e.found.contains(found), "{e}");
         }
     }
@@ -447,7 +448,7 @@ mod tests {
     /// Calculated by hand for 1750 mm and five approaches.
     #[test]
     fn uncertainty_by_hand() {
-        let c = Conditions::parse(Path::new("c.toml"), FILE).unwrap();
+        let c = TestConditions::parse(Path::new("c.toml"), FILE).unwrap();
         let u = c.uncertainty(1750.0, 5).unwrap();
         let root3 = 1.732_050_807_568_877_2;
         let device = 0.8 * 1.75;
@@ -481,13 +482,13 @@ mod tests {
         near(unknown.difference_um, s.difference_um);
         assert_eq!(unknown.length_um, None);
         // A drift test is a difference, independent of the length.
-        let of = |text: &str| Conditions::parse(Path::new("c.toml"), text).unwrap().drift_budget(0.3);
+        let of = |text: &str| TestConditions::parse(Path::new("c.toml"), text).unwrap().drift_budget(0.3);
         let stated =
             "[uncertainty]\ndevice_um = 0.3\nset_up_um = 0.4\ndrift_um = 1.7\ndevice_um_per_m = 0.8\n";
         let d = of(stated).unwrap();
         near(d.difference_um, (0.09 + 0.16 + 2.0 * eve * eve + 2.0 * 0.36).sqrt());
         assert_eq!(d.length_um, None);
         assert_eq!(of("[uncertainty]\ndevice_um_per_m = 0.8\n"), None);
-        assert_eq!(Conditions::default().uncertainty(100.0, 5), None);
+        assert_eq!(TestConditions::default().uncertainty(100.0, 5), None);
     }
 }

@@ -2,7 +2,7 @@
 //! Axes move together along the diagonals of a box. Each diagonal has the figures of ISO 230-2; their
 //! differences give squareness.
 
-use super::{Options, Positioning, error_axes, lacks, moments, positioning_with};
+use super::{PositioningOptions, PositioningResult, error_axes, lacks, moments, positioning_with};
 use rtec_files::Result;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, mean, span};
 use serde::Serialize;
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 /// One diagonal.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Diagonal {
+pub struct DiagonalResult {
     /// File name of its record.
     pub record: String,
     /// Axes that move.
@@ -29,13 +29,13 @@ pub struct Diagonal {
     pub assumed: Option<String>,
     /// The figures along it.
     #[serde(flatten)]
-    pub along: Positioning,
+    pub along: PositioningResult,
 }
 
 /// The diagonals of a box, or of its faces.
 /// Values in µm unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Diagonals {
+pub struct DiagonalTestResult {
     /// `body` or `face`.
     pub kind: &'static str,
     /// Diagonal systematic deviation: the largest E of the diagonals.
@@ -57,7 +57,7 @@ pub struct Diagonals {
     /// Its standard error, ppm.
     pub scale_standard_error_ppm: Option<f64>,
     /// Each diagonal.
-    pub diagonals: Vec<Diagonal>,
+    pub diagonals: Vec<DiagonalResult>,
     /// Warnings about its use.
     pub warnings: Vec<String>,
 }
@@ -69,7 +69,7 @@ pub struct Diagonals {
 /// # Errors
 /// A record that is no straight line of two or three axes, or has no error along it; face and body diagonals
 /// mixed; what [`positioning_with`] finds.
-pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
+pub fn diagonals(records: &[Record], options: &PositioningOptions) -> Result<DiagonalTestResult> {
     let all = records.iter().map(|r| diagonal(r, options)).collect::<Result<Vec<_>, _>>()?;
     let first = all.first().map_or(0, |d| d.axes.len());
     if let Some((odd, r)) = all.iter().zip(records).find(|(d, _)| d.axes.len() != first) {
@@ -77,14 +77,14 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
         return Err(lacks(r, &found, "diagonals of one box, or of faces"));
     }
     let largest =
-        |of: fn(&Positioning) -> Option<f64>| all.iter().filter_map(|d| of(&d.along)).reduce(f64::max);
+        |of: fn(&PositioningResult) -> Option<f64>| all.iter().filter_map(|d| of(&d.along)).reduce(f64::max);
     let mut warnings = Vec::new();
     let (squareness_urad, squareness_standard_error_urad) = squareness(&all);
     if squareness_urad.is_empty() {
         let all = if first == 3 { "all four body diagonals" } else { "both diagonals of a face" };
         warnings.push(format!("no squareness: it takes {all} of one box"));
     }
-    let scale_error = |d: &Diagonal| Some(d.slope_standard_error_um? / d.along.travel_mm * 1000.0);
+    let scale_error = |d: &DiagonalResult| Some(d.slope_standard_error_um? / d.along.travel_mm * 1000.0);
     let scales: Vec<f64> = all.iter().map(|d| d.slope_um / d.along.travel_mm * 1000.0).collect();
     for d in &all {
         warnings.extend(d.assumed.iter().map(|a| format!("{}: {a}", d.sense)));
@@ -97,7 +97,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
             }
         }
     }
-    Ok(Diagonals {
+    Ok(DiagonalTestResult {
         kind: if first == 3 { "body" } else { "face" },
         e_d: largest(|p| p.E),
         a_d: largest(|p| p.A),
@@ -111,7 +111,7 @@ pub fn diagonals(records: &[Record], options: &Options) -> Result<Diagonals> {
     })
 }
 
-fn diagonal(record: &Record, options: &Options) -> Result<Diagonal> {
+fn diagonal(record: &Record, options: &PositioningOptions) -> Result<DiagonalResult> {
     let travel = |a| {
         let p = record.position(a)?;
         let [lo, hi] = span(p);
@@ -182,7 +182,7 @@ fn diagonal(record: &Record, options: &Options) -> Result<Diagonal> {
     let line = Record::of_checked(&record.path, RunKind::Positioning, columns);
     let along_it = positioning_with(&line, options)?;
     let along_it = along_it.into_iter().next().ok_or_else(|| lacks(record, "no error", "an error"))?;
-    Ok(Diagonal {
+    Ok(DiagonalResult {
         record: record.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
         axes: moving.iter().map(|m| m.0.to_string()).collect(),
         sense: unit.iter().map(|u| if *u > 0.0 { 'P' } else { 'N' }).collect(),
@@ -237,7 +237,7 @@ fn standard_error_of_mean(errors: impl ExactSizeIterator<Item = Option<f64>>) ->
 
 /// Slope of the mean error over the targets, µm/mm, and its standard error.
 /// The error needs more than two targets.
-fn slope(p: &Positioning) -> (f64, Option<f64>) {
+fn slope(p: &PositioningResult) -> (f64, Option<f64>) {
     let (x, y): (Vec<f64>, Vec<f64>) = p.means().unzip();
     let [xx, xy, _] = moments(&x, &y);
     if xx <= 0.0 {
@@ -251,11 +251,11 @@ fn slope(p: &Positioning) -> (f64, Option<f64>) {
 /// Squareness from the diagonals of one box.
 /// An error of A by the position of B changes a diagonal by α·A·B/D: longer if both axes rise or fall
 /// together, else shorter.
-fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Option<f64>>) {
+fn squareness(all: &[DiagonalResult]) -> (BTreeMap<String, f64>, BTreeMap<String, Option<f64>>) {
     let (mut found, mut errors) = (BTreeMap::new(), BTreeMap::new());
-    let mut boxes: Vec<Vec<&Diagonal>> = Vec::new();
+    let mut boxes: Vec<Vec<&DiagonalResult>> = Vec::new();
     for d in all {
-        let alike = |o: &Diagonal| {
+        let alike = |o: &DiagonalResult| {
             o.axes == d.axes && o.box_mm.iter().zip(&d.box_mm).all(|(a, b)| (a / b - 1.0).abs() < 0.02)
         };
         match boxes.iter_mut().find(|b| b.first().is_some_and(|o| alike(o))) {
@@ -271,15 +271,16 @@ fn squareness(all: &[Diagonal]) -> (BTreeMap<String, f64>, BTreeMap<String, Opti
         }
         for i in 0..axes {
             for j in i + 1..axes {
-                let of = |d: &&Diagonal| {
+                let of = |d: &&DiagonalResult| {
                     let together = d.sense.as_bytes()[i] == d.sense.as_bytes()[j];
                     let change = d.slope_um * d.along.travel_mm / (d.box_mm[i] * d.box_mm[j]) * 1000.0;
                     if together { change } else { -change }
                 };
                 let mean = own.iter().map(of).sum::<f64>() / own.len() as f64;
-                let area = |d: &Diagonal| d.box_mm[i] * d.box_mm[j];
-                let error =
-                    |d: &&Diagonal| Some(d.slope_standard_error_um? * d.along.travel_mm / area(d) * 1000.0);
+                let area = |d: &DiagonalResult| d.box_mm[i] * d.box_mm[j];
+                let error = |d: &&DiagonalResult| {
+                    Some(d.slope_standard_error_um? * d.along.travel_mm / area(d) * 1000.0)
+                };
                 let pair = format!("{}.{}", own[0].axes[i], own[0].axes[j]);
                 errors.insert(pair.clone(), standard_error_of_mean(own.iter().map(error)));
                 found.insert(pair, mean);

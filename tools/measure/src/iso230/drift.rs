@@ -1,25 +1,25 @@
 //! Thermal effects, ISO 230-3: environment, spindle rotation and axis movement.
 
-mod figures;
+mod heat_phases;
 mod scatter;
-mod spans;
 mod streamed;
+mod two_pass_figures;
 
 pub(crate) use streamed::StreamedDriftTest;
 
-use super::{CircleAndDriftUncertainty, Conditions, lacks, targets};
+use super::{CircleAndDriftUncertainty, TestConditions, lacks, targets};
 use crate::plot::{Chart, Series, Style};
-use figures::{SpreadAndChange, SumsForMeans};
+use heat_phases::{HeatPhase, HeatPhaseCollector, HeatSource};
 use rtec_files::Result;
 use rtec_model::record::{Column, Record, Role};
 use scatter::Scatter;
 use serde::Serialize;
-use spans::{HeatSource, Span, Spans};
 use std::collections::BTreeMap;
+use two_pass_figures::{FirstPassSums, SecondPassSums};
 
 /// Thermal drift of one response over the whole test, and phase by phase.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Drift {
+pub struct DriftResult {
     /// The response: `error.z`, or a tilt such as `angle_error.s.a` (spindle about A).
     pub response: String,
     /// Unit of its figures: `um`, or `urad` or `arcsec` of a tilt.
@@ -29,9 +29,9 @@ pub struct Drift {
     pub scatter: f64,
     /// The whole test.
     #[serde(flatten)]
-    pub whole: Figures,
+    pub whole: DriftFigures,
     /// Its phases, in order.
-    pub phases: Vec<Phase>,
+    pub phases: Vec<DriftPhaseResult>,
     /// Uncertainty from instrument, set-up, room and scatter, µm.
     /// Only if the conditions state it.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -40,7 +40,7 @@ pub struct Drift {
 
 /// Figures of a displacement over a time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Figures {
+pub struct DriftFigures {
     /// Range of displacement within the first 60 minutes, d₆₀.
     /// In the environment's phase: `E_TVE` of an hour.
     pub d_60: f64,
@@ -63,7 +63,7 @@ pub struct Figures {
 
 /// One phase of a test, for one response.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Phase {
+pub struct DriftPhaseResult {
     /// `environment`, `spindle`, `movement` or `cooling`.
     pub phase: &'static str,
     /// The same in words, with speed or axis.
@@ -75,7 +75,7 @@ pub struct Phase {
     pub at_mm: Option<f64>,
     /// What the displacement did.
     #[serde(flatten)]
-    pub figures: Figures,
+    pub figures: DriftFigures,
 }
 
 /// A sensor during a drift test.
@@ -101,16 +101,16 @@ const MOST_PLACES: usize = 10;
 ///
 /// # Errors
 /// The record has no time or no error response.
-pub fn drift(record: &Record) -> Result<Vec<Drift>> {
+pub fn drift(record: &Record) -> Result<Vec<DriftResult>> {
     let t = record
         .data(&Role::Time)
         .ok_or_else(|| lacks(record, "no time", "a column of role time: drift is an error over time"))?;
     let spans = spans_of(record, t);
-    let found: Vec<Drift> = displaced(&record.columns)
+    let found: Vec<DriftResult> = displaced(&record.columns)
         .map(|c| {
             let mut scatter = Scatter::default();
             let phases = spans.iter().flat_map(|s| phases(s, record, t, &c.data, &mut scatter)).collect();
-            Drift { phases, ..Drift::of(c, figures(record, t, &c.data, 0..t.len()), &scatter) }
+            DriftResult { phases, ..DriftResult::of(c, figures(record, t, &c.data, 0..t.len()), &scatter) }
         })
         .collect();
     if found.is_empty() {
@@ -120,15 +120,15 @@ pub fn drift(record: &Record) -> Result<Vec<Drift>> {
 }
 
 /// Adds the uncertainty budget to the displacements.
-pub(crate) fn state_budget(all: &mut [Drift], conditions: &Conditions) {
+pub(crate) fn state_budget(all: &mut [DriftResult], conditions: &TestConditions) {
     for d in all.iter_mut().filter(|d| d.unit == "um") {
         d.uncertainty = conditions.drift_budget(d.scatter);
     }
 }
 
-impl Drift {
+impl DriftResult {
     /// A drift without phases, from the figures of the whole test.
-    fn of(column: &Column, whole: Figures, scatter: &Scatter) -> Self {
+    fn of(column: &Column, whole: DriftFigures, scatter: &Scatter) -> Self {
         let (response, unit) = (column.role.to_string(), column.unit.clone());
         let scatter = scatter.of_a_reading();
         Self { response, unit, scatter, whole, phases: Vec::new(), uncertainty: None }
@@ -145,7 +145,7 @@ fn is_move(from_mm: f64, to_mm: f64) -> bool {
     (from_mm - to_mm).abs() > 0.01
 }
 
-fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
+fn spans_of(record: &Record, t: &[f64]) -> Vec<HeatPhase> {
     let rpm = record.data(&Role::SpindleSpeed);
     let positions = record.axes(Role::Position);
     let axes: Vec<_> = positions.filter_map(|a| Some((a.as_str(), record.position(a)?))).collect();
@@ -153,7 +153,7 @@ fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
         let other = |i: Option<usize>| i.and_then(|i| p.get(i)).is_some_and(|q| is_move(*q, p[row]));
         other(row.checked_sub(1)) || other(Some(row + 1))
     };
-    let mut spans = Spans::default();
+    let mut spans = HeatPhaseCollector::default();
     for (row, t) in t.iter().enumerate() {
         let moving: Vec<&str> = axes.iter().filter(|(_, p)| moves(p, row)).map(|(a, _)| *a).collect();
         spans.see(&moving, *t, rpm.map_or(0.0, |r| r[row]));
@@ -162,7 +162,13 @@ fn spans_of(record: &Record, t: &[f64]) -> Vec<Span> {
 }
 
 /// The phase for one response, split by the positions of a moving axis.
-fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scatter) -> Vec<Phase> {
+fn phases(
+    span: &HeatPhase,
+    record: &Record,
+    t: &[f64],
+    e: &[f64],
+    scatter: &mut Scatter,
+) -> Vec<DriftPhaseResult> {
     let rows: Vec<usize> = span.rows.clone().collect();
     let mut at = |at_mm: Option<f64>, rows: &[usize]| {
         scatter.begin();
@@ -189,14 +195,14 @@ fn phases(span: &Span, record: &Record, t: &[f64], e: &[f64], scatter: &mut Scat
     vec![at(None, &rows)]
 }
 
-fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usize> + Clone) -> Figures {
+fn figures(record: &Record, t: &[f64], e: &[f64], rows: impl Iterator<Item = usize> + Clone) -> DriftFigures {
     let degc: Vec<&[f64]> = record.temperatures().map(|c| c.data.as_slice()).collect();
     let of = |row: usize| (t[row], e[row], degc.as_slice(), row);
-    let mut sums = SumsForMeans::new(degc.len());
+    let mut sums = FirstPassSums::new(degc.len());
     for row in rows.clone() {
         sums.see(of(row));
     }
-    let mut look = SpreadAndChange::at(sums);
+    let mut look = SecondPassSums::at(sums);
     for row in rows {
         look.see(of(row));
     }
@@ -222,7 +228,7 @@ pub fn drift_charts(record: &Record) -> Vec<Chart> {
 fn charts_of(
     errors: Vec<(String, Series)>,
     degc: Vec<Series>,
-    spans: &[Span],
+    spans: &[HeatPhase],
     columns: &[Column],
 ) -> Vec<Chart> {
     let start_s = spans.first().map_or(0.0, |s| s.start_s);

@@ -2,13 +2,13 @@
 
 use super::conditions::REFERENCE_DEGC;
 use super::{
-    ALIKE, Conditions, Expansion, MeasuredPosition, PositioningUncertainty, alike, lacks, largest,
+    ALIKE, ExpandingBody, MeasuredPosition, PositioningUncertainty, TestConditions, alike, lacks, largest,
     mean_and_s, mean_of, no_temperature, places, range, spread, targets,
 };
 use crate::gauge_resolution::ReadingResolution;
 use crate::plot::{Chart, Colour, Series, Style};
 use rtec_files::Result;
-use rtec_files::text::short;
+use rtec_files::text_file::short;
 use rtec_model::record::{Axis, Column, Record, Role, mean};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 mod drift_or_step;
 
 use drift_or_step::{DriftOrStep, UNCHANGED};
-pub use drift_or_step::{Step, Trend};
+pub use drift_or_step::{SharedDrift, SharedStep};
 
 /// Axes longer than this, mm, have one approach from each side and no s.
 /// (ISO 230-2:2014, 5.3.3.)
@@ -30,17 +30,17 @@ const URAD_PER_ARCSEC: f64 = std::f64::consts::PI / 648_000.0 * 1e6;
 
 /// Options of an evaluation.
 #[derive(Debug, Clone, Default)]
-pub struct Options {
+pub struct PositioningOptions {
     /// Evaluate runs approached from one side only, with the one-sided figures.
     pub one_way: bool,
     /// Conditions of the test.
-    pub conditions: Conditions,
+    pub conditions: TestConditions,
 }
 
 /// One target of a positioning run.
 /// Values in µm (of tilts in µrad) unless named otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Target {
+pub struct TargetResult {
     /// Target position, mm.
     pub position_mm: f64,
     /// Mean deviation approaching upwards, x̄↑.
@@ -67,7 +67,7 @@ pub struct Target {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[allow(non_snake_case)]
 #[allow(missing_docs)] // the standard's own symbols
-pub struct Positioning {
+pub struct PositioningResult {
     pub axis: String,
     /// The response, as `error.y` or `angle_error.x.b`.
     pub response: String,
@@ -92,24 +92,24 @@ pub struct Positioning {
     pub uncertainty: Option<PositioningUncertainty>,
     /// Rounding error of the means in a coarse gauge; set if most repeats are equal.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub resolution: Option<Resolution>,
+    pub resolution: Option<GaugeResolution>,
     /// The drift of the approaches, if it is beyond chance.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub drift: Option<Trend>,
+    pub drift: Option<SharedDrift>,
     /// The step of the approaches, if it explains them better than a drift.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub step: Option<Step>,
+    pub step: Option<SharedStep>,
     /// Distance from the first to the last target, mm.
     pub travel_mm: f64,
     /// Which test of the standard it is.
     pub test: &'static str,
-    pub targets: Vec<Target>,
+    pub targets: Vec<TargetResult>,
     pub warnings: Vec<String>,
 }
 
 /// Resolution of a gauge, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Resolution {
+pub struct GaugeResolution {
     /// The step that all readings are multiples of.
     pub step: f64,
     /// Largest rounding error of a mean.
@@ -130,8 +130,8 @@ pub fn has_positioning(record: &Record) -> bool {
 ///
 /// # Errors
 /// As [`positioning_with`].
-pub fn positioning(record: &Record) -> Result<Vec<Positioning>> {
-    positioning_with(record, &Options::default())
+pub fn positioning(record: &Record) -> Result<Vec<PositioningResult>> {
+    positioning_with(record, &PositioningOptions::default())
 }
 
 /// Evaluates a positioning run, axis by axis: errors in µm, tilts in µrad.
@@ -141,7 +141,7 @@ pub fn positioning(record: &Record) -> Result<Vec<Positioning>> {
 /// swapped.
 /// One side only without `one_way`; no target with two approaches from one side on an axis of up to 2 m; a
 /// sensor of the conditions that the record lacks.
-pub fn positioning_with(record: &Record, options: &Options) -> Result<Vec<Positioning>> {
+pub fn positioning_with(record: &Record, options: &PositioningOptions) -> Result<Vec<PositioningResult>> {
     let mut found = Vec::new();
     for column in &record.columns {
         let (Role::Error(axis) | Role::AngleError(axis, _)) = &column.role else { continue };
@@ -220,19 +220,19 @@ struct AxisRun<'r> {
 impl AxisRun<'_> {
     /// Corrects the error for the laser's air and reduces it to 20 °C.
     /// Scale and work piece have the expansions and sensors of the conditions.
-    fn reduce(&mut self, conditions: &Conditions) -> Result<()> {
+    fn reduce(&mut self, conditions: &TestConditions) -> Result<()> {
         if let Some(air) = &conditions.air {
             let (corrected, words) = air.corrected(self.record, self.position, &self.error)?;
             self.error = corrected;
             self.notes.push(words);
-        } else if *conditions != Conditions::default() {
+        } else if *conditions != TestConditions::default() {
             let note = "the laser's air is as the instrument took it: no [air] in the conditions";
             self.notes.push(note.to_owned());
         }
         let mut words = Vec::new();
         let bodies = [(&conditions.scale, "scale", 1.0), (&conditions.workpiece, "workpiece", -1.0)];
         for (body, what, sign) in bodies {
-            let Some(Expansion { sensor, ppm_per_k }) = body else { continue };
+            let Some(ExpandingBody { sensor, ppm_per_k }) = body else { continue };
             let expected = "the sensor that the conditions name";
             let error = || no_temperature(self.record, sensor, what, expected);
             let degc = self.record.temperature(sensor).ok_or_else(error)?;
@@ -248,24 +248,33 @@ impl AxisRun<'_> {
     }
 
     /// The targets with these errors.
-    fn list_of(&self, error: &[f64]) -> Vec<Target> {
+    fn list_of(&self, error: &[f64]) -> Vec<TargetResult> {
         let of = |MeasuredPosition { position_mm, up, down }: MeasuredPosition| {
             let (mean_up, mean_down) = (mean_of(&up), mean_of(&down));
             let [s_up, s_down] = [&up, &down].map(|v| mean_and_s(v).map(|m| m.1));
             let reversal = mean_up.zip(mean_down).map(|(u, d)| u - d);
             let repeatability = repeatability(reversal, [s_up, s_down]);
             let approaches = [up.len(), down.len()];
-            Target { position_mm, mean_up, mean_down, s_up, s_down, reversal, repeatability, approaches }
+            TargetResult {
+                position_mm,
+                mean_up,
+                mean_down,
+                s_up,
+                s_down,
+                reversal,
+                repeatability,
+                approaches,
+            }
         };
         places(self.position, Some(self.direction), error).into_iter().map(of).collect()
     }
 
-    fn evaluate(mut self, options: &Options) -> Result<Positioning> {
+    fn evaluate(mut self, options: &PositioningOptions) -> Result<PositioningResult> {
         let list = self.list_of(&self.error);
         let role = &self.column.role;
         let bidirectional = list.iter().any(|t| t.reversal.is_some());
         if !bidirectional && !options.one_way {
-            let seen = |m: fn(&Target) -> Option<f64>| list.iter().any(|t| m(t).is_some());
+            let seen = |m: fn(&TargetResult) -> Option<f64>| list.iter().any(|t| m(t).is_some());
             let how = match (seen(|t| t.mean_up), seen(|t| t.mean_down)) {
                 (true, true) => "approached upwards or downwards, none both ways",
                 (true, false) => "approached upwards only",
@@ -285,11 +294,11 @@ impl AxisRun<'_> {
         self.warn(&list, span, long);
         // All figures use the same approaches; single approaches count on a long axis only.
         let listed = list;
-        let list: Vec<Target> = listed.iter().map(|t| t.counted(long)).collect();
+        let list: Vec<TargetResult> = listed.iter().map(|t| t.counted(long)).collect();
         let ups: Vec<(f64, f64)> = list.iter().filter_map(|t| t.mean_up.zip(t.s_up)).collect();
         let downs: Vec<(f64, f64)> = list.iter().filter_map(|t| t.mean_down.zip(t.s_down)).collect();
         let accuracy = |v: &[(f64, f64)]| range(v.iter().map(|(m, s)| (m - 2.0 * s, m + 2.0 * s)));
-        let mean_range = |m: fn(&Target) -> Option<f64>| spread(list.iter().filter_map(m));
+        let mean_range = |m: fn(&TargetResult) -> Option<f64>| spread(list.iter().filter_map(m));
         let both: Vec<(f64, f64)> = ups.iter().chain(&downs).copied().collect();
         let means = list.iter().flat_map(|t| [t.mean_up, t.mean_down]).flatten();
         let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
@@ -311,7 +320,7 @@ impl AxisRun<'_> {
             Some(DriftOrStep::Step(step)) => (None, Some(step)),
             None => (None, None),
         };
-        let mut found = Positioning {
+        let mut found = PositioningResult {
             axis: self.axis.to_string(),
             response: role.to_string(),
             unit: if tilt { "urad" } else { "um" },
@@ -345,7 +354,7 @@ impl AxisRun<'_> {
     }
 
     /// Rounding error of the means in a coarse gauge; adds a warning.
-    fn resolution(&mut self, unit: &str) -> Option<Resolution> {
+    fn resolution(&mut self, unit: &str) -> Option<GaugeResolution> {
         let column = Column { data: self.error.clone(), ..self.column.clone() };
         let steps =
             ReadingResolution::of_response(self.record, &column).filter(ReadingResolution::is_coarse)?;
@@ -356,7 +365,7 @@ impl AxisRun<'_> {
             "readings in steps of {q} {unit}, most repeats alike: each mean may be off by up to {mean} {unit}, a reversal by up to {reversal} {unit}; \
              scatter below a step does not show in R. A finer gauge shows both"
         ));
-        Some(Resolution { step, mean_within, reversal_within })
+        Some(GaugeResolution { step, mean_within, reversal_within })
     }
 
     /// Largest scatter of the positions of one target, mm.
@@ -366,7 +375,7 @@ impl AxisRun<'_> {
     }
 
     /// Warns of requirements of the standard that this test does not meet.
-    fn warn(&mut self, list: &[Target], span: f64, long: bool) {
+    fn warn(&mut self, list: &[TargetResult], span: f64, long: bool) {
         let (n, scatter_mm) = (list.len(), self.scatter_mm());
         let mut note = |is_so: bool, text: String| self.notes.extend(Some(text).filter(|_| is_so));
         let count = |of: &dyn Fn([usize; 2]) -> bool| list.iter().filter(|t| of(t.approaches)).count();
@@ -399,7 +408,7 @@ impl AxisRun<'_> {
     }
 }
 
-impl Target {
+impl TargetResult {
     /// The target with those sides only that the figures use.
     /// A side needs two approaches, except on a long axis.
     fn counted(&self, long: bool) -> Self {
@@ -424,7 +433,7 @@ pub(crate) fn fewest_targets(span_mm: f64) -> usize {
     FEWEST.max((span_mm / 1000.0 * FEWEST as f64).ceil() as usize)
 }
 
-impl Positioning {
+impl PositioningResult {
     /// `drift` or `step`, if the approaches show one beyond repeatability.
     pub fn changes_by(&self) -> Option<&'static str> {
         self.drift.map(|_| "drift").or(self.step.map(|_| "step"))
@@ -438,7 +447,7 @@ impl Positioning {
 
     /// Position of each target, mm, and mean of its directions.
     pub(crate) fn means(&self) -> impl Iterator<Item = (f64, f64)> {
-        let of = |t: &Target| {
+        let of = |t: &TargetResult| {
             let known: Vec<f64> = [t.mean_up, t.mean_down].into_iter().flatten().collect();
             (!known.is_empty()).then(|| (t.position_mm, mean(&known)))
         };
@@ -465,7 +474,7 @@ impl Positioning {
 
     /// The standard's diagram: mean deviations with ±2s, one colour per direction.
     pub fn chart(&self) -> Chart {
-        type TargetFigure = fn(&Target) -> Option<f64>;
+        type TargetFigure = fn(&TargetResult) -> Option<f64>;
         let (unit, what) = if self.unit == "urad" { ("µrad", "tilt") } else { ("µm", "deviation") };
         let title = match self.response.strip_prefix("angle_error.") {
             Some(axes) => format!("Tilt {axes} (as ISO 230-2)"),
@@ -473,7 +482,7 @@ impl Positioning {
         };
         let mut chart =
             Chart::new(&title, &format!("position {} (mm)", self.axis), &format!("{what} ({unit})"));
-        let over_travel = |of: &dyn Fn(&Target) -> Option<f64>| -> Vec<(f64, f64)> {
+        let over_travel = |of: &dyn Fn(&TargetResult) -> Option<f64>| -> Vec<(f64, f64)> {
             self.targets.iter().filter_map(|t| Some((t.position_mm, of(t)?))).collect()
         };
         let sides: [(&str, Colour, [TargetFigure; 2]); 2] = [

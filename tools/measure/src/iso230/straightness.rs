@@ -10,7 +10,7 @@ use serde::Serialize;
 
 /// One place of a straightness run, µm about the reference line.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct StraightPlace {
+pub struct StraightnessPoint {
     /// Position along the axis that moves, mm.
     pub position_mm: f64,
     /// Mean deviation moving upwards; of all rows if no direction is logged.
@@ -25,7 +25,7 @@ pub struct StraightPlace {
 
 /// Straightness of one axis's motion in the direction of another.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Straightness {
+pub struct StraightnessResult {
     /// The axis that moves.
     pub axis: String,
     /// The direction of the error.
@@ -50,7 +50,7 @@ pub struct Straightness {
     /// Distance from the first to the last place, mm.
     pub travel_mm: f64,
     /// The places, in order.
-    pub places: Vec<StraightPlace>,
+    pub places: Vec<StraightnessPoint>,
     /// Warnings about its use.
     pub warnings: Vec<String>,
 }
@@ -80,7 +80,7 @@ pub fn has_straightness(record: &Record) -> bool {
 ///
 /// # Errors
 /// No error across a moving axis; fewer than five places.
-pub fn straightness(record: &Record) -> Result<Vec<Straightness>> {
+pub fn straightness(record: &Record) -> Result<Vec<StraightnessResult>> {
     let pairs = pairs(record);
     if pairs.is_empty() {
         let expected = "one moving position.AXIS and the error across it, as position.x with error.y";
@@ -97,7 +97,7 @@ fn off_line(points: &[(f64, f64)]) -> Option<(Vec<f64>, f64)> {
 }
 
 /// Standard error of the slope of places with these residuals, µm/mm.
-fn slope_error(off: &[StraightPlace]) -> f64 {
+fn slope_error(off: &[StraightnessPoint]) -> f64 {
     let n = off.len() as f64;
     let middle = off.iter().map(|p| p.position_mm).sum::<f64>() / n;
     let square: f64 = off.iter().map(|p| (p.position_mm - middle).powi(2)).sum();
@@ -105,7 +105,7 @@ fn slope_error(off: &[StraightPlace]) -> f64 {
     (left / (n - 2.0) / square).sqrt()
 }
 
-fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
+fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<StraightnessResult> {
     let position = record.position(axis).unwrap_or_default();
     let error = record.data(&Role::Error(across.clone())).unwrap_or_default();
     let direction = record.direction_or_velocity(axis);
@@ -117,9 +117,15 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
         let Some(mean_um) = up_um.zip(down_um).map(|(u, d)| f64::midpoint(u, d)).or(up_um).or(down_um) else {
             continue;
         };
-        places.push(StraightPlace { position_mm, up_um, down_um, mean_um, readings: up.len() + down.len() });
+        places.push(StraightnessPoint {
+            position_mm,
+            up_um,
+            down_um,
+            mean_um,
+            readings: up.len() + down.len(),
+        });
     }
-    let side = |of: fn(&StraightPlace) -> Option<f64>| -> Vec<(f64, f64)> {
+    let side = |of: fn(&StraightnessPoint) -> Option<f64>| -> Vec<(f64, f64)> {
         places.iter().filter_map(|p| Some((p.position_mm, of(p)?))).collect()
     };
     let Some((off, slope)) = off_line(&side(|p| Some(p.mean_um))) else {
@@ -146,7 +152,7 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
         p.up_um = p.up_um.map(|v| v - line_um);
         p.down_um = p.down_um.map(|v| v - line_um);
     }
-    Ok(Straightness {
+    Ok(StraightnessResult {
         symbol: format!("E{}{}", across.to_string().to_uppercase(), axis.to_string().to_uppercase()),
         axis: axis.to_string(),
         across: across.to_string(),
@@ -163,10 +169,10 @@ fn of(record: &Record, axis: &Axis, across: &Axis) -> Result<Straightness> {
     })
 }
 
-impl Straightness {
+impl StraightnessResult {
     /// Deviations from the line along the travel.
     pub fn chart(&self) -> Chart {
-        type PlaceFigure = fn(&StraightPlace) -> Option<f64>;
+        type PlaceFigure = fn(&StraightnessPoint) -> Option<f64>;
         let title = format!("Straightness {}: {} while {} moves", self.symbol, self.across, self.axis);
         let mut chart =
             Chart::new(&title, &format!("position {} (mm)", self.axis), "deviation from the line (µm)");

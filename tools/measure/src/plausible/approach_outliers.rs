@@ -1,7 +1,7 @@
 //! Single approaches to a target that are far from the others to the same target.
 
 use super::physical_peaks::{read_along, stays};
-use super::stats::{distinct, median, range};
+use super::robust_stats::{distinct, median, range};
 use super::{MistakeKind, Suspicion};
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 

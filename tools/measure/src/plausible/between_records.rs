@@ -1,7 +1,7 @@
 //! Checks the records of a session against one another.
 
+use super::robust_stats::{median, middle_range, range};
 use super::sensor_regression::{sensor_regression, with_lags};
-use super::stats::{median, middle_range, range};
 use super::{MistakeKind, Suspicion, approach_outliers};
 use crate::iso230::correlation;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind, mean, span};
@@ -151,14 +151,14 @@ fn as_warm(a: &Record, b: &Record) -> bool {
 }
 
 /// Bins of an axis's positions over two records.
-struct Bins<'r> {
+struct PositionBins<'r> {
     count: usize,
     lo: f64,
     size: f64,
     data: [&'r [f64]; 2],
 }
 
-impl<'r> Bins<'r> {
+impl<'r> PositionBins<'r> {
     /// `None` if the axis does not move or is not logged in both records.
     fn of(axis: &Axis, count: usize, a: &'r Record, b: &'r Record) -> Option<Self> {
         let role = Role::Position(axis.clone());
@@ -175,11 +175,13 @@ impl<'r> Bins<'r> {
 
 fn by_position(a: &Record, ea: &Column, b: &Record, eb: &Column) -> bool {
     let Some(axis) = ea.role.axis() else { return false };
-    let Some(own) = Bins::of(axis, 12, a, b).filter(|_| as_warm(a, b)) else { return false };
+    let Some(own) = PositionBins::of(axis, 12, a, b).filter(|_| as_warm(a, b)) else { return false };
     // On a plate or a circle the other moving axes are part of the place; their bins are coarser.
     let mut bins = vec![own];
     for other in a.axes(Role::Position).filter(|o| *o != axis) {
-        bins.extend(Bins::of(other, 4, a, b).filter(|o| o.size > approach_outliers::MOVES * bins[0].size));
+        bins.extend(
+            PositionBins::of(other, 4, a, b).filter(|o| o.size > approach_outliers::MOVES * bins[0].size),
+        );
     }
     let all = bins.iter().map(|b| b.count).product::<usize>();
     let means = |r: &Record, e: &[f64], side: usize| {

@@ -1,8 +1,8 @@
 //! Duplicated rows, and outliers and constant stretches of responses.
 
 use super::physical_peaks::{LARGEST_PEAK_UM, beside, excused, read_along, stays, ways};
+use super::robust_stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
 use super::small_sample_outliers::{self, SmallSampleOutliers};
-use super::stats::{distinct, longest_run, median, medians_of_others, quantum, range, spread, steps};
 use super::{MistakeKind, Suspicion};
 use crate::gauge_resolution::repeats;
 use rtec_model::record::{Column, Record, Role};

@@ -1,7 +1,7 @@
 //! Detects single positions with a misplaced decimal point or a lost digit.
 //! Other rows between the same places, or the course of the run, show where the axis was.
 
-use super::stats::{median, middle_range, steps};
+use super::robust_stats::{median, middle_range, steps};
 use super::{MistakeKind, Suspicion};
 use rtec_model::record::{Column, Record, Role};
 

@@ -1,50 +1,50 @@
 //! Suspicions: likely mistakes that records show without a model.
 //!
 //! A suspicion is a question to the person who measured, never an error. Records stay unchanged, and
-//! [`Exclusions`] lists what a fit should leave out. Every rule demands more than chance, coarse resolution and
+//! [`FitExclusions`] lists what a fit should leave out. Every rule demands more than chance, coarse resolution and
 //! normal physics explain, so clean data raise nothing. Checks that need a model (another machine, a sign)
 //! are elsewhere.
 //!
 //! | module | what it looks at |
 //! |---|---|
-//! | `sensors` | one temperature or channel against the others: unplugged, range, unit, jump, outliers, a copy |
-//! | `motion` | positions, directions, speeds, times and errors of a run against one another |
+//! | `sensor_cross_check` | one temperature or channel against the others: unplugged, range, unit, jump, outliers, a copy |
+//! | `motion_consistency` | positions, directions, speeds, times and errors of a run against one another |
 //! | `duplicates_and_outliers` | duplicated rows, outliers and constant stretches of responses |
 //! | `small_sample_outliers` | outliers in records of few rows |
 //! | `misplaced_digits` | a position with a misplaced decimal point or a lost digit |
-//! | `stuck` | a frozen sensor, by its noise at other times and by the other sensors |
+//! | `frozen_sensors` | a frozen sensor, by its noise at other times and by the other sensors |
 //! | `approach_outliers` | single approaches far from the others to the same target |
 //! | `physical_peaks` | where a short peak is physical, and in which orders rows are neighbours |
-//! | `pieces` | a record too long for memory, piece by piece |
+//! | `long_record_check` | a record too long for memory, piece by piece |
 //! | `between_records` | records against one another: repeated, a sign, a unit, two sensors exchanged |
-//! | `step` | a lasting step of an error; it may be lost counts, so it is no suspicion |
+//! | `lasting_steps` | a lasting step of an error; it may be lost counts, so it is no suspicion |
 //! | `sensor_regression` | regression of a sensor on other sensors |
 //! | `within_record` | rows against other rows: direction, sign or unit wrong from a row on, exchanged columns, a clock put forward |
-//! | `units` | minutes, hours, inches |
-//! | `stats` | medians, robust spreads, differences |
+//! | `wrong_units` | minutes, hours, inches |
+//! | `robust_stats` | medians, robust spreads, differences |
 
 mod approach_outliers;
 mod between_records;
 mod duplicates_and_outliers;
+mod frozen_sensors;
+mod lasting_steps;
+mod long_record_check;
 mod misplaced_digits;
-mod motion;
+mod motion_consistency;
 mod physical_peaks;
-mod pieces;
+mod robust_stats;
+mod sensor_cross_check;
 mod sensor_regression;
-mod sensors;
 mod small_sample_outliers;
-mod stats;
-mod step;
-mod stuck;
-pub(crate) mod time_column;
-mod units;
+pub(crate) mod time_column_check;
 mod within_record;
+mod wrong_units;
 
 pub use between_records::repeated;
-pub use motion::agreement;
-pub use pieces::RecordPieceSuspicions;
-pub(crate) use sensors::DEGC;
-pub use step::steps_of;
+pub use lasting_steps::steps_of;
+pub use long_record_check::LongRecordSuspicions;
+pub use motion_consistency::agreement;
+pub(crate) use sensor_cross_check::DEGC;
 
 use crate::gauge_resolution;
 use rtec_files::{InputError, InputNotice, Result};
@@ -190,15 +190,15 @@ fn rows_text(rows: &[usize]) -> String {
 pub fn suspicions(records: &[Record]) -> Vec<Suspicion> {
     let mut found = Vec::new();
     for record in records {
-        sensors::look(record, &mut found);
-        motion::look(record, &mut found);
+        sensor_cross_check::look(record, &mut found);
+        motion_consistency::look(record, &mut found);
         duplicates_and_outliers::look(record, records, &mut found);
         misplaced_digits::look(record, &mut found);
         approach_outliers::look(record, &mut found);
-        units::look(record, &mut found);
+        wrong_units::look(record, &mut found);
         within_record::look(record, &mut found);
     }
-    stuck::look(records, &mut found);
+    frozen_sensors::look(records, &mut found);
     between_records::look(records, &mut found);
     // Jumps in several records show that something is switched.
     let jumps = |s: &Suspicion, all: &[Suspicion]| {
@@ -222,14 +222,14 @@ pub fn report_suspicions(records: &[Record], say: &mut dyn FnMut(InputNotice)) -
 /// Reports conditions of records that are no mistakes.
 /// How their CSV is written, a clock that does not begin with the run, constant sensors.
 pub fn say_conditions(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(InputNotice)) {
-    for still in stuck::still(records, found) {
+    for still in frozen_sensors::still(records, found) {
         say(InputNotice::Warning(still));
     }
     for written in records.iter().filter_map(|r| r.written.clone()) {
         say(InputNotice::Note(written));
     }
     let clocks = records.iter().flat_map(|r| {
-        [time_column::absolute(r), time_column::stands_still(r), gauge_resolution::shared_time(r)]
+        [time_column_check::absolute(r), time_column_check::stands_still(r), gauge_resolution::shared_time(r)]
     });
     for clock in clocks.flatten() {
         say(InputNotice::Warning(clock));
@@ -304,7 +304,7 @@ pub fn usable(records: &[Record], found: &[Suspicion], say: &mut dyn FnMut(Input
 /// becomes NaN.
 pub fn in_figures<'r>(records: &'r [Record], doubts: &[Suspicion]) -> Cow<'r, [Record]> {
     let mut usable = every_row(records, doubts);
-    let of_rows = Exclusions { rows: rows_left_out(doubts), ..Exclusions::default() };
+    let of_rows = FitExclusions { rows: rows_left_out(doubts), ..FitExclusions::default() };
     for (at, record) in records.iter().enumerate() {
         if !of_rows.rows(record).is_empty() {
             usable.to_mut()[at] = of_rows.without(&usable[at]);
@@ -400,7 +400,7 @@ pub fn good_rows<'r>(record: &'r Record, all: usize, say: &mut dyn FnMut(InputNo
 /// piece.
 pub fn hold_last_good(record: &mut Record, held: &mut BTreeMap<String, f64>) -> usize {
     let mut found = Vec::new();
-    sensors::look(record, &mut found);
+    sensor_cross_check::look(record, &mut found);
     let (first, rows) = (record.first_row(), record.rows());
     let mut held_rows = 0;
     for column in record.columns.iter_mut().filter(|c| is_sensor(c)) {
@@ -461,7 +461,7 @@ impl Suspicion {
 
 /// What a fit should leave out.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Exclusions {
+pub struct FitExclusions {
     sensors: BTreeSet<String>,
     rows: BTreeMap<String, BTreeSet<usize>>,
 }
@@ -469,8 +469,8 @@ pub struct Exclusions {
 /// What a fit should leave out after these suspicions.
 /// Sensors are dropped from all records, unless few rows are bad: then those rows. A response with a wrong
 /// unit, sign or direction stays, because only the person who measured knows the truth.
-pub fn unusable(suspicions: &[Suspicion]) -> Exclusions {
-    let mut out = Exclusions::default();
+pub fn unusable(suspicions: &[Suspicion]) -> FitExclusions {
+    let mut out = FitExclusions::default();
     for s in suspicions {
         let is_kept =
             matches!(s.what, MistakeKind::Sign | MistakeKind::Direction | MistakeKind::OtherMachine);
@@ -483,7 +483,7 @@ pub fn unusable(suspicions: &[Suspicion]) -> Exclusions {
     out
 }
 
-impl Exclusions {
+impl FitExclusions {
     /// Whether a temperature or channel of this name is left out.
     pub fn sensor(&self, name: &str) -> bool {
         self.sensors.contains(name)

@@ -2,7 +2,7 @@
 //! Peaks are physical at reversals, at changes of coolant or spindle speed, at peaks of load or a channel,
 //! and at a run's ends.
 
-use super::stats::{median, range, spread, steps};
+use super::robust_stats::{median, range, spread, steps};
 use rtec_model::record::{Axis, Column, Record, Role};
 
 /// Largest amplitude of a reversal spike in the effect dictionary, µm.

@@ -8,7 +8,7 @@
 //! explain (Rosner's generalised test, Technometrics 25, 1983).
 
 use super::physical_peaks::{LARGEST_PEAK_UM, causes, stays, ways};
-use super::stats::{median, quantum};
+use super::robust_stats::{median, quantum};
 use rtec_model::record::{Column, Record, Role, RunKind};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 

@@ -2,9 +2,9 @@
 //! Finds runs with a wrong direction, a sign or a unit that changes midway, exchanged columns and a clock put
 //! forward.
 
+use super::robust_stats::{median, medians_of_others, quantum, range, spread, steps};
 use super::sensor_regression::sensor_regression;
-use super::stats::{median, medians_of_others, quantum, range, spread, steps};
-use super::{MistakeKind, Suspicion, approach_outliers, motion};
+use super::{MistakeKind, Suspicion, approach_outliers, motion_consistency};
 use crate::iso230::{correlation, mean_of};
 use rtec_model::effect::sign;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
@@ -143,7 +143,7 @@ fn runs(record: &Record, axis: &Axis, out: &mut Vec<Suspicion>) {
         return;
     }
     let mut stretches: Vec<(f64, Vec<usize>)> = Vec::new();
-    for (i, m) in motion::moves(p).into_iter().enumerate() {
+    for (i, m) in motion_consistency::moves(p).into_iter().enumerate() {
         let Some(way) = m else { continue };
         match stretches.last_mut() {
             Some((w, rows)) if (*w - way).abs() < 0.5 => rows.push(i),

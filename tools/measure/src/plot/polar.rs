@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 /// Deviations from a circle.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
-pub struct Polar {
+pub struct PolarPlot {
     /// Title above the plot.
     pub title: String,
     /// The two axes of its plane; the angle runs from the first towards the second.
@@ -47,7 +47,7 @@ fn dash(series: &Series, place: usize) -> String {
         .map_or_else(String::new, |(on, off)| format!(" stroke-dasharray=\"{on} {off}\""))
 }
 
-impl Polar {
+impl PolarPlot {
     /// The plot as an SVG document.
     pub fn svg(&self) -> String {
         let deviations = self.series.iter().flat_map(|s| &s.points).map(|p| p.1.abs());

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 
 /// Displacements at positions on a plane.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
-pub struct Vectors {
+pub struct VectorPlot {
     /// Title above the plot.
     pub title: String,
     /// Names of both axes.
@@ -22,7 +22,7 @@ const PLOT_PX: f64 = 460.0;
 const LEFT_PX: f64 = 80.0;
 const TOP_PX: f64 = 45.0;
 
-impl Vectors {
+impl VectorPlot {
     /// The plot as an SVG document.
     pub fn svg(&self) -> String {
         let bounds = |n: usize| span(self.at.iter().map(|(p, _)| p[n]).filter(|v| v.is_finite()));

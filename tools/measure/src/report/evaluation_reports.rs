@@ -2,14 +2,14 @@
 
 use super::{Report, ReportedRecord};
 use crate::ballbar::{BallbarResult, ByAxis, ContourResult};
+use crate::compensation_export::number;
 use crate::drilled_plate::DrilledPlateFit;
-use crate::export::number;
-use crate::history::{FigureHistory, History};
+use crate::figure_history::{FigureHistory, MachineHistory};
 use crate::iso230::{
-    CircleAndDriftUncertainty, Conditions, Diagonal, Diagonals, Drift, Figures, Positioning,
-    ReturnRepeatability, Straightness, Target,
+    CircleAndDriftUncertainty, DiagonalResult, DiagonalTestResult, DriftFigures, DriftResult,
+    PositioningResult, ReturnRepeatability, StraightnessResult, TargetResult, TestConditions,
 };
-use crate::plot::{Chart, Colour, PlotError, PlotSpec, Polar, Series, Style};
+use crate::plot::{Chart, Colour, PlotError, PlotSpec, PolarPlot, Series, Style};
 use rtec_model::record::Record;
 use std::collections::BTreeMap;
 
@@ -48,7 +48,11 @@ const MEANINGS: [(&str, &str); 12] = [
 ];
 
 /// Positioning: figures with their uncertainty, targets, contributors.
-pub(crate) fn positioning(all: &[Positioning], records: &[Record], conditions: &Conditions) -> Drawn {
+pub(crate) fn positioning(
+    all: &[PositioningResult],
+    records: &[Record],
+    conditions: &TestConditions,
+) -> Drawn {
     let axes: Vec<&str> = all.iter().map(|p| p.axis.as_str()).collect();
     let tilts = all.iter().filter(|p| p.unit == "urad").count();
     let what = match tilts {
@@ -65,7 +69,7 @@ pub(crate) fn positioning(all: &[Positioning], records: &[Record], conditions: &
     Ok(report)
 }
 
-fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError> {
+fn add_positioning(report: &mut Report, p: &PositioningResult) -> Result<(), PlotError> {
     let unit = if p.unit == "urad" { "µrad" } else { "µm" };
     let title = format!("{}: {} over {:.1} mm, {} targets", p.response, p.test, p.travel_mm, p.targets.len());
     let (value, u) = (format!("#value ({unit})"), format!("#U, k = 2 ({unit})"));
@@ -97,7 +101,7 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
     report.plot(p.chart())?;
     let title = format!("{}: targets, values in {unit}", p.response);
     let head = ["#i", "#position (mm)", "#n↑", "#n↓", "#mean ↑", "#s ↑", "#mean ↓", "#s ↓", "#B", "#R"];
-    let row = |(i, t): (usize, &Target)| {
+    let row = |(i, t): (usize, &TargetResult)| {
         let counts = t.approaches.map(|n| n.to_string());
         let figures = [t.mean_up, t.s_up, t.mean_down, t.s_down, t.reversal, t.repeatability].map(um);
         let start = [(i + 1).to_string(), format!("{:.3}", t.position_mm)];
@@ -114,13 +118,17 @@ fn add_positioning(report: &mut Report, p: &Positioning) -> Result<(), PlotError
 }
 
 /// Straightness of one axis's motion, across it.
-pub(crate) fn straightness(all: &[Straightness], record: &Record, conditions: &Conditions) -> Drawn {
+pub(crate) fn straightness(
+    all: &[StraightnessResult],
+    record: &Record,
+    conditions: &TestConditions,
+) -> Drawn {
     let symbols: Vec<&str> = all.iter().map(|s| s.symbol.as_str()).collect();
     let title = format!("Straightness {} (ISO 230-1)", symbols.join(", "));
     let mut report = Report::new(&title, std::slice::from_ref(record), conditions);
     for s in all {
         report.warn_of(&s.symbol, &s.warnings);
-        let Straightness { symbol, across, axis, travel_mm, places, .. } = s;
+        let StraightnessResult { symbol, across, axis, travel_mm, places, .. } = s;
         let count = places.len();
         let title =
             format!("{symbol}: error in {across} while {axis} moves over {travel_mm:.1} mm, {count} places");
@@ -155,7 +163,7 @@ fn budget(report: &mut Report, of: &str, b: &CircleAndDriftUncertainty, figures:
 }
 
 /// Circular tests: contours, and causes of their deviations.
-pub(crate) fn ballbar(planes: &[BallbarResult], records: &[Record], conditions: &Conditions) -> Drawn {
+pub(crate) fn ballbar(planes: &[BallbarResult], records: &[Record], conditions: &TestConditions) -> Drawn {
     let names: Vec<&str> = planes.iter().map(|b| b.plane.as_str()).collect();
     let title = format!("Circular test in plane {} (ISO 230-4)", names.join(", "));
     let mut report = Report::new(&title, records, conditions);
@@ -258,7 +266,7 @@ fn diagnosis(report: &mut Report, b: &BallbarResult) {
 }
 
 /// One plot per feed.
-fn circles(b: &BallbarResult) -> Vec<Polar> {
+fn circles(b: &BallbarResult) -> Vec<PolarPlot> {
     let mut feeds: BTreeMap<i64, Vec<&ContourResult>> = BTreeMap::new();
     for c in &b.contours {
         // Feeds within about 10 % are one.
@@ -275,7 +283,7 @@ fn circles(b: &BallbarResult) -> Vec<Polar> {
             };
             Series::new(name, Style::Line, c.trace.clone()).coloured(colour)
         });
-        Polar {
+        PolarPlot {
             title: format!("Plane {}{feed}: deviation from the circle", b.plane),
             axes: [a.to_owned(), c.to_owned()],
             radius_mm: b.radius_mm,
@@ -293,10 +301,10 @@ fn natural(name: &str) -> (String, u64) {
 
 /// Thermal drift: the whole test, then phase by phase, each sensor.
 pub(crate) fn drift(
-    all: &[Drift],
+    all: &[DriftResult],
     run: &ReportedRecord,
     charts: Vec<Chart>,
-    conditions: &Conditions,
+    conditions: &TestConditions,
 ) -> Drawn {
     let mut report = Report::of_runs("Thermal effects (ISO 230-3)", std::slice::from_ref(run), conditions);
     if let Some(short) = all.iter().map(|d| d.whole.t_min).reduce(f64::min).filter(|t| *t < 59.5) {
@@ -307,15 +315,16 @@ pub(crate) fn drift(
     let head = "response|unit|#time (min)|#d60|#dt|#last hour|#end − start|#per h|#most per h";
     let head: Vec<&str> = head.split('|').collect();
     // The units are um, urad and arcsec.
-    let unit = |d: &Drift| d.unit.strip_prefix('u').map_or_else(|| d.unit.clone(), |of| format!("µ{of}"));
-    let cells = |f: &Figures| {
+    let unit =
+        |d: &DriftResult| d.unit.strip_prefix('u').map_or_else(|| d.unit.clone(), |of| format!("µ{of}"));
+    let cells = |f: &DriftFigures| {
         let own = [f.d_60, f.d_t, f.d_last_60, f.end, f.rate_per_h].map(um);
         std::iter::once(format!("{:.0}", f.t_min)).chain(own).chain([um(f.max_rate_per_h)])
     };
     let title = "The whole test; d60, dt, last hour: range of the readings within the first hour, all the time, the last hour; end − start: \
                  mean of the last hundredth of the rows minus that of the first; per h: slope of the straight line through all rows; \
                  most per h: largest change from one reading to another an hour later, up or down (– in less than an hour)";
-    let row = |d: &Drift, f: &Figures| [d.response.clone(), unit(d)].into_iter().chain(cells(f));
+    let row = |d: &DriftResult, f: &DriftFigures| [d.response.clone(), unit(d)].into_iter().chain(cells(f));
     report.table(title, &head, all.iter().map(|d| row(d, &d.whole)));
     for chart in charts {
         report.plot(chart)?;
@@ -350,7 +359,7 @@ pub(crate) fn drift(
 }
 
 /// Diagonals: the box's figures, then each diagonal's.
-pub(crate) fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditions) -> Drawn {
+pub(crate) fn diagonals(d: &DiagonalTestResult, records: &[Record], conditions: &TestConditions) -> Drawn {
     let title = format!("Positioning on {} diagonals (ISO 230-6)", d.kind);
     let mut report = Report::new(&title, records, conditions);
     report.warnings.clone_from(&d.warnings);
@@ -378,7 +387,7 @@ pub(crate) fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditio
     let rows = rows.into_iter().map(|row| row.into_iter().take(columns));
     report.table("The diagonals together", &head[..columns], rows);
     let head = ["diagonal", "axes", "#length (mm)", "#A", "#E", "#M", "#R", "#B", "#mean B", "#end to end"];
-    let row = |x: &Diagonal| {
+    let row = |x: &DiagonalResult| {
         let p = &x.along;
         let own = [p.A, p.E, p.M, p.R, p.B, p.B_mean, Some(x.slope_um)].map(um);
         [x.sense.clone(), x.axes.join(" "), format!("{:.1}", p.travel_mm)].into_iter().chain(own)
@@ -400,7 +409,7 @@ pub(crate) fn diagonals(d: &Diagonals, records: &[Record], conditions: &Conditio
 }
 
 /// A plate of holes.
-pub(crate) fn plate(p: &DrilledPlateFit, record: &Record, conditions: &Conditions) -> Drawn {
+pub(crate) fn plate(p: &DrilledPlateFit, record: &Record, conditions: &TestConditions) -> Drawn {
     let mut report = Report::new("Plate of holes", std::slice::from_ref(record), conditions);
     // A scale within its uncertainty implies no temperature of the plate.
     if p.is_scale_beyond_chance() {
@@ -454,9 +463,9 @@ pub(crate) fn plate(p: &DrilledPlateFit, record: &Record, conditions: &Condition
 
 /// One machine's figures over time.
 /// A table, and each figure with its limit and trend.
-pub(crate) fn history(h: &History) -> Drawn {
+pub(crate) fn history(h: &MachineHistory) -> Drawn {
     let title = format!("History of {}", h.machine);
-    let mut report = Report { by: "history", ..Report::new(&title, &[], &Conditions::default()) };
+    let mut report = Report { by: "history", ..Report::new(&title, &[], &TestConditions::default()) };
     for f in h.beyond() {
         report.warn(&format!("{} is beyond its limit", f.name));
     }
@@ -516,7 +525,7 @@ pub(crate) fn history(h: &History) -> Drawn {
 pub(crate) fn repeatability(
     axes: &ByAxis<ReturnRepeatability>,
     record: &Record,
-    conditions: &Conditions,
+    conditions: &TestConditions,
 ) -> Drawn {
     let mut report = Report::new("Returning to one position", std::slice::from_ref(record), conditions);
     let head = "axis|#returns|#standard deviation s (µm)|#4 s (µm)|#range (µm)|#trend (µm a return)|#s about it (µm)";

@@ -56,7 +56,7 @@ fn numpy_finds_the_same() {
     let found = one(std::slice::from_ref(&record));
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("b.csv");
-    std::fs::write(&csv, rtec_measure::record::to_csv(&record)).unwrap();
+    std::fs::write(&csv, rtec_measure::run_record_files::to_csv(&record)).unwrap();
     let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/ballbar.py");
     if !test_needs::python("numpy", "python3-numpy") {
         return;

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::circles::{Noise, Run, column, map_without_line, one};
-use rtec_measure::ballbar::{BallbarResult, Contribution};
+use rtec_measure::ballbar::{BallbarResult, CauseContribution};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record, RunKind};
 use std::collections::BTreeMap;
@@ -45,7 +45,7 @@ fn a_spike_is_found_beside_a_larger_wave() {
 fn what_is_not_told_is_not_ranked() {
     let run = Run { rows: 360, ..Run::both(150.0, 21.0) };
     let found = one(&[run.of_machine("reversal.x um = 4.0", &mut Noise(3), 0.1, 0.0)]).diagnosis;
-    let told = |c: &Contribution| c.percent.is_some();
+    let told = |c: &CauseContribution| c.percent.is_some();
     assert_eq!(found.contributions[0].cause, "reversal x");
     assert!(found.contributions.is_sorted_by_key(|c| !told(c)), "{:?}", found.contributions);
     for (name, cause) in [("squareness_urad", "squareness"), ("servo_mismatch_ms", "servo mismatch")] {

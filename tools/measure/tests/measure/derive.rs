@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::derivatives::derive;
+use rtec_measure::motion_from_positions::derive;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
 use std::path::Path;
 

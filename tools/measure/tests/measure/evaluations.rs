@@ -5,7 +5,7 @@
 use crate::circles::{Noise, Run, one};
 use rtec_builders::column;
 use rtec_measure::evaluation::{self, EvaluationRequest};
-use rtec_measure::iso230::{self, Conditions};
+use rtec_measure::iso230::{self, TestConditions};
 use rtec_model::record::{Record, RunKind};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -45,7 +45,7 @@ fn a_circle_without_radius_says_what_has_no_uncertainty() {
     }
     let full = Run::both(150.0, 25.0).record("b.run.toml", |[_, a, _]| 2.0 * (2.0 * a).sin());
     let bare = Record::new(&full.path, RunKind::Ballbar, full.columns.clone()).unwrap();
-    let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
+    let conditions = TestConditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
     let of = |record: Record| {
         let asked = EvaluationRequest { conditions: conditions.clone(), ..EvaluationRequest::default() };
         let found = evaluation::evaluate(&[record], &asked, &mut |_| ()).unwrap();
@@ -143,7 +143,7 @@ fn a_drift_test_is_evaluated_phase_by_phase() {
 /// Growth, phases and the places of a moving axis do not matter. The budget holds it twice, as a difference does.
 #[test]
 fn a_drifts_scatter_is_its_noise() {
-    let conditions = Conditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
+    let conditions = TestConditions::parse(Path::new("c.toml"), "[uncertainty]\ndevice_um = 0.5\n").unwrap();
     for (noise_um, step_um, shared_s) in
         [(0.3, 0.0, 0.0), (0.05, 1.0, 0.0), (0.3, 0.1, 0.0), (0.3, 0.0, 120.0)]
     {
@@ -195,7 +195,8 @@ fn a_plate_that_is_not_square_is_fitted_at_once() {
     ];
     let record = Record::new(Path::new("p.run.toml"), RunKind::Plate, columns).unwrap();
     let p =
-        rtec_measure::drilled_plate::evaluate(&record, rtec_measure::drilled_plate::Norm::Squares).unwrap();
+        rtec_measure::drilled_plate::evaluate(&record, rtec_measure::drilled_plate::PlateFitLoss::Squares)
+            .unwrap();
     let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-6, "{got} and {want}");
     near(p.joint.terms.scale_x_ppm, sx);
     near(p.joint.terms.scale_y_ppm, sy);
@@ -223,8 +224,11 @@ fn holes_on_one_line_are_no_plate() {
             column("ey", "error.y", along.iter().map(|x| 0.02 * x).collect()),
         ];
         let record = Record::new(Path::new("p.run.toml"), RunKind::Plate, columns).unwrap();
-        let said = rtec_measure::drilled_plate::evaluate(&record, rtec_measure::drilled_plate::Norm::Squares)
-            .unwrap_err();
+        let said = rtec_measure::drilled_plate::evaluate(
+            &record,
+            rtec_measure::drilled_plate::PlateFitLoss::Squares,
+        )
+        .unwrap_err();
         assert!(said.to_string().contains("holes on one line"), "{said}");
     }
 }

@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_files::InputNotice;
+use rtec_measure::compensation_export::TableRange;
+use rtec_measure::compensation_export::linuxcnc::LinuxcncLinearUnit;
+use rtec_measure::compensation_export::request::{ControllerTableFormat, ExportFormat, ExportRequest};
 use rtec_measure::evaluation::{Evaluation, EvaluationRequest, Standard, evaluate_files};
-use rtec_measure::export::TableRange;
-use rtec_measure::export::linuxcnc::Unit;
-use rtec_measure::export::request::{ExportFormat, ExportRequest, TableFormat};
 use rtec_measure::import;
 use rtec_measure::iso230::{self, ReturnRepeatability};
 use rtec_measure::plausible;
@@ -132,12 +132,12 @@ fn every_format_states_what_its_table_leaves_applied() {
     let written = "line = \"{position};{forward};{reverse}\"\nvalue = \"error\"\nposition_unit = \"mm\"\nvalue_unit = \"mm\"\n\
                    position_decimals = 4\nvalue_decimals = 5\nmax_points = 400\n";
     std::fs::write(&form, written).unwrap();
-    let order = |format: ExportFormat, unit: Unit| ExportRequest {
+    let order = |format: ExportFormat, unit: LinuxcncLinearUnit| ExportRequest {
         axis: "x".to_owned(),
         wanted: TableRange { from_mm: -254.0, to_mm: 0.0, step_mm: None, limit_um: 0.5, most: None },
         temperatures_degc: Vec::new(),
         at_mm: Vec::new(),
-        to: TableFormat {
+        to: ControllerTableFormat {
             format,
             unit,
             along: None,
@@ -153,13 +153,13 @@ fn every_format_states_what_its_table_leaves_applied() {
     };
     // A controller that adds the value to what its encoder reads meets the error of that place; others look it up where they
     // were told to go, and drive elsewhere by it.
-    let cases: [(ExportFormat, Unit, bool, Reader); 6] = [
-        (ExportFormat::Linuxcnc, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, false))),
-        (ExportFormat::Linuxcnc, Unit::Inch, false, Box::new(|t| linuxcnc(t, 25.4, false))),
-        (ExportFormat::LinuxcncType1, Unit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, true))),
-        (ExportFormat::Siemens, Unit::Mm, true, Box::new(siemens)),
-        (ExportFormat::Ssfk, Unit::Mm, false, Box::new(beckhoff)),
-        (ExportFormat::Own, Unit::Mm, false, Box::new(own)),
+    let cases: [(ExportFormat, LinuxcncLinearUnit, bool, Reader); 6] = [
+        (ExportFormat::Linuxcnc, LinuxcncLinearUnit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, false))),
+        (ExportFormat::Linuxcnc, LinuxcncLinearUnit::Inch, false, Box::new(|t| linuxcnc(t, 25.4, false))),
+        (ExportFormat::LinuxcncType1, LinuxcncLinearUnit::Mm, false, Box::new(|t| linuxcnc(t, 1.0, true))),
+        (ExportFormat::Siemens, LinuxcncLinearUnit::Mm, true, Box::new(siemens)),
+        (ExportFormat::Ssfk, LinuxcncLinearUnit::Mm, false, Box::new(beckhoff)),
+        (ExportFormat::Own, LinuxcncLinearUnit::Mm, false, Box::new(own)),
     ];
     for (format, unit, by_encoder, read) in cases {
         let exported = order(format, unit).of(&machine).unwrap();
@@ -175,7 +175,7 @@ fn every_format_states_what_its_table_leaves_applied() {
             let stated = exported.document[key].as_f64().unwrap();
             assert!((most - stated).abs() < 0.06, "{format:?} {unit:?} {key}: {most} left, {stated} stated");
         }
-        if (format, unit) == (ExportFormat::Linuxcnc, Unit::Inch) {
+        if (format, unit) == (ExportFormat::Linuxcnc, LinuxcncLinearUnit::Inch) {
             assert!((exported.document["max_up_um"].as_f64().unwrap() - 4.08).abs() < 0.05);
             let says = |w: &String| w.contains("moves the drive by up to");
             assert!(exported.warnings.iter().any(says), "{:?}", exported.warnings);
@@ -417,7 +417,7 @@ fn drift_of_one_way_runs_is_not_their_repeatability() {
             both.columns.iter().map(own).collect(),
         )
         .unwrap();
-        let options = iso230::Options { one_way: true, ..iso230::Options::default() };
+        let options = iso230::PositioningOptions { one_way: true, ..iso230::PositioningOptions::default() };
         let found = iso230::positioning_with(&record, &options).unwrap().remove(0);
         let (with, without) = if way > 0.0 { ("R_up", found.R_up) } else { ("R_down", found.R_down) };
         assert!(without.unwrap() > 10.0 && found.R.is_none(), "{seed}");
@@ -476,9 +476,9 @@ fn a_cross_table_takes_out_what_one_axis_does_to_another() {
         wanted: TableRange { from_mm: 0.0, to_mm: 400.0, step_mm: None, limit_um: 0.3, most: None },
         temperatures_degc: Vec::new(),
         at_mm: vec![("y".to_owned(), 120.0)],
-        to: TableFormat {
+        to: ControllerTableFormat {
             format,
-            unit: Unit::Mm,
+            unit: LinuxcncLinearUnit::Mm,
             along: Some("x".to_owned()),
             along_name: Some("X1".to_owned()),
             table: 3,

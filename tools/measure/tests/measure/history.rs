@@ -4,7 +4,7 @@
 
 use rtec_builders::{column, record};
 use rtec_files::{InputError, Result};
-use rtec_measure::history::{FigureTolerances, history};
+use rtec_measure::figure_history::{FigureTolerances, history};
 use rtec_model::record::{Record, RunKind};
 use std::path::Path;
 

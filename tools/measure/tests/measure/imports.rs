@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::float_cmp)] // a test's own helpers; directions are 1 or -1
 
 use rtec_files::InputError;
-use rtec_measure::export::linuxcnc::Unit;
+use rtec_measure::compensation_export::linuxcnc::LinuxcncLinearUnit;
 use rtec_measure::import::{self, ImportColumn, Sampling, TableSyntax, UserTableFormat};
 use rtec_model::record::{Axis, Record, Role, RunKind};
 use std::path::Path;
@@ -164,33 +164,37 @@ fn factors_names_and_times_as_they_are_written() {
 /// What LinuxCNC reads, and what it would silently leave out.
 #[test]
 fn linuxcnc_files_of_both_types_mean_the_same_errors() {
-    let read = |text: &str, trims: bool, unit: Unit| {
+    let read = |text: &str, trims: bool, unit: LinuxcncLinearUnit| {
         import::linuxcnc_comp(Path::new("x.comp"), text, &axis(), trims, unit, Path::new(TO))
     };
     // At 10 mm it reached 10.004 going up and 9.998 coming down.
-    let positions = read("0 0 0\n10 10.004 9.998\n\n", false, Unit::Mm).unwrap();
-    let trims = read("0 0 0\n10 -0.004 0.002 ; trim\n", true, Unit::Mm).unwrap();
+    let positions = read("0 0 0\n10 10.004 9.998\n\n", false, LinuxcncLinearUnit::Mm).unwrap();
+    let trims = read("0 0 0\n10 -0.004 0.002 ; trim\n", true, LinuxcncLinearUnit::Mm).unwrap();
     assert_eq!(data(&positions, "error.x"), [0.0, 4.0, -2.0, 0.0]);
     assert_eq!(data(&trims, "error.x")[1..3], [4.0, -2.0]);
     // One type read as the other makes errors as large as the travel.
     for (text, trims) in [("0 0 0\n10 10.004 9.998\n", true), ("0 0 0\n10 -0.004 0.002\n", false)] {
-        let e = read(text, trims, Unit::Mm).unwrap_err();
+        let e = read(text, trims, LinuxcncLinearUnit::Mm).unwrap_err();
         assert!(e.expected.contains("choose the other type"), "{e}");
     }
-    let inches = read("0 0 0\n1 1.0001 0.9999\n", false, Unit::Inch).unwrap();
+    let inches = read("0 0 0\n1 1.0001 0.9999\n", false, LinuxcncLinearUnit::Inch).unwrap();
     assert_eq!(data(&inches, "error.x"), [0.0, 2.54, -2.54, 0.0]);
     assert_eq!(data(&inches, "position.x"), [0.0, 25.4, 25.4, 0.0]);
     refused(
-        read("# x\n0 0 0\n10 10 10\n", false, Unit::Mm),
+        read("# x\n0 0 0\n10 10 10\n", false, LinuxcncLinearUnit::Mm),
         1,
         "LinuxCNC stops at this line without a word and has no point at all",
     );
-    refused(read("0 0 0\n5 5 5\n\n10 10 10\n", false, Unit::Mm), 3, "has only the 2 points before it");
-    refused(read("0 0 0\n1 2\n3 3 3\n", false, Unit::Mm), 2, "`1 2`");
-    refused(read("0 0 0\n1 2\n", false, Unit::Mm), 2, "two points at least");
-    refused(read("0 0 0\n0 1 1\n", false, Unit::Mm), 2, "positions that rise");
+    refused(
+        read("0 0 0\n5 5 5\n\n10 10 10\n", false, LinuxcncLinearUnit::Mm),
+        3,
+        "has only the 2 points before it",
+    );
+    refused(read("0 0 0\n1 2\n3 3 3\n", false, LinuxcncLinearUnit::Mm), 2, "`1 2`");
+    refused(read("0 0 0\n1 2\n", false, LinuxcncLinearUnit::Mm), 2, "two points at least");
+    refused(read("0 0 0\n0 1 1\n", false, LinuxcncLinearUnit::Mm), 2, "positions that rise");
     let many: String = (0..257).map(|i| [format!("{i} {i} {i}"), String::new()].join("\n")).collect();
-    refused(read(&many, false, Unit::Mm), 257, "at most 256 points");
+    refused(read(&many, false, LinuxcncLinearUnit::Mm), 257, "at most 256 points");
 }
 
 /// Made here after the structure that seven programs read alike.

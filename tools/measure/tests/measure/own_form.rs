@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::export::user_format::UserFormat;
+use rtec_measure::compensation_export::user_format::UserFormat;
 use std::path::Path;
 
 /// The number of the last point must be one, too.

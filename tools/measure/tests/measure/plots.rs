@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
-use rtec_measure::plot::{Chart, Colour, Polar, Series, Style, Vectors};
+use rtec_measure::plot::{Chart, Colour, PolarPlot, Series, Style, VectorPlot};
 
 #[test]
 fn a_chart_is_an_svg_with_its_words() {
@@ -22,7 +22,7 @@ fn a_chart_is_an_svg_with_its_words() {
 fn a_circle_is_round_and_says_its_scale() {
     let points: Vec<(f64, f64)> =
         (0..360).map(|d| f64::from(d).to_radians()).map(|a| (a, 4.0 * (2.0 * a).cos())).collect();
-    let plot = Polar {
+    let plot = PolarPlot {
         title: "Plane <x-y>".into(),
         axes: ["x".into(), "y".into()],
         radius_mm: Some(150.0),
@@ -40,7 +40,7 @@ fn a_circle_is_round_and_says_its_scale() {
 
 #[test]
 fn arrows_say_how_long_they_are() {
-    let plot = Vectors {
+    let plot = VectorPlot {
         title: "Plate".into(),
         axes: ["x".into(), "y".into()],
         at: vec![([0.0, 0.0], [10.0, 0.0]), ([100.0, 50.0], [0.0, -5.0])],

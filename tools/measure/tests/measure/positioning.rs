@@ -3,7 +3,9 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_builders::column;
-use rtec_measure::iso230::{Conditions, Options, Positioning, diagonals, positioning, positioning_with};
+use rtec_measure::iso230::{
+    PositioningOptions, PositioningResult, TestConditions, diagonals, positioning, positioning_with,
+};
 use rtec_model::record::{Column, Record, Role, RunKind};
 use std::path::Path;
 use std::process::Command;
@@ -47,11 +49,13 @@ const CONDITIONS: &str = "[uncertainty]\ndevice_um = 0.3\ndevice_um_per_m = 0.8\
 #[test]
 fn numpy_finds_the_same() {
     let record = noisy(&cycles(&uneven(800.0, 9), 5));
-    let conditions = Conditions::parse(Path::new("c.toml"), CONDITIONS).unwrap();
-    let found = &positioning_with(&record, &Options { conditions, ..Options::default() }).unwrap()[0];
+    let conditions = TestConditions::parse(Path::new("c.toml"), CONDITIONS).unwrap();
+    let found =
+        &positioning_with(&record, &PositioningOptions { conditions, ..PositioningOptions::default() })
+            .unwrap()[0];
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("y.csv");
-    std::fs::write(&csv, rtec_measure::record::to_csv(&record)).unwrap();
+    std::fs::write(&csv, rtec_measure::run_record_files::to_csv(&record)).unwrap();
     let judge = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/judges/iso230_2.py");
     let stated = CONDITIONS.lines().skip(1).map(|l| l.replace(' ', ""));
     if !test_needs::python("numpy", "python3-numpy") {
@@ -94,7 +98,9 @@ fn one_way_refuses_two_sided_figures() {
     let record = noisy(&rows);
     let e = error_of(&record);
     assert!(e.contains("upwards only") && e.contains("--one-way"), "{e}");
-    let found = &positioning_with(&record, &Options { one_way: true, ..Options::default() }).unwrap()[0];
+    let found =
+        &positioning_with(&record, &PositioningOptions { one_way: true, ..PositioningOptions::default() })
+            .unwrap()[0];
     assert!(found.A_up.is_some() && found.E_up.is_some() && found.R_up.is_some());
     assert!([found.A, found.E, found.R, found.B, found.B_mean, found.M].iter().all(Option::is_none));
 }
@@ -126,7 +132,7 @@ fn swapped_columns_are_named() {
     );
 }
 
-fn warned(p: &Positioning, words: &str) -> bool {
+fn warned(p: &PositioningResult, words: &str) -> bool {
     p.warnings.iter().any(|w| w.contains(words))
 }
 
@@ -209,8 +215,8 @@ fn lengths_are_reduced_to_20_degrees() {
     let scale = "[thermal]\nscale = { sensor = \"T3\", ppm_per_K = 8.5 }\n";
     let piece = "workpiece = { sensor = \"T5\", ppm_per_K = 11.5 }\n";
     let evaluated = |record: &Record, text: &str| {
-        let conditions = Conditions::parse(Path::new("c.toml"), text).unwrap();
-        positioning_with(record, &Options { conditions, ..Options::default() })
+        let conditions = TestConditions::parse(Path::new("c.toml"), text).unwrap();
+        positioning_with(record, &PositioningOptions { conditions, ..PositioningOptions::default() })
     };
     for (ppm, text) in [(25.5, scale.to_owned()), (2.5, format!("{scale}{piece}"))] {
         let found = &evaluated(&grown(ppm), &text).unwrap()[0];
@@ -265,7 +271,7 @@ fn body_diagonals_give_squareness() {
         let records: Vec<Record> = [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, -1.0, 1.0]]
             .map(|s| one(s, by_axis))
             .to_vec();
-        let found = diagonals(&records, &Options::default()).unwrap();
+        let found = diagonals(&records, &PositioningOptions::default()).unwrap();
         assert_eq!(found.kind, "body");
         let senses: Vec<&str> = found.diagonals.iter().map(|d| d.sense.as_str()).collect();
         assert_eq!(senses, ["PPP", "NPP", "PNP", "NNP"]);
@@ -277,7 +283,7 @@ fn body_diagonals_give_squareness() {
         assert!((found.b_d.unwrap() - 2.0 * size[2] / d).abs() < 1e-9, "{:?}", found.b_d);
         let mean = size.iter().zip(scale).map(|(s, ppm)| s * s * ppm).sum::<f64>() / d / d;
         assert!((found.scale_ppm - mean).abs() < 0.01, "{} {mean}", found.scale_ppm);
-        let three = diagonals(&records[..3], &Options::default()).unwrap();
+        let three = diagonals(&records[..3], &PositioningOptions::default()).unwrap();
         assert!(three.squareness_urad.is_empty() && three.warnings.iter().any(|w| w.contains("four")));
     }
 }
@@ -310,7 +316,7 @@ fn a_diagonal_may_be_logged_from_its_other_end() {
     for [a, b] in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
         // The diagonal where both rise together, and the other one.
         let records = [one(a, a, "direction.r"), one(b, -b, "direction.r")];
-        let found = diagonals(&records, &Options::default()).unwrap();
+        let found = diagonals(&records, &PositioningOptions::default()).unwrap();
         let got = found.squareness_urad["x.y"];
         assert!((got - xy).abs() < 0.01, "{a} {b}: {got}");
         assert!((found.b_d.unwrap().abs() - 2.0).abs() < 1e-9, "{:?}", found.b_d);
@@ -328,15 +334,15 @@ fn a_diagonal_may_be_logged_from_its_other_end() {
         }
         Record::new(Path::new("d.run.toml"), RunKind::Positioning, r.columns).unwrap()
     };
-    let found = diagonals(&[sorted(1.0), sorted(-1.0)], &Options::default()).unwrap();
+    let found = diagonals(&[sorted(1.0), sorted(-1.0)], &PositioningOptions::default()).unwrap();
     assert!((found.squareness_urad["x.y"] - xy).abs() < 0.01, "{:?}", found.squareness_urad);
     // An axis across the diagonal is not along it.
     let mut across = one(1.0, 1.0, "direction.y");
     across.columns[2].role = Role::parse("error.z").unwrap();
-    let e = diagonals(&[across], &Options::default()).unwrap_err();
+    let e = diagonals(&[across], &PositioningOptions::default()).unwrap_err();
     assert!(e.found.contains("no error along the diagonal"), "{e}");
     let assumed = |y_way: f64| {
-        let found = diagonals(&[one(y_way, y_way, "direction.y")], &Options::default()).unwrap();
+        let found = diagonals(&[one(y_way, y_way, "direction.y")], &PositioningOptions::default()).unwrap();
         found.warnings.iter().any(|w| w.contains("error.r is taken as positive with y"))
     };
     assert!(assumed(-1.0) && !assumed(1.0));
@@ -344,7 +350,7 @@ fn a_diagonal_may_be_logged_from_its_other_end() {
 
 #[test]
 fn what_is_no_diagonal_is_refused() {
-    let e = diagonals(&[noisy(&cycles(&uneven(800.0, 9), 5))], &Options::default()).unwrap_err();
+    let e = diagonals(&[noisy(&cycles(&uneven(800.0, 9), 5))], &PositioningOptions::default()).unwrap_err();
     assert!(e.to_string().contains("1 moving axes (y)"), "{e}");
 }
 

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use rtec_measure::prediction::{csv, predict, write};
-use rtec_measure::record;
+use rtec_measure::run_record_files;
 use rtec_model::machine::Machine;
 use std::fmt::Write as _;
 
@@ -30,7 +30,7 @@ fn motion_that_nobody_logged_is_that_of_the_positions() {
     }
     std::fs::write(at("r.csv"), rows).unwrap();
     let machine = Machine::read(&at("m.toml")).unwrap();
-    let record = record::read(&at("r.run.toml")).unwrap();
+    let record = run_record_files::read(&at("r.run.toml")).unwrap();
     let mut said = Vec::new();
     let predicted = predict(&machine, &record, &mut |s| said.push(s.to_string())).unwrap().remove(0).1;
     // 10 µm at 1 m/s²; 0.8 m/s² at the ends of the stroke.
@@ -62,7 +62,7 @@ fn a_prediction_row_by_row_is_that_of_the_whole() {
     let both = |machine: &Machine, interval: bool| {
         let (mut said, mut written, mut said_by_rows) = (Vec::new(), Vec::new(), Vec::new());
         let path = at("r.run.toml");
-        let record = record::read(&path).unwrap();
+        let record = run_record_files::read(&path).unwrap();
         let whole = csv(machine, &record, interval, &mut |s| said.push(s.to_string()));
         let by_rows =
             write(machine, &path, interval, &mut written, &mut |s| said_by_rows.push(s.to_string()));
@@ -105,7 +105,7 @@ fn a_prediction_row_by_row_is_that_of_the_whole() {
     assert!(both(&machine, true).0.is_ok());
     // A mistake far after the first piece names its row.
     std::fs::write(at("r.csv"), text + "5,1,2,,3,4\n").unwrap();
-    let whole = record::read(&at("r.run.toml")).unwrap_err();
+    let whole = run_record_files::read(&at("r.run.toml")).unwrap_err();
     for interval in [false, true] {
         let by_rows = write(&machine, &at("r.run.toml"), interval, &mut Vec::new(), &mut |_| {});
         let by_rows = by_rows.unwrap_err().to_string();

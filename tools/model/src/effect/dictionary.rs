@@ -2,8 +2,8 @@
 
 use super::laws::BUILT_IN;
 use super::{
-    Effect, Law, LawDescription, Naming, Owner, Parameter, ParameterSearch, ProbingDependence, RequiredInput,
-    TemperatureDifference, ValueError,
+    Effect, EffectNameAxes, EffectOwner, Law, LawDescription, LawParameter, ParameterFitMethod,
+    ParameterValueError, ProbingDependence, RequiredInput, TemperatureDifference,
 };
 use crate::record::{Axis, LINEAR, Record, Role, RunKind};
 use std::sync::Arc;
@@ -30,10 +30,14 @@ impl Dictionary {
     ///
     /// # Errors
     /// The dictionary already has a law of that name.
-    pub fn insert(&mut self, law: Arc<dyn Law>) -> Result<(), ValueError> {
+    pub fn insert(&mut self, law: Arc<dyn Law>) -> Result<(), ParameterValueError> {
         let name = &law.describe().name;
         if self.laws.iter().any(|l| l.describe().name == *name) {
-            return Err(ValueError::new(name, "a law of that name", "a name the dictionary does not have"));
+            return Err(ParameterValueError::new(
+                name,
+                "a law of that name",
+                "a name the dictionary does not have",
+            ));
         }
         self.laws.push(law);
         Ok(())
@@ -44,19 +48,19 @@ impl Dictionary {
     ///
     /// # Errors
     /// Unknown law, or a name whose ending does not suit the law.
-    pub fn effect(&self, name: &str) -> Result<Effect, ValueError> {
+    pub fn effect(&self, name: &str) -> Result<Effect, ParameterValueError> {
         let (head, rest) = name.split_once('.').map_or((name, None), |(h, r)| (h, Some(r)));
         let Some(law) = self.laws.iter().find(|l| l.describe().name == head) else {
             let known = self.laws.iter().map(|l| l.describe().name.as_str()).collect::<Vec<_>>().join(", ");
             let expected = format!("an effect of the dictionary: {known}");
-            return Err(ValueError::new("name", format!("`{name}`"), expected));
+            return Err(ParameterValueError::new("name", format!("`{name}`"), expected));
         };
         let (axes, channel) = axes_of(law.describe(), rest).ok_or_else(|| {
             let expected = format!("a name like `{head}{}`", form(law.describe().naming));
-            ValueError::new("name", format!("`{name}`"), expected)
+            ParameterValueError::new("name", format!("`{name}`"), expected)
         })?;
         if axes.iter().any(Axis::is_rotary) {
-            return Err(ValueError::new("name", format!("`{name}`, of a rotary axis"), LINEAR));
+            return Err(ParameterValueError::new("name", format!("`{name}`, of a rotary axis"), LINEAR));
         }
         let values: Vec<f64> = law.describe().parameters.iter().map(start_value).collect();
         let (law, width) = (Arc::clone(law), values.len().min(1));
@@ -82,13 +86,13 @@ impl Dictionary {
 }
 
 /// What follows a law's name in an effect's name.
-fn form(naming: Naming) -> &'static str {
+fn form(naming: EffectNameAxes) -> &'static str {
     match naming {
-        Naming::Plain => "",
-        Naming::One => ".x",
-        Naming::Two | Naming::Pair => ".x.y",
-        Naming::Three => ".x.y.z",
-        Naming::Channel => ".x.NAME",
+        EffectNameAxes::Plain => "",
+        EffectNameAxes::One => ".x",
+        EffectNameAxes::Two | EffectNameAxes::Pair => ".x.y",
+        EffectNameAxes::Three => ".x.y.z",
+        EffectNameAxes::Channel => ".x.NAME",
     }
 }
 
@@ -96,22 +100,22 @@ fn form(naming: Naming) -> &'static str {
 /// `None` if that part does not suit the law.
 fn axes_of(law: &LawDescription, rest: Option<&str>) -> Option<(Vec<Axis>, Option<String>)> {
     let parts: Vec<&str> = match (law.naming, rest) {
-        (Naming::Channel, Some(r)) => r.splitn(2, '.').collect(),
+        (EffectNameAxes::Channel, Some(r)) => r.splitn(2, '.').collect(),
         (_, Some(r)) => r.split('.').collect(),
         (_, None) => Vec::new(),
     };
     let axes = |names: &[&str]| names.iter().map(|n| Axis::new(n)).collect::<Option<Vec<Axis>>>();
     match (law.naming, parts.as_slice()) {
-        (Naming::Plain, []) => Some((Vec::new(), None)),
-        (Naming::One, [_]) | (Naming::Three, [_, _, _]) => Some((axes(&parts)?, None)),
-        (Naming::Two | Naming::Pair, [a, b]) if a != b => {
+        (EffectNameAxes::Plain, []) => Some((Vec::new(), None)),
+        (EffectNameAxes::One, [_]) | (EffectNameAxes::Three, [_, _, _]) => Some((axes(&parts)?, None)),
+        (EffectNameAxes::Two | EffectNameAxes::Pair, [a, b]) if a != b => {
             let mut axes = axes(&parts)?;
-            if law.naming == Naming::Pair {
+            if law.naming == EffectNameAxes::Pair {
                 axes.sort();
             }
             Some((axes, None))
         }
-        (Naming::Channel, [a, channel]) if !channel.is_empty() => {
+        (EffectNameAxes::Channel, [a, channel]) if !channel.is_empty() => {
             Some((axes(&[a])?, Some((*channel).to_owned())))
         }
         _ => None,
@@ -169,15 +173,17 @@ impl<'r> CommonColumns<'r> {
             let name = format!("{}.{axis}", law.name);
             let others = self.positions.iter().filter(|p| *p != axis);
             match law.naming {
-                Naming::Plain => names.push(law.name.clone()),
-                Naming::One => names.push(name),
-                Naming::Two | Naming::Pair => names.extend(others.map(|b| format!("{name}.{b}"))),
-                Naming::Three => {
+                EffectNameAxes::Plain => names.push(law.name.clone()),
+                EffectNameAxes::One => names.push(name),
+                EffectNameAxes::Two | EffectNameAxes::Pair => {
+                    names.extend(others.map(|b| format!("{name}.{b}")));
+                }
+                EffectNameAxes::Three => {
                     for (i, b) in self.positions.iter().enumerate() {
                         names.extend(self.positions[i + 1..].iter().map(|c| format!("{name}.{b}.{c}")));
                     }
                 }
-                Naming::Channel => names.extend(self.channels.iter().map(|c| format!("{name}.{c}"))),
+                EffectNameAxes::Channel => names.extend(self.channels.iter().map(|c| format!("{name}.{c}"))),
             }
         }
         names
@@ -186,7 +192,7 @@ impl<'r> CommonColumns<'r> {
     /// Whether every record has the response and the inputs of an effect.
     fn shows(&self, effect: &Effect) -> bool {
         let law = effect.description();
-        let components = if law.naming == Naming::Pair { 2 } else { 1 };
+        let components = if law.naming == EffectNameAxes::Pair { 2 } else { 1 };
         let readable = |need: &RequiredInput| match need {
             RequiredInput::Time | RequiredInput::Channel => true,
             RequiredInput::Delta => !self.sensors.is_empty(),
@@ -202,7 +208,7 @@ impl<'r> CommonColumns<'r> {
         let of_bar = effect.axes.first().is_some_and(|a| a.as_str() == "r")
             && law.needs.iter().any(|n| matches!(n, RequiredInput::Position(_)));
         self.records.iter().all(|r| effect.acts_on(r).len() >= components)
-            && !(circle && (law.owner != Owner::Machine || of_bar))
+            && !(circle && (law.owner != EffectOwner::Machine || of_bar))
             && law.needs.iter().all(readable)
             && !(law.probing == ProbingDependence::Displaced && self.probing)
     }
@@ -224,11 +230,11 @@ impl<'r> CommonColumns<'r> {
 
 /// The start value of a parameter: its default, zero, or the middle of its range.
 /// The middle of the plausible range is geometric where possible.
-fn start_value(p: &Parameter) -> f64 {
+fn start_value(p: &LawParameter) -> f64 {
     let [lo, hi] = p.plausible;
     match p.search {
         _ if p.default.is_some() => p.default.unwrap_or_default(),
-        ParameterSearch::Linear | ParameterSearch::Amplitude | ParameterSearch::Phase => 0.0,
+        ParameterFitMethod::Linear | ParameterFitMethod::Amplitude | ParameterFitMethod::Phase => 0.0,
         _ if lo > 0.0 => (lo * hi).sqrt(),
         _ => f64::midpoint(lo, hi),
     }

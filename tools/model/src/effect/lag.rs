@@ -4,13 +4,13 @@
 
 /// The decay of a first-order lag over one step of time.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Decay {
+pub(super) struct LagStepDecay {
     h_s: f64,
     /// 1 − exp(−h/τ).
     gone: f64,
 }
 
-impl Decay {
+impl LagStepDecay {
     pub(super) fn over(h_s: f64, tau_s: f64) -> Self {
         Self { h_s, gone: -(-h_s / tau_s).exp_m1() }
     }
@@ -39,17 +39,17 @@ fn place_of(h_s: f64) -> usize {
 /// An input passed through a first-order lag row by row.
 /// It starts in equilibrium at its first row.
 #[derive(Debug)]
-pub struct Lag(Lags<1>);
+pub struct Lag(ParallelLags<1>);
 
 impl Lag {
     /// A lag of this time constant, s.
     pub fn new(tau_s: f64) -> Self {
-        Self(Lags::new([tau_s]))
+        Self(ParallelLags::new([tau_s]))
     }
 
     /// A lag that continues from the state of another one.
     pub(super) fn going_on(tau_s: f64, at: Option<[f64; 3]>) -> Self {
-        Self(Lags { before: at.map(|[y, u, t_s]| ([y], u, t_s)), ..Lags::new([tau_s]) })
+        Self(ParallelLags { before: at.map(|[y, u, t_s]| ([y], u, t_s)), ..ParallelLags::new([tau_s]) })
     }
 
     /// Its state: lagged value, input and time of the last row.
@@ -68,7 +68,7 @@ impl Lag {
 /// An input passed through several lags at once, row by row.
 /// It equals as many `Decay::step`s to the last digit and is faster.
 #[derive(Debug)]
-pub struct Lags<const N: usize> {
+pub struct ParallelLags<const N: usize> {
     taus_s: [f64; N],
     /// The cached steps, each with 1 − exp(−h/τ) of every lag.
     /// Rows that are one step apart except for rounding have a few different lengths.
@@ -77,7 +77,7 @@ pub struct Lags<const N: usize> {
     before: Option<([f64; N], f64, f64)>,
 }
 
-impl<const N: usize> Lags<N> {
+impl<const N: usize> ParallelLags<N> {
     /// Lags of these time constants, s.
     pub fn new(taus_s: [f64; N]) -> Self {
         Self { taus_s, steps: [(0.0, [0.0; N]); 8], before: None }
@@ -93,7 +93,7 @@ impl<const N: usize> Lags<N> {
                 let (known_s, gone) = &mut self.steps[place_of(h_s)];
                 if known_s.to_bits() != h_s.to_bits() {
                     *known_s = h_s;
-                    *gone = self.taus_s.map(|tau_s| Decay::over(h_s, tau_s).gone);
+                    *gone = self.taus_s.map(|tau_s| LagStepDecay::over(h_s, tau_s).gone);
                 }
                 let s = (u - u0) / h_s;
                 for ((y, gone), tau_s) in y.iter_mut().zip(gone).zip(self.taus_s) {
@@ -116,14 +116,14 @@ mod tests {
     #[test]
     fn several_lags_at_once_are_each_to_the_last_digit() {
         let taus_s = [0.5, 30.0, 77.0, 4000.0];
-        let mut together = Lags::new(taus_s);
+        let mut together = ParallelLags::new(taus_s);
         let (mut t_s, mut u0, mut each) = (0.0, 20.0, [20.0; 4]);
         for i in 0..500_u32 {
             let h_s = if i % 50 == 0 { 0.0 } else { 0.1 + f64::from(i * i % 17) };
             let (before_s, u) = (t_s, 20.0 + f64::from(i * 7 % 31));
             t_s += h_s;
             for (y, tau_s) in each.iter_mut().zip(taus_s).filter(|_| h_s > 0.0) {
-                *y = Decay::over(t_s - before_s, tau_s).step(tau_s, [*y, u0, u]);
+                *y = LagStepDecay::over(t_s - before_s, tau_s).step(tau_s, [*y, u0, u]);
             }
             u0 = u;
             assert_eq!(together.next(t_s, u).map(f64::to_bits), each.map(f64::to_bits), "row {i}");
@@ -147,8 +147,8 @@ mod tests {
     /// The derivative by the time constant against a difference quotient.
     #[test]
     fn the_slope_by_the_time_constant_is_the_difference_quotient() {
-        let step = |tau: f64| Decay::over(10.0, tau).step(tau, [2.0, 1.0, 4.0]);
-        let slope = Decay::over(10.0, 30.0).step_slope(30.0, 0.0, [2.0, 1.0, 4.0]);
+        let step = |tau: f64| LagStepDecay::over(10.0, tau).step(tau, [2.0, 1.0, 4.0]);
+        let slope = LagStepDecay::over(10.0, 30.0).step_slope(30.0, 0.0, [2.0, 1.0, 4.0]);
         assert!((slope - (step(30.001) - step(29.999)) / 0.002).abs() < 1e-8);
     }
 }

@@ -5,7 +5,7 @@ use crate::record::{Axis, Role};
 
 /// The axes, and the channel if any, that an effect's name has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Naming {
+pub enum EffectNameAxes {
     /// `NAME`: acts on `error.r`, or on the only error response.
     Plain,
     /// `NAME.A`
@@ -82,7 +82,7 @@ pub enum AffectedQuantity {
 
 /// What an effect belongs to: the machine, the probe or the part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Owner {
+pub enum EffectOwner {
     /// The machine: the effect is in everything that it makes or measures.
     #[default]
     Machine,
@@ -142,7 +142,7 @@ pub enum MechanicalParameter {
 
 /// How a fit finds a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ParameterSearch {
+pub enum ParameterFitMethod {
     /// The law is linear in it.
     #[default]
     Linear,
@@ -160,7 +160,7 @@ pub enum ParameterSearch {
 
 /// How a search refines a parameter from the best point of the law's grid.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub enum Refine {
+pub enum ParameterRefinement {
     /// Not at all: it keeps the grid's value.
     #[default]
     Stays,
@@ -178,7 +178,7 @@ pub enum Refine {
 
 /// A parameter of a law.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Parameter {
+pub struct LawParameter {
     /// Key in `machine.toml`.
     pub name: String,
     /// Its unit.
@@ -188,16 +188,16 @@ pub struct Parameter {
     pub plausible: [f64; 2],
     /// Its usual size on machines that have it, in the parameter's unit.
     /// It is the scale of an amplitude's prior. Zero if it is unknown: then a part of `plausible` replaces it
-    /// ([`Parameter::prior_size`]).
+    /// ([`LawParameter::prior_size`]).
     pub typical: f64,
     /// Physical bounds: a value outside is an error.
     pub bounds: [f64; 2],
     /// Why the bounds are these; empty if there are none.
     pub source: String,
     /// How a fit finds it.
-    pub search: ParameterSearch,
+    pub search: ParameterFitMethod,
     /// How a search refines it.
-    pub refine: Refine,
+    pub refine: ParameterRefinement,
     /// One value per knot instead of a single one.
     pub array: bool,
     /// Two effects of one name are distinct if this parameter differs.
@@ -209,10 +209,10 @@ pub struct Parameter {
     pub default: Option<f64>,
 }
 
-impl Parameter {
+impl LawParameter {
     /// A required parameter without bounds.
     /// `plausible` is its range in a sound machine.
-    pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: ParameterSearch) -> Self {
+    pub fn new(name: &str, unit: &str, plausible: [f64; 2], search: ParameterFitMethod) -> Self {
         Self {
             name: name.to_owned(),
             unit: unit.to_owned(),
@@ -225,7 +225,7 @@ impl Parameter {
 
     /// A linear parameter of either sign, plausible up to ±`plausible`.
     pub fn linear(name: &str, unit: &str, plausible: f64) -> Self {
-        Self::new(name, unit, [-plausible, plausible], ParameterSearch::Linear)
+        Self::new(name, unit, [-plausible, plausible], ParameterFitMethod::Linear)
     }
 
     /// Sets its usual size on machines.
@@ -265,7 +265,7 @@ impl Parameter {
 
     /// Sets how a search refines it.
     #[must_use]
-    pub fn refined(self, refine: Refine) -> Self {
+    pub fn refined(self, refine: ParameterRefinement) -> Self {
         Self { refine, ..self }
     }
 
@@ -286,7 +286,7 @@ impl Parameter {
 /// A search tries its period over all frequencies. Its parameters are period, amplitude and phase, in this
 /// order.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wave {
+pub struct PeriodicLawSettings {
     /// Unit of the period, mm.
     pub unit_mm: f64,
     /// Usual periods of machines, mm; among equally good ones they are preferred.
@@ -307,7 +307,7 @@ pub struct LawSearchSettings {
     /// Several of one name may act at once, each with its own period or place.
     pub repeats: bool,
     /// For a wave: how its period is searched. A wave has no grid.
-    pub wave: Option<Wave>,
+    pub wave: Option<PeriodicLawSettings>,
     /// The law that this one accompanies.
     /// A candidate of this law is bound to that law's effect and, if that is a wave, to its period.
     pub beside: Option<&'static str>,
@@ -329,15 +329,15 @@ pub struct LawDescription {
     /// The run that excites it and distinguishes it from similar effects.
     pub experiment: String,
     /// What follows the law's name in the effect's name.
-    pub naming: Naming,
+    pub naming: EffectNameAxes,
     /// The quantity that it acts on.
     pub quantity: AffectedQuantity,
     /// Its parameters, in the order of [`super::Effect::values`].
-    pub parameters: Vec<Parameter>,
+    pub parameters: Vec<LawParameter>,
     /// The quantities that it reads.
     pub needs: Vec<RequiredInput>,
     /// What it belongs to.
-    pub owner: Owner,
+    pub owner: EffectOwner,
     /// How probing changes whether it acts.
     pub probing: ProbingDependence,
     /// How it depends on heat.
@@ -368,7 +368,7 @@ impl LawDescription {
     }
 
     /// The index of the first parameter that a fit finds in this way.
-    pub fn place(&self, search: ParameterSearch) -> Option<usize> {
+    pub fn place(&self, search: ParameterFitMethod) -> Option<usize> {
         self.parameters.iter().position(|p| p.search == search)
     }
 }

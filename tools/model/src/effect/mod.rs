@@ -2,7 +2,7 @@
 //!
 //! A [`Law`] is a kind of effect: its formula, parameters, channels, derivative and experiment. An [`Effect`]
 //! is a law with its axes, sensor and parameter values. Every law is written once, as *coefficients × basis*
-//! at one instant. It serves the batch ([`EffectInputColumns`] over a record), the live path ([`crate::live`])
+//! at one instant. It serves the batch ([`EffectInputColumns`] over a record), the live path ([`crate::live_evaluation`])
 //! and fits:
 //!
 //! e(row) = Σₖ coefficientₖ · basisₖ(row; non-linear parameters)
@@ -20,40 +20,41 @@
 //! |---|---|
 //! | `law_description` | the properties that a law states about itself |
 //! | [`laws`] | the built-in effects |
-//! | `linear_in_parameters`, `wave`, `knots`, `lag` | parts that several laws share |
-//! | `grid` | the points at which a search begins |
+//! | `linear_laws`, `wave`, `knots`, `lag` | parts that several laws share |
+//! | `search_grid` | the points at which a search begins |
 //! | `record_evaluation` | an effect over a record |
 //! | `dictionary`, `own` | all laws by name; laws from a file |
 
 mod dictionary;
-mod difference;
-mod grid;
-mod knots;
 mod lag;
 mod law_description;
 pub mod laws;
-mod linear_in_parameters;
-mod project_laws;
+mod laws_from_file;
+mod linear_laws;
+mod periodic_laws;
+mod piecewise_linear;
 mod record_evaluation;
-mod wave;
+mod search_grid;
+mod temperature_difference;
 
 pub use crate::role::sign;
 pub use dictionary::Dictionary;
-pub use difference::{DifferenceReference, STANDARD_DEGC, TemperatureDifference};
-pub(crate) use difference::{DifferenceSource, read_difference};
-pub use grid::{GridHypothesis, RecordExtent};
-pub use lag::{Lag, Lags};
+pub use lag::{Lag, ParallelLags};
 pub use law_description::{
-    AffectedQuantity, LawDescription, LawSearchSettings, MechanicalParameter, Naming, Owner, Parameter,
-    ParameterSearch, ProbingDependence, Refine, RequiredInput, ThermalDependence, Wave,
+    AffectedQuantity, EffectNameAxes, EffectOwner, LawDescription, LawParameter, LawSearchSettings,
+    MechanicalParameter, ParameterFitMethod, ParameterRefinement, PeriodicLawSettings, ProbingDependence,
+    RequiredInput, ThermalDependence,
 };
 use record_evaluation::RADIAL;
 pub(crate) use record_evaluation::States;
 pub use record_evaluation::{EffectInputColumns, MissingInput};
+pub use search_grid::{RecordExtent, SearchGridPoint};
+pub use temperature_difference::{ReferenceTemperature, STANDARD_DEGC, TemperatureDifference};
+pub(crate) use temperature_difference::{ResolvedTemperatureDifference, read_difference};
 
 use crate::record::{Axis, Record, Role, RunKind};
-use linear_in_parameters::Linear;
-use rtec_files::text::short;
+use linear_laws::LinearLaw;
+use rtec_files::text_file::short;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
@@ -91,7 +92,7 @@ pub struct Input {
 /// It holds a lag or the travel since a reversal. A new record, or a new start of the machine, begins with
 /// the default.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct EffectState {
+pub struct EffectMemory {
     /// Whether an instant has been seen.
     pub started: bool,
     /// Values whose meaning the law defines.
@@ -113,7 +114,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     /// The basis values at one instant for `component`.
     /// `component` is 0, or 1 for the second axis of a pair. The state moves on to that instant. `out` has
     /// [`Effect::coefficient_count`] places.
-    fn basis(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>);
+    fn basis(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectMemory, out: Out<'_>);
 
     /// [`Law::basis`] as a plain function, if it depends only on the inputs.
     /// It then needs no state and no value of the effect. A caller that asks at every instant may keep the
@@ -125,7 +126,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     /// The derivative of the effect by every parameter value.
     /// It moves the state on, as [`Law::basis`] does. The default serves laws whose parameters are all
     /// linear.
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectMemory, out: Out<'_>) {
         self.basis(effect, now, component, state, out);
     }
 
@@ -134,7 +135,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     fn coefficients(&self, effect: &Effect, out: Out<'_>) {
         let mut at = 0;
         for (i, p) in self.describe().parameters.iter().enumerate() {
-            if p.search == ParameterSearch::Linear {
+            if p.search == ParameterFitMethod::Linear {
                 let values = effect.get(i);
                 out[at..at + values.len()].copy_from_slice(values);
                 at += values.len();
@@ -146,7 +147,7 @@ pub trait Law: fmt::Debug + Send + Sync {
     fn set_coefficients(&self, effect: &mut Effect, from: &[f64]) {
         let mut at = 0;
         for (i, p) in self.describe().parameters.iter().enumerate() {
-            if p.search == ParameterSearch::Linear {
+            if p.search == ParameterFitMethod::Linear {
                 let values = effect.get_mut(i);
                 let n = values.len();
                 values.copy_from_slice(&from[at..at + n]);
@@ -157,7 +158,7 @@ pub trait Law: fmt::Debug + Send + Sync {
 
     /// Number of coefficients of an effect with `n` values per array parameter.
     fn coefficient_count(&self, n: usize) -> usize {
-        self.describe().parameters.iter().filter(|p| p.search == ParameterSearch::Linear).count() * n
+        self.describe().parameters.iter().filter(|p| p.search == ParameterFitMethod::Linear).count() * n
     }
 
     /// The range of an axis that the effect's values were stated on, mm.
@@ -177,14 +178,14 @@ pub trait Law: fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// The parameter, what was found and what was expected.
-    fn check(&self, _effect: &Effect) -> Result<(), ValueError> {
+    fn check(&self, _effect: &Effect) -> Result<(), ParameterValueError> {
         Ok(())
     }
 
     /// Grid points of the law's non-linear parameters, each with its price.
     /// They suit records of this extent. The default serves laws that have no such parameter.
-    fn grid(&self, effect: &Effect, _records: &dyn RecordExtent) -> Vec<GridHypothesis> {
-        GridHypothesis::only(effect)
+    fn grid(&self, effect: &Effect, _records: &dyn RecordExtent) -> Vec<SearchGridPoint> {
+        SearchGridPoint::only(effect)
     }
 
     /// Basis values over the rows of a record, column by column.
@@ -194,7 +195,7 @@ pub trait Law: fmt::Debug + Send + Sync {
         effect: &Effect,
         bound: &EffectInputColumns<'_>,
         component: usize,
-        state: &mut EffectState,
+        state: &mut EffectMemory,
         out: Out<'_>,
     ) {
         let n = effect.coefficient_count();
@@ -218,7 +219,7 @@ pub trait Law: fmt::Debug + Send + Sync {
 /// A parameter value that is not allowed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`{parameter}`: found {found}, expected {expected}")]
-pub struct ValueError {
+pub struct ParameterValueError {
     /// The parameter (or other key).
     pub parameter: String,
     /// What was found.
@@ -227,7 +228,7 @@ pub struct ValueError {
     pub expected: String,
 }
 
-impl ValueError {
+impl ParameterValueError {
     pub(crate) fn new(parameter: &str, found: impl Into<String>, expected: impl Into<String>) -> Self {
         Self { parameter: parameter.to_owned(), found: found.into(), expected: expected.into() }
     }
@@ -332,7 +333,7 @@ impl Effect {
     ///
     /// # Errors
     /// A value outside its bounds, arrays of unequal length.
-    pub fn set_values(&mut self, values: &[f64]) -> Result<(), ValueError> {
+    pub fn set_values(&mut self, values: &[f64]) -> Result<(), ParameterValueError> {
         let law = self.law.describe();
         let count = law.parameters.len();
         let arrays = law.parameters.iter().any(|p| p.array);
@@ -342,13 +343,13 @@ impl Effect {
             || (!arrays && values.len() != count)
         {
             let expected = format!("{count} parameters");
-            return Err(ValueError::new(&law.name, format!("{} values", values.len()), expected));
+            return Err(ParameterValueError::new(&law.name, format!("{} values", values.len()), expected));
         }
         let n = values.len() / count;
         for (p, of) in law.parameters.iter().zip(values.chunks(n)) {
             for v in of {
                 if !v.is_finite() || *v < p.bounds[0] || *v > p.bounds[1] {
-                    return Err(ValueError::new(&p.name, short(*v), bounds_text(p)));
+                    return Err(ParameterValueError::new(&p.name, short(*v), bounds_text(p)));
                 }
             }
         }
@@ -371,11 +372,11 @@ impl Effect {
     ///
     /// # Errors
     /// Unknown parameter, wrong number of values, a value outside its bounds.
-    pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), ValueError> {
+    pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), ParameterValueError> {
         let position = self.description().parameters.iter().position(|p| p.name == name);
         let Some(i) = position.filter(|_| values.len() == self.width()) else {
             let expected = "a parameter and its length";
-            return Err(ValueError::new(name, format!("{} values", values.len()), expected));
+            return Err(ParameterValueError::new(name, format!("{} values", values.len()), expected));
         };
         let mut all = self.values.clone();
         let n = values.len();
@@ -433,9 +434,9 @@ impl Effect {
         };
         let of_plane = |axes: &[Axis]| axis.as_str() == "r" && axes.iter().any(|a| plane.contains(a));
         match law.naming {
-            Naming::Plain => (has_angle && (axis.as_str() == "r" || sole_error)).then_some(0),
-            Naming::Pair if of_plane(&self.axes) => Some(RADIAL),
-            Naming::Pair => self.axes.iter().position(|a| a == axis),
+            EffectNameAxes::Plain => (has_angle && (axis.as_str() == "r" || sole_error)).then_some(0),
+            EffectNameAxes::Pair if of_plane(&self.axes) => Some(RADIAL),
+            EffectNameAxes::Pair => self.axes.iter().position(|a| a == axis),
             _ if of_plane(&self.axes[..1]) => Some(RADIAL),
             _ => (self.axes.first() == Some(axis)).then_some(0),
         }
@@ -508,7 +509,7 @@ impl Effect {
     }
 }
 
-fn bounds_text(p: &Parameter) -> String {
+fn bounds_text(p: &LawParameter) -> String {
     match p.bounds {
         [lo, hi] if lo.is_finite() && hi.is_finite() => {
             format!("a value from {lo} to {hi} ({}): {}", p.unit, p.source)

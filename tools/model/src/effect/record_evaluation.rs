@@ -1,8 +1,8 @@
 //! An effect over a record, with its columns looked up once.
 //! Basis values, sums and slopes are computed column by column.
 
-use super::difference::DifferenceSource;
-use super::{Effect, EffectState, Input, Naming, Out, RequiredInput, sign};
+use super::temperature_difference::ResolvedTemperatureDifference;
+use super::{Effect, EffectMemory, EffectNameAxes, Input, Out, RequiredInput, sign};
 use crate::record::{Record, Role};
 use rtec_files::InputError;
 
@@ -30,7 +30,7 @@ impl MissingInput {
 pub(super) const RADIAL: usize = 2;
 
 /// The states of an effect between two pieces of a record, one per component.
-pub(crate) type States = [EffectState; 2];
+pub(crate) type States = [EffectMemory; 2];
 
 /// The columns of a record that an effect reads.
 /// They do not depend on the values of the effect's parameters, so a search over non-linear parameters binds
@@ -47,7 +47,7 @@ pub struct EffectInputColumns<'r> {
     v: Option<&'r [f64]>,
     a: Option<&'r [f64]>,
     load: Option<&'r [f64]>,
-    delta: Option<DifferenceSource<&'r [f64]>>,
+    delta: Option<ResolvedTemperatureDifference<&'r [f64]>>,
     rpm: Option<&'r [f64]>,
     coolant: Option<&'r [f64]>,
     angle: Option<&'r [f64]>,
@@ -159,7 +159,7 @@ impl EffectInputColumns<'_> {
         let n = effect.values.len();
         assert_eq!(out.len(), self.rows * n, "one column per parameter value");
         self.projected(component, out, |component, out| {
-            let mut state = EffectState::default();
+            let mut state = EffectMemory::default();
             let mut buffer = vec![0.0; n];
             for row in 0..self.rows {
                 buffer.fill(0.0);
@@ -193,7 +193,7 @@ impl Effect {
             ..EffectInputColumns::default()
         };
         // Only a pair acts on its second axis.
-        let acts_on = if self.description().naming == Naming::Pair { 2 } else { 1 };
+        let acts_on = if self.description().naming == EffectNameAxes::Pair { 2 } else { 1 };
         for (share, axis) in bound.share.iter_mut().zip(&self.axes[..acts_on.min(self.axes.len())]) {
             *share = record.share(axis);
         }

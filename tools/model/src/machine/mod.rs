@@ -2,33 +2,33 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `read` | strict reading; every finding has its line |
-//! | `write` | changing and writing without losing anything that the user wrote |
+//! | `read_machine_toml` | strict reading; every finding has its line |
+//! | `edit_machine_toml` | changing and writing without losing anything that the user wrote |
 //! | `fit_note` | a fit's own record: sources, dates, intervals, ranges |
-//! | `evaluate` | a model's prediction of a record, and its interval |
-//! | `check` | warnings before a model is used |
-//! | `json_document` | a model as JSON
+//! | `record_prediction` | a model's prediction of a record, and its interval |
+//! | `warnings_before_use` | warnings before a model is used |
+//! | `json_export` | a model as JSON
 //! | `places` | the path of a file from another file's folder |
 
-mod check;
-mod evaluate;
+mod edit_machine_toml;
 mod fit_note;
-mod json_document;
-mod read;
+mod json_export;
+mod read_machine_toml;
+mod record_prediction;
 mod relative_paths;
 #[cfg(test)]
 mod test_machine;
-mod write;
+mod warnings_before_use;
 
-pub use check::FitRangeCheck;
-pub use evaluate::{HalfWidthPredictor, Prediction, RecordPiecePredictor};
 pub use fit_note::{
     EffectWithProvenance, FitNote, NORMAL_95, Provenance, RecordRanges, SourceRecord, ValidTemperatureRange,
     unknown_um,
 };
+pub use record_prediction::{ChunkedHalfWidthPredictor, ChunkedRecordPredictor, RecordPrediction};
+pub use warnings_before_use::FitRangeCheck;
 
-use crate::chain::Chain;
 use crate::effect::{Dictionary, Effect, TemperatureDifference};
+use crate::kinematic_chain::KinematicChain;
 use std::path::PathBuf;
 use toml_edit::{DocumentMut, value};
 
@@ -41,7 +41,7 @@ pub struct Machine {
     name: String,
     listed: Vec<EffectWithProvenance>,
     fits: Vec<FitNote>,
-    chain: Option<Chain>,
+    chain: Option<KinematicChain>,
     /// The laws given by the calling program; those of the model's own file are added.
     given: Dictionary,
     dictionary: Dictionary,
@@ -90,14 +90,14 @@ impl Machine {
     }
 
     /// The kinematic chain, whose errors are added to those of the effects.
-    pub fn chain(&self) -> Option<&Chain> {
+    pub fn chain(&self) -> Option<&KinematicChain> {
         self.chain.as_ref()
     }
 
     /// The same machine with another chain, or none.
     /// A written file still names the chain file that was read.
     #[must_use]
-    pub fn with_chain(&self, chain: Option<Chain>) -> Self {
+    pub fn with_chain(&self, chain: Option<KinematicChain>) -> Self {
         Self { chain, ..self.clone() }
     }
 
@@ -113,7 +113,7 @@ impl Machine {
 
     /// The sensors that its effects and its chain read.
     pub fn sensors(&self) -> Vec<String> {
-        let chain = self.chain.iter().flat_map(Chain::deltas);
+        let chain = self.chain.iter().flat_map(KinematicChain::deltas);
         let deltas = self.effects().filter_map(|e| e.delta.as_ref()).chain(chain);
         let mut names: Vec<String> =
             deltas.flat_map(TemperatureDifference::sensors).map(str::to_owned).collect();

@@ -164,7 +164,7 @@ fn points_of_two_features_are_refused() {
 /// direction, and nothing appears beside the arc.
 #[test]
 fn an_arc_across_the_turn_keeps_its_order() {
-    use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc};
+    use rtec_part::arc_finish_cut_table::{ArcFinishCutTable, AxisCountConversion, FinishCutArc};
     let files = Files::new();
     let centre = Zx::new(50.0, 30.0);
     let planted = |a: f64| 8.0 * (6.0 * a).cos();
@@ -184,9 +184,9 @@ fn an_arc_across_the_turn_keeps_its_order() {
             assert!((pair[1].angle_rad - pair[0].angle_rad - 0.0683).abs() < 0.002, "{start_deg}: {pair:?}");
         }
         assert!((errors[0].error_um - report.errors[0].error_um).abs() < 1e-3, "{start_deg}");
-        let cut = FinishArc { centre, radius_mm: 5.0, nose_mm: 0.0, origin: Zx::new(0.0, 0.0) };
+        let cut = FinishCutArc { centre, radius_mm: 5.0, nose_mm: 0.0, origin: Zx::new(0.0, 0.0) };
         let axes = [AxisCountConversion { count_um: 1.0, increment: 2, sign: 1.0 }; 2];
-        let table = ArcFinishTable::new(cut, axes, errors);
+        let table = ArcFinishCutTable::new(cut, axes, errors);
         for (k, e) in report.errors.iter().enumerate() {
             // Asked by the place, as the live table is. The fitted centre is about 0.01 rad from the planted
             // one.

@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used)] // helpers of tests count as tests
 
 use rtec_model::effect::{Dictionary, Effect, Law};
-use rtec_model::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use rtec_model::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, reconcile};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -72,8 +72,8 @@ fn shown(effect: &Effect) -> Record {
     record
 }
 
-fn reconciled(effect: &Effect, machine: &Machine) -> Reconciliation {
-    reconcile(&[shown(effect)], &[], machine, &Options::default()).unwrap()
+fn reconciled(effect: &Effect, machine: &Machine) -> ReconciliationResult {
+    reconcile(&[shown(effect)], &[], machine, &ReconciliationOptions::default()).unwrap()
 }
 
 /// Live evaluation gives the values of the record at every row.
@@ -81,7 +81,7 @@ fn live_is_the_record(effect: &Effect) {
     let record = run();
     let mut sum = vec![0.0; record.rows()];
     effect.add(&record, &Role::Error(axis("x")), &mut sum).unwrap();
-    let layout = StateLayout { axes: vec![axis("x"), axis("z")], ..StateLayout::default() };
+    let layout = MachineStateLayout { axes: vec![axis("x"), axis("z")], ..MachineStateLayout::default() };
     let mut live = LiveModel::new([effect], layout).unwrap();
     for (row, want) in sum.iter().enumerate() {
         let at = |n: usize| AxisMotionState {

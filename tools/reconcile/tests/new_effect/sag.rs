@@ -3,7 +3,7 @@
 
 use crate::Sample;
 use rtec_model::effect::{
-    LawDescription, Effect, RecordExtent, Input, Law, Naming, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch, EffectState,
+    LawDescription, Effect, RecordExtent, Input, Law, EffectNameAxes, RequiredInput, Out, LawParameter, SearchGridPoint, ParameterRefinement, ParameterFitMethod, EffectMemory,
 };
 use std::sync::Arc;
 
@@ -19,13 +19,13 @@ pub(crate) fn sample() -> Sample {
         law: "e_A = um·(max(p_B − free_mm, 0)/100)³".into(),
         cause: "a ram bending under its own weight once it leaves its guide".into(),
         experiment: "a straightedge read across the whole reach".into(),
-        naming: Naming::Two,
+        naming: EffectNameAxes::Two,
         parameters: vec![
-            Parameter::linear("um", "um", 50.0)
+            LawParameter::linear("um", "um", 50.0)
                 .within([-500.0, 500.0], "half a millimetre per 100 mm is a rope"),
-            Parameter::new("free_mm", "mm", [0.0, 1000.0], ParameterSearch::Smooth)
+            LawParameter::new("free_mm", "mm", [0.0, 1000.0], ParameterFitMethod::Smooth)
                 .within([-1e4, 1e4], "no reach is longer than ten metres")
-                .refined(Refine::Step(20.0)),
+                .refined(ParameterRefinement::Step(20.0)),
         ],
         needs: vec![RequiredInput::Position(1)],
         ..LawDescription::default()
@@ -43,19 +43,19 @@ impl Law for Sag {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         out[0] = reach(effect, now).powi(3);
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         let reach = reach(effect, now);
         out[UM] = reach.powi(3);
         out[FREE] = -3.0 * effect.scalar(UM) * reach.powi(2) / 100.0;
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<SearchGridPoint> {
         let places = records.places_mm(&effect.axes()[1]);
         let free = places.iter().copied().step_by((places.len() / 10).max(1));
-        GridHypothesis::along(effect, FREE, free, 10f64.ln())
+        SearchGridPoint::along(effect, FREE, free, 10f64.ln())
     }
 }

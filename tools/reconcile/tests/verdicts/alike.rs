@@ -4,7 +4,7 @@ use crate::noise::noise;
 use crate::{answer, record};
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::record::{Axis, Record, RunKind};
-use rtec_reconcile::{Reconciliation, Verdict};
+use rtec_reconcile::{ReconciliationResult, Verdict};
 use std::f64::consts::TAU;
 use test_needs::repetitions;
 
@@ -25,7 +25,7 @@ fn wave(name: &str, targets: &[f64], cycles: usize, period_mm: f64, seed: u64) -
     record(name, RunKind::Positioning, columns)
 }
 
-fn periods_mm(r: &Reconciliation) -> Vec<f64> {
+fn periods_mm(r: &ReconciliationResult) -> Vec<f64> {
     let (found, _) = &r.effects[0];
     let others = found.rivals.iter().filter_map(|r| Some(r.differs.as_ref()?.1));
     std::iter::once(found.effect.scalar(0)).chain(others).collect()

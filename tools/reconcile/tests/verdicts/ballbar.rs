@@ -7,7 +7,7 @@ use crate::noise::noise;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, reconcile};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use test_needs::repetitions;
@@ -44,18 +44,18 @@ fn circles_from_rest(seed: u64, rest: i32, error: impl Fn(f64, f64) -> f64) -> R
     record.with_circle(Circle { radius_mm: R, plane, centre_mm: None }).unwrap()
 }
 
-fn reconciled(record: Record, model: &str) -> Reconciliation {
+fn reconciled(record: Record, model: &str) -> ReconciliationResult {
     let machine = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
-    reconcile(&[record], &[], &machine, &Options::default()).unwrap()
+    reconcile(&[record], &[], &machine, &ReconciliationOptions::default()).unwrap()
 }
 
 /// Names and first parameters of the added effects.
-fn added(r: &Reconciliation) -> Vec<(String, f64)> {
+fn added(r: &ReconciliationResult) -> Vec<(String, f64)> {
     r.effects.iter().map(|(f, _)| (f.effect.name(), f.effect.values()[0])).collect()
 }
 
 #[track_caller]
-fn says(r: &Reconciliation, want: &[(&[&str], f64, f64)]) {
+fn says(r: &ReconciliationResult, want: &[(&[&str], f64, f64)]) {
     let found = added(r);
     assert_eq!(found.len(), want.len(), "{} {found:?}", r.verdict);
     for (names, value, within) in want {

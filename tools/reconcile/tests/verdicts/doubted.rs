@@ -9,7 +9,7 @@ use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 use std::path::Path;
 use test_needs::dice::Dice;
 
@@ -49,9 +49,9 @@ fn spoil(record: &mut Record, column: &str, f: impl Fn(usize, f64) -> f64) {
     c.data.iter_mut().enumerate().for_each(|(i, v)| *v = f(i, *v));
 }
 
-fn answer(train: &[Record], holdout: &[Record]) -> Reconciliation {
+fn answer(train: &[Record], holdout: &[Record]) -> ReconciliationResult {
     let model = Machine::parse(Path::new("m.toml"), MODEL).unwrap();
-    reconcile(train, holdout, &model, &Options::default()).unwrap()
+    reconcile(train, holdout, &model, &ReconciliationOptions::default()).unwrap()
 }
 
 /// Eight quiet hours are no evidence for another unit of time.
@@ -71,7 +71,7 @@ fn a_quiet_stand_says_nothing_about_the_clock() {
             named.map(|(axis, um)| Column::new(axis, Role::Error(Axis::new(axis).unwrap()), rough(um))),
         );
         let run = Record::new(Path::new("a.run.toml"), RunKind::Drift, columns).unwrap();
-        let said = reconcile(&[run], &[], &model, &Options::default()).unwrap();
+        let said = reconcile(&[run], &[], &model, &ReconciliationOptions::default()).unwrap();
         assert_eq!((said.suspicions, said.verdict), (vec![], Verdict::NothingMissing), "seed {seed}");
     }
 }
@@ -223,7 +223,7 @@ fn an_exchange_that_explains_more_than_a_missing_growth_is_said() {
     };
     let machine = Machine::parse(Path::new("machine.toml"), MODEL).unwrap();
     let said = |records: &[Record]| {
-        let r = reconcile(records, &[], &machine, &Options::default()).unwrap();
+        let r = reconcile(records, &[], &machine, &ReconciliationOptions::default()).unwrap();
         let swapped = r.suspicions.iter().filter(|s| s.what == MistakeKind::Swapped);
         // One or both of the pair may be reported.
         let mut records: Vec<String> = swapped.map(|s| s.record.clone()).collect();

@@ -6,15 +6,15 @@ use crate::names;
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
 use test_needs::dice::Dice;
 use test_needs::repetitions;
 
-fn with_model(text: &str, train: &Record) -> Reconciliation {
+fn with_model(text: &str, train: &Record) -> ReconciliationResult {
     let model = Machine::parse(Path::new("m.toml"), text).unwrap();
-    reconcile(std::slice::from_ref(train), &[], &model, &Options::default()).unwrap()
+    reconcile(std::slice::from_ref(train), &[], &model, &ReconciliationOptions::default()).unwrap()
 }
 
 fn parsed(name: &str, kind: RunKind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
@@ -31,7 +31,7 @@ fn swap(record: &mut Record, a: &str, b: &str) {
     record.columns[a].data = y;
 }
 
-fn kinds(r: &Reconciliation) -> Vec<(MistakeKind, &str)> {
+fn kinds(r: &ReconciliationResult) -> Vec<(MistakeKind, &str)> {
     r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
 }
 
@@ -256,7 +256,7 @@ fn an_axis_that_stands_is_no_other_unit() {
         let record = Record::new(Path::new("r.run.toml"), RunKind::Positioning, columns).unwrap();
         let model = "name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = 54.0\n[[effect]]\nname = \"reversal.x\"\num = 10.2\n";
         let model = Machine::parse(Path::new("m.toml"), model).unwrap();
-        let r = reconcile(&[record], &[], &model, &Options::default()).unwrap();
+        let r = reconcile(&[record], &[], &model, &ReconciliationOptions::default()).unwrap();
         let said = r.suspicions.iter().any(|s| s.what == MistakeKind::Unit);
         assert_eq!(said, doubted, "at {at_mm} mm, stroke {stroke_mm} mm: {:?}", r.suspicions);
     }

@@ -19,7 +19,7 @@ mod zeros;
 
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, reconcile};
 use std::path::Path;
 
 /// A record of columns: name, role, values.
@@ -32,12 +32,12 @@ fn record(name: &str, kind: RunKind, columns: Vec<(&str, &str, Vec<f64>)>) -> Re
 
 /// The answer for records beside a model, with later records as hold-outs.
 #[expect(clippy::unwrap_used, reason = "a test's own helper")]
-fn answer(model: &str, train: &[Record], later: &[Record]) -> Reconciliation {
+fn answer(model: &str, train: &[Record], later: &[Record]) -> ReconciliationResult {
     let model = Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{model}")).unwrap();
-    reconcile(train, later, &model, &Options::default()).unwrap()
+    reconcile(train, later, &model, &ReconciliationOptions::default()).unwrap()
 }
 
 /// The names that were given, likeliest first.
-fn names(r: &Reconciliation) -> Vec<String> {
+fn names(r: &ReconciliationResult) -> Vec<String> {
     r.effects.iter().map(|(f, _)| f.effect.name()).collect()
 }

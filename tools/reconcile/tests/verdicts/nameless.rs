@@ -8,7 +8,7 @@ use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Record, RunKind};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 use std::f64::consts::TAU;
 use test_needs::dice::Dice;
 use test_needs::repetitions;
@@ -298,8 +298,8 @@ fn a_gauge_that_stands_still_says_nothing() {
 }
 
 /// What is missing in this run, with a curve where nothing has a name.
-fn with_curve(train: Record, later: &[Record]) -> Reconciliation {
-    let options = Options { unexplained: true, ..Options::default() };
+fn with_curve(train: Record, later: &[Record]) -> ReconciliationResult {
+    let options = ReconciliationOptions { unexplained: true, ..ReconciliationOptions::default() };
     reconcile(&[train], later, &Machine::ideal("m"), &options).unwrap()
 }
 
@@ -342,7 +342,7 @@ fn a_curve_that_helps_nothing_is_not_written() {
 #[test]
 fn above_the_floor_is_more_than_chance() {
     let mut said = with_curve(drift("a", 3, |_| 0.0), &[]);
-    let gap = |left: f64, said: &Reconciliation| {
+    let gap = |left: f64, said: &ReconciliationResult| {
         let mut gap = said.gap[0].clone();
         gap.train[0] = left * gap.floor;
         said.is_above_floor(&gap)

@@ -7,7 +7,7 @@ use crate::noise::noise;
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 use std::f64::consts::TAU;
 use std::path::Path;
 use test_needs::repetitions;
@@ -17,8 +17,8 @@ fn record(kind: RunKind, columns: Vec<(&str, &str, Vec<f64>)>) -> Record {
     Record::new(Path::new("r.run.toml"), kind, columns.collect()).unwrap()
 }
 
-fn answer(record: Record) -> Reconciliation {
-    reconcile(&[record], &[], &Machine::ideal("m"), &Options::default()).unwrap()
+fn answer(record: Record) -> ReconciliationResult {
+    reconcile(&[record], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap()
 }
 
 /// One slow sweep in even steps.
@@ -123,16 +123,17 @@ fn drift(seed: u64, degc: impl Fn(f64) -> f64) -> Record {
 fn of_several_records_one_refutes_what_the_other_leaves_open() {
     let warm = || drift(5, |t| 20.0 + 7.0 * (1.0 - (-t / 2400.0).exp()));
     let cool = drift(6, |t| 20.0 + 7.0 * (-t / 2400.0).exp());
-    let tried = |r: &Reconciliation, name: &str| {
+    let tried = |r: &ReconciliationResult, name: &str| {
         let mut of = r.ranking.iter().filter(|t| t.label.split(' ').next() == Some(name));
         of.next().map(|t| (t.odds, t.accepted))
     };
-    let alone = reconcile(&[warm()], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+    let alone = reconcile(&[warm()], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
     let (odds, _) = tried(&alone, "warm_up.z").unwrap();
     assert!(odds > -6.0, "{odds}");
     let mut cool = cool;
     cool.path = "later.run.toml".into();
-    let both = reconcile(&[warm(), cool], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+    let both =
+        reconcile(&[warm(), cool], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
     assert_eq!(
         (both.verdict, names(&both)),
         (Verdict::Named, vec!["thermal_growth.z".to_owned()]),
@@ -169,7 +170,7 @@ fn a_scale_beside_the_model_s_own_corrects_it() {
         let run = bidirectional(|p| (known + 24.0) * 1e-3 * p);
         let text = format!("name = \"m\"\n[[effect]]\nname = \"scale.x\"\nppm = {known:.1}\n");
         let machine = Machine::parse(Path::new("m.toml"), &text).unwrap();
-        let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &machine, &ReconciliationOptions::default()).unwrap();
         let refined: Vec<(String, f64)> =
             r.refined.iter().map(|x| (x.after.0.name(), x.after.0.scalar(0))).collect();
         assert!(
@@ -201,10 +202,11 @@ fn positions_in_another_unit_are_said_where_no_straight_line_does_as_well() {
             c.data.iter_mut().enumerate().for_each(|(i, v)| *v = f(i, *v));
         };
         of(&mut run, "e", &|i, e| e + said[i]);
-        let right = reconcile(std::slice::from_ref(&run), &[], &machine, &Options::default()).unwrap();
+        let right =
+            reconcile(std::slice::from_ref(&run), &[], &machine, &ReconciliationOptions::default()).unwrap();
         assert!(right.suspicions.is_empty(), "{:?}", right.suspicions);
         of(&mut run, "p", &|_, p| p / by);
-        let r = reconcile(&[run], &[], &machine, &Options::default()).unwrap();
+        let r = reconcile(&[run], &[], &machine, &ReconciliationOptions::default()).unwrap();
         assert_eq!(r.suspicions.iter().map(|s| s.what).collect::<Vec<_>>(), [MistakeKind::Unit], "{by}");
     }
 }
@@ -322,7 +324,7 @@ fn a_record_at_rest_leaves_a_map_as_it_is() {
         vec![("t", "time", t(100)), ("p", "position.z", at), ("f", "load.z", load), ("e", "error.z", e)];
     let mut rest = record(RunKind::Drift, columns);
     rest.path = "rest.run.toml".into();
-    let r = reconcile(&[line, rest], &[], &Machine::ideal("m"), &Options::default()).unwrap();
+    let r = reconcile(&[line, rest], &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap();
     let mut found = names(&r);
     found.sort();
     assert_eq!(found, ["position_map.z", "scale.z", "stiffness.z"], "{} {:?}", r.verdict, r.unexplained);
@@ -343,7 +345,7 @@ fn a_wave_beside_a_known_one_has_an_uncertain_period() {
         record(RunKind::Positioning, vec![("t", "time", t), ("p", "position.y", p), ("e", "error.y", e)]);
     let text = "name = \"m\"\n[[effect]]\nname = \"screw_periodic.y\"\nperiod_mm = 12.0\num = 2.0\nphase_rad = 0.4\n";
     let model = Machine::parse(Path::new("m.toml"), text).unwrap();
-    let r = reconcile(&[run], &[], &model, &Options::default()).unwrap();
+    let r = reconcile(&[run], &[], &model, &ReconciliationOptions::default()).unwrap();
     assert_eq!(names(&r), ["screw_slope.y"], "{} {:?}", r.verdict, r.unexplained);
     let (period_mm, half) = (r.effects[0].0.effect.scalar(0), r.effects[0].1[0]);
     assert!(half > 0.0 && (period_mm - 12.0).abs() < 2.0 * half, "{period_mm} ± {half}");
@@ -377,7 +379,7 @@ fn a_period_written_short_is_no_second_wave() {
         let wave = format!("period_mm = {written}\num = 18.1\nphase_rad = 0.8\n");
         let model = format!("name = \"m\"\n[[effect]]\nname = \"screw_periodic.x\"\n{wave}");
         let model = Machine::parse(Path::new("m.toml"), &model).unwrap();
-        let r = reconcile(&[r], &[], &model, &Options::default()).unwrap();
+        let r = reconcile(&[r], &[], &model, &ReconciliationOptions::default()).unwrap();
         assert_eq!((names(&r), r.verdict), (Vec::new(), Verdict::NothingMissing), "{period_mm}");
         let [of] = &r.refined[..] else { panic!("{:?}", r.refined) };
         let (period, half) = (of.after.0.scalar(0), of.after.1[0]);

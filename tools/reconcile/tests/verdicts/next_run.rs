@@ -8,7 +8,7 @@ use rtec_measure::plan::{PlanAxis, TargetRun};
 use rtec_model::effect::{Effect, TemperatureDifference};
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, ReversalPoint, Role, RunKind};
-use rtec_reconcile::{NextRuns, Options, UnresolvedEffect, Verdict, next_runs, reconcile};
+use rtec_reconcile::{NextRuns, ReconciliationOptions, UnresolvedEffect, Verdict, next_runs, reconcile};
 use std::path::Path;
 
 const TRAVEL_MM: f64 = 500.0;
@@ -53,12 +53,12 @@ fn wave(k: u32) -> Effect {
     wave
 }
 
-fn ask(train: &[Record]) -> rtec_reconcile::Reconciliation {
-    reconcile(train, &[], &Machine::ideal("m"), &Options::default()).unwrap()
+fn ask(train: &[Record]) -> rtec_reconcile::ReconciliationResult {
+    reconcile(train, &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap()
 }
 
-fn planned(r: &rtec_reconcile::Reconciliation) -> NextRuns {
-    let of = |(f, _): &(rtec_reconcile::Finding, Vec<f64>)| UnresolvedEffect {
+fn planned(r: &rtec_reconcile::ReconciliationResult) -> NextRuns {
+    let of = |(f, _): &(rtec_reconcile::FoundEffect, Vec<f64>)| UnresolvedEffect {
         effect: f.effect.clone(),
         rivals: f.rivals.clone(),
         noise: r.gap[0].floor,
@@ -151,7 +151,7 @@ fn what_no_targets_tell_has_its_experiment() {
     let mut growth = dictionary.effect("thermal_growth.x").unwrap();
     growth.delta = Some(TemperatureDifference::single("T1"));
     growth.set_values(&[2.0, 0.0]).unwrap();
-    let rival = rtec_reconcile::Rival {
+    let rival = rtec_reconcile::RivalExplanation {
         name: "thermal_growth.x".into(),
         sensor: Some(TemperatureDifference::single("T2")),
         differs: None,
@@ -177,8 +177,9 @@ fn a_verdict_s_file_is_read_back() {
     let read = UnresolvedEffect::read(&file, &dictionary).unwrap();
     assert_eq!(read.len(), answer.effects.len());
     for (open, (f, _)) in read.iter().zip(&answer.effects) {
-        let labels =
-            |all: &[rtec_reconcile::Rival]| all.iter().map(rtec_reconcile::Rival::label).collect::<Vec<_>>();
+        let labels = |all: &[rtec_reconcile::RivalExplanation]| {
+            all.iter().map(rtec_reconcile::RivalExplanation::label).collect::<Vec<_>>()
+        };
         assert_eq!(labels(&open.rivals), labels(&f.rivals));
         let near = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-12 * b.abs();
         assert!(

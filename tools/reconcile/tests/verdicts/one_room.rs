@@ -7,7 +7,7 @@
 use rtec_fit::thermal;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, reconcile};
+use rtec_reconcile::{ReconciliationOptions, reconcile};
 use std::path::Path;
 use test_needs::dice::Dice;
 
@@ -137,7 +137,7 @@ impl Plan {
 type Law = (String, Vec<(String, [f64; 3])>);
 
 fn by_fit(record: &Record) -> (Vec<Law>, Vec<String>) {
-    let (_, reports) = thermal::fit(&[record], &[], &thermal::Options::default()).unwrap();
+    let (_, reports) = thermal::fit(&[record], &[], &thermal::ThermalFitOptions::default()).unwrap();
     let of = |e: &thermal::FittedEffect| {
         let sensor = e.sensor.clone()?;
         let values = e.parameters.iter().map(|(k, p)| (k.clone(), [p.value, p.low, p.high])).collect();
@@ -148,7 +148,9 @@ fn by_fit(record: &Record) -> (Vec<Law>, Vec<String>) {
 }
 
 fn by_reconciliation(record: &Record) -> (Vec<Law>, String) {
-    let r = reconcile(std::slice::from_ref(record), &[], &Machine::ideal("m"), &Options::default()).unwrap();
+    let r =
+        reconcile(std::slice::from_ref(record), &[], &Machine::ideal("m"), &ReconciliationOptions::default())
+            .unwrap();
     let json = r.to_json();
     let mut laws = Vec::new();
     for e in json["effects"].as_array().unwrap() {

@@ -6,12 +6,12 @@ use crate::noise::noise;
 use rtec_model::ballbar_circle::Circle;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, html, pictures, reconcile};
+use rtec_reconcile::{ReconciliationOptions, html, pictures, reconcile};
 use std::path::Path;
 
 fn page(model: &str, train: &[Record]) -> (String, serde_json::Value) {
     let machine = Machine::parse(Path::new("machine.toml"), model).unwrap();
-    let answer = reconcile(train, &[], &machine, &Options::default()).unwrap();
+    let answer = reconcile(train, &[], &machine, &ReconciliationOptions::default()).unwrap();
     (html(&answer, "mill <1>"), serde_json::to_value(pictures(&answer)).unwrap())
 }
 

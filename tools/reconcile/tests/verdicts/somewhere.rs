@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::noise::noise;
-use rtec_model::effect::{Dictionary, Effect, ParameterSearch};
+use rtec_model::effect::{Dictionary, Effect, ParameterFitMethod};
 use rtec_model::machine::{Machine, Provenance};
 use rtec_model::record::{Record, RunKind};
-use rtec_reconcile::{Options, ResidualStructure, Verdict, find, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ResidualStructure, Verdict, find, reconcile};
 use std::f64::consts::TAU;
 
 /// Strokes of X and Y that warm up, and white noise of 1 µm.
@@ -56,7 +56,7 @@ fn with(effect: &Effect, rms_um: f64, mut record: Record) -> Option<Record> {
     let mut sized = |um: f64| {
         for p in parameters
             .iter()
-            .filter(|p| matches!(p.search, ParameterSearch::Linear | ParameterSearch::Amplitude))
+            .filter(|p| matches!(p.search, ParameterFitMethod::Linear | ParameterFitMethod::Amplitude))
         {
             effect.set(&p.name, &[um]).ok()?;
         }
@@ -90,7 +90,7 @@ fn every_effect_that_is_named_is_somewhere() {
             let train = [record];
             let places = find(&train, &ideal, 0.01).unwrap();
             let somewhere = places.iter().any(ResidualStructure::counts);
-            let later = reconcile(&train, &[], &ideal, &Options::default()).unwrap();
+            let later = reconcile(&train, &[], &ideal, &ReconciliationOptions::default()).unwrap();
             let said = format!("{} of {rms_um} µm: {} {:?}", effect.name(), later.verdict, later.unexplained);
             assert_eq!(places.len(), later.places.len(), "{said}");
             assert!(somewhere || later.verdict == Verdict::NothingMissing, "{said}: nowhere");

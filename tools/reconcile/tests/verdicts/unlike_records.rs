@@ -59,11 +59,11 @@ fn unlike_noise_of_two_records_names_nothing() {
 
 #[test]
 fn each_record_has_noise_of_its_own_size_and_memory() {
-    use rtec_estimate::problem::EstimationProblem;
-    use rtec_estimate::rows::Rows;
+    use rtec_estimate::measurement_model::EstimationProblem;
+    use rtec_estimate::rows_and_noise::MeasuredRows;
     let none = |_: f64, _: f64| 0.0;
     let runs = [strokes("quiet", 3, &none, 0.1, 0.0), strokes("loud", 5, &none, 2.0, 0.6)];
-    let rows = Rows::new(&runs);
+    let rows = MeasuredRows::new(&runs);
     let problem = EstimationProblem::new(&rows, &[], &[]);
     let mut noise = problem.first_noise();
     for _ in 0..20 {

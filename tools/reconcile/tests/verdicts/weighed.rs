@@ -6,12 +6,12 @@
 use crate::{answer, names, record};
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::record::{Column, Record, RunKind};
-use rtec_reconcile::{Reconciliation, Verdict};
+use rtec_reconcile::{ReconciliationResult, Verdict};
 use std::f64::consts::{PI, TAU};
 use test_needs::dice::Dice;
 use test_needs::repetitions;
 
-fn kinds(r: &Reconciliation) -> Vec<(MistakeKind, &str)> {
+fn kinds(r: &ReconciliationResult) -> Vec<(MistakeKind, &str)> {
     r.suspicions.iter().map(|s| (s.what, s.column.as_str())).collect()
 }
 

@@ -4,10 +4,10 @@
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
 use crate::noise::noise;
-use rtec_model::effect::ParameterSearch;
+use rtec_model::effect::ParameterFitMethod;
 use rtec_model::machine::Machine;
 use rtec_model::record::{Axis, Column, Record, Role, RunKind};
-use rtec_reconcile::{Options, Reconciliation, Verdict, reconcile};
+use rtec_reconcile::{ReconciliationOptions, ReconciliationResult, Verdict, reconcile};
 use std::path::Path;
 use test_needs::repetitions;
 
@@ -26,17 +26,17 @@ fn run(name: &str, from_s: f64, rows: usize, error: impl FnMut(f64, f64) -> f64)
     Record::new(Path::new(&format!("{name}.run.toml")), RunKind::Positioning, columns).unwrap()
 }
 
-fn answer(train: &[Record]) -> Reconciliation {
-    reconcile(train, &[], &Machine::ideal("m"), &Options::default()).unwrap()
+fn answer(train: &[Record]) -> ReconciliationResult {
+    reconcile(train, &[], &Machine::ideal("m"), &ReconciliationOptions::default()).unwrap()
 }
 
 /// Named effects all of whose sizes have intervals that contain zero.
-fn sizeless(r: &Reconciliation) -> Vec<String> {
+fn sizeless(r: &ReconciliationResult) -> Vec<String> {
     let zero = |(v, half): (&f64, &f64)| *half == 0.0 || v.abs() < *half;
-    let of = |(f, half): &(rtec_reconcile::Finding, Vec<f64>)| {
+    let of = |(f, half): &(rtec_reconcile::FoundEffect, Vec<f64>)| {
         let law = f.effect.description();
         let size = |i: &usize| {
-            matches!(law.parameters[*i].search, ParameterSearch::Linear | ParameterSearch::Amplitude)
+            matches!(law.parameters[*i].search, ParameterFitMethod::Linear | ParameterFitMethod::Amplitude)
         };
         let sizes = (0..law.parameters.len()).filter(size);
         let all = sizes.into_iter().all(|i| zero((&f.effect.values()[i], &half[i])));
@@ -85,7 +85,7 @@ fn what_is_of_no_size_without_another_is_not_named() {
     let record = Record::new(Path::new("p.run.toml"), RunKind::Probing, columns).unwrap();
     let text = "name = \"m\"\n[[effect]]\nname = \"reversal.x\"\num = -5.8105\n";
     let machine = Machine::parse(Path::new("m.toml"), text).unwrap();
-    let r = reconcile(&[record], &[], &machine, &Options::default()).unwrap();
+    let r = reconcile(&[record], &[], &machine, &ReconciliationOptions::default()).unwrap();
     assert_eq!(sizeless(&r), [""; 0]);
     assert_eq!(r.verdict, Verdict::UnknownEffect);
 }

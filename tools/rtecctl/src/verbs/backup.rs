@@ -3,7 +3,7 @@
 
 use crate::archive::ArchiveWriter;
 use crate::prelude::*;
-use rtec_control::audit;
+use rtec_control::audit_log;
 use rtec_control::config::{Config, INSTALLED};
 use rtec_control::setup_files;
 use rtec_model::record::hex;
@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             }
             continue;
         }
-        let bytes = rtec_files::text::bytes(&path)?;
+        let bytes = rtec_files::text_file::bytes(&path)?;
         let mode = std::fs::metadata(&path).with_context(|| path.display().to_string())?.permissions().mode();
         let relative = if is_state {
             path.file_name().map(PathBuf::from)
@@ -115,12 +115,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let log = config.control.log_path();
     let manifest = Manifest {
         form: FORM,
-        made: audit::stamp(SystemTime::now()),
+        made: audit_log::stamp(SystemTime::now()),
         machine: config.machine,
         by: String::new(),
         system: std::fs::read_to_string("/etc/os-release").unwrap_or_default(),
-        record: audit::end(&log),
-        refused: audit::end(&audit::refused_path(&log)),
+        record: audit_log::end(&log),
+        refused: audit_log::end(&audit_log::refused_path(&log)),
         files,
     };
     let text = pretty(&manifest)?;
@@ -149,7 +149,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<(Manifest, Vec<Vec<u8>>)> {
     const OURS: &str = "an archive of `rtecctl backup`";
     let wrong = |found: String, expected: &str| InputError::whole(path, found, expected);
     let unreadable = |e: std::io::Error| wrong(e.to_string(), OURS);
-    let file = rtec_files::text::open_regular(path)?;
+    let file = rtec_files::text_file::open_regular(path)?;
     let mut archive = tar::Archive::new(std::io::Read::take(file, LONGEST));
     let mut manifest: Option<Manifest> = None;
     let mut found = std::collections::BTreeMap::new();

@@ -1,11 +1,11 @@
 //! `rtecctl bugreport`: an archive that lets others analyse a problem.
 
 use crate::archive::{ArchiveWriter, now_s};
-use crate::daemon::observe;
+use crate::daemon_connection::observe;
 use crate::prelude::*;
 use rtec_control::config::{Config, EMBEDDED, INSTALLED};
 use rtec_control::setup_files::{self, SetupFile};
-use rtec_rt::setup::SystemRoot;
+use rtec_rt::realtime_setup::SystemRoot;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
 use std::process::Command;
@@ -76,7 +76,7 @@ fn fill(args: &Args, mut archive: ArchiveWriter) -> anyhow::Result<(String, Vec<
         None => Ok(format!("# There is no {INSTALLED}: the embedded default.\n{EMBEDDED}")),
     };
     let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
-    put("versions.txt", Ok(format!("{}\n{release}", rtec_files::format_stamp::writer())))?;
+    put("versions.txt", Ok(format!("{}\n{release}", rtec_files::file_format_stamp::writer())))?;
     let seen = args.daemon.view().and_then(|mut client| observe(&mut client, None));
     let runs = seen.as_ref().ok().map(|seen| seen.status.machine.clone());
     let of = config.as_ref().ok().and_then(|text| Some(Config::parse(installed, text).ok()?.machine));
@@ -156,7 +156,7 @@ fn devices() -> String {
 /// A file's text; of a long file only the end.
 fn read(path: &Path) -> anyhow::Result<String> {
     let named = || path.display().to_string();
-    let mut file = rtec_files::text::open_regular(path)?;
+    let mut file = rtec_files::text_file::open_regular(path)?;
     let long = file.metadata().with_context(named)?.len();
     file.seek(SeekFrom::Start(long.saturating_sub(LOG_BYTES))).with_context(named)?;
     let mut bytes = Vec::new();

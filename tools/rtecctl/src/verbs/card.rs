@@ -4,14 +4,14 @@ mod watch;
 
 use crate::json_output;
 use crate::prelude::*;
-use rtec_control::card::{self, CardAccess, LocatedRegisters, OpenError};
+use rtec_control::card_line_readings;
+use rtec_control::card_opening::{self, CardAccess, CardOpenError, LocatedRegisters};
+use rtec_control::card_profile_file::{self, SHIPPED};
 use rtec_control::config::{CardConfig, Config, ConfigFindings, INSTALLED};
-use rtec_control::line_readings;
-use rtec_control::lock::{self, LockError, LockGuard};
-use rtec_control::profile::{self, SHIPPED};
+use rtec_control::single_process_lock::{self, LockError, LockGuard};
+use rtec_driver::card_profile::{AddressSpace, CardProfile, IoBit, PciBarSpec, Register};
 use rtec_driver::gpio;
 use rtec_driver::pci;
-use rtec_driver::profile::{AddressSpace, CardProfile, IoBit, PciBarSpec, Register};
 use rtec_rt::link_messages::MAX_AXES;
 use std::io::{BufRead, Write};
 
@@ -64,7 +64,7 @@ struct ProbeArgs {
     #[arg(long, value_name = "TIME", default_value = "500ms", requires = "watch", value_parser = pause)]
     every: Duration,
     /// With --watch: end after this time; without it: until Ctrl-C
-    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = rtec_files::cli_options::duration)]
+    #[arg(long = "for", value_name = "TIME", requires = "watch", value_parser = rtec_files::cli_option_parsers::duration)]
     during: Option<Duration>,
     /// Print one JSON document; with --watch at the end of --for
     #[arg(long)]
@@ -72,7 +72,7 @@ struct ProbeArgs {
 }
 
 fn pause(text: &str) -> Result<Duration, String> {
-    let time = rtec_files::cli_options::duration(text)?;
+    let time = rtec_files::cli_option_parsers::duration(text)?;
     let range = Duration::from_millis(20)..=Duration::from_secs(3600);
     if range.contains(&time) { Ok(time) } else { Err("from 20ms to 1h".into()) }
 }
@@ -135,7 +135,7 @@ fn list(args: &ListArgs) -> anyhow::Result<()> {
     let mut profiles = Vec::new();
     for (name, _) in SHIPPED {
         // Every name is from the list itself, so it is found.
-        let Some(p) = profile::shipped(name) else { continue };
+        let Some(p) = card_profile_file::shipped(name) else { continue };
         let [axes, wired_back] = axes_that_fit(&p);
         profiles.push(json!({
             "profile": name, "backend": backend(&p, name), "name": p.name, "pci": p.pci.map(|p| hex(p.id)), "axes": axes,
@@ -145,7 +145,7 @@ fn list(args: &ListArgs) -> anyhow::Result<()> {
     let chip = |(chip, label, lines)| json!({"chip": chip, "label": label, "lines": lines});
     let chips: Vec<_> = gpio::chips().into_iter().map(chip).collect();
     let card = |f: pci::PciFunction| {
-        let is = |(name, _): &&(&str, &str)| profile::shipped(name)?.pci.map(|p| p.id == f.id);
+        let is = |(name, _): &&(&str, &str)| card_profile_file::shipped(name)?.pci.map(|p| p.id == f.id);
         let (name, _) = SHIPPED.iter().find(|s| is(s) == Some(true))?;
         Some(json!({"address": f.address, "pci": hex(f.id), "profile": name}))
     };
@@ -204,14 +204,14 @@ fn show(args: &ShowArgs) -> anyhow::Result<()> {
     let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
     let text = match shipped {
         Some((_, text)) => (*text).to_owned(),
-        None => rtec_files::text::read(path)
-            .map_err(|e| InputError { expected: profile::names_for(name), ..e })?,
+        None => rtec_files::text_file::read(path)
+            .map_err(|e| InputError { expected: card_profile_file::names_for(name), ..e })?,
     };
     if args.toml {
         print!("{text}");
         return Ok(());
     }
-    let p = profile::parse(path, &text)?;
+    let p = card_profile_file::parse(path, &text)?;
     let space = |space| if space == AddressSpace::Io { "I/O ports" } else { "memory" };
     if args.json {
         let register = |r: &Register| json!({"offset": r.offset, "bits": r.width.bits()});
@@ -276,8 +276,8 @@ fn described(profile: &CardProfile, place: IoBit) -> (&'static str, u8, bool) {
 }
 
 /// Error for a card whose lines cannot be read or switched.
-fn refused(config: &Config, error: OpenError) -> anyhow::Error {
-    let OpenError::NoLines(_) = error else { return unreachable(error) };
+fn refused(config: &Config, error: CardOpenError) -> anyhow::Error {
+    let CardOpenError::NoLines(_) = error else { return unreachable(error) };
     let text = format!(
         "backend \"{}\" has no lines outside the daemon: there is nothing to probe; `rtecctl status` shows its axes, \
          `rtecctl card list` what [card] of rtec.toml may name",
@@ -296,13 +296,14 @@ pub(crate) fn lock_out_daemon(config: &Config) -> anyhow::Result<Vec<LockGuard>>
     let stop = |e: LockError| {
         CommandFailure::No(format!("{e}: stop it first (systemctl stop rtecd); nothing was written"))
     };
-    let mut held: Vec<_> = lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
+    let mut held: Vec<_> =
+        single_process_lock::keep_out(&config.control.socket).map_err(stop)?.into_iter().collect();
     if let CardConfig::Registers { place, profile } = &config.card
         && place.space() == AddressSpace::Memory
         && let LocatedRegisters::Map(file, _) =
-            card::find(place, profile, CardAccess::Drive).map_err(unreachable)?
+            card_opening::find(place, profile, CardAccess::Drive).map_err(unreachable)?
     {
-        held.push(lock::card(&file).map_err(|e| match e {
+        held.push(single_process_lock::card(&file).map_err(|e| match e {
             LockError::Taken { .. } => stop(e),
             LockError::Io { .. } => CommandFailure::Unreachable(e.to_string()),
         })?);
@@ -325,7 +326,7 @@ pub(crate) fn confirm(what: &str) -> anyhow::Result<()> {
 }
 
 fn show_lines(config: &Config, as_json: bool) -> anyhow::Result<()> {
-    let reading = line_readings::read(config).map_err(|e| refused(config, e))?;
+    let reading = card_line_readings::read(config).map_err(|e| refused(config, e))?;
     if as_json {
         return say_pretty(&reading);
     }
@@ -348,7 +349,7 @@ fn show_lines(config: &Config, as_json: bool) -> anyhow::Result<()> {
 
 fn drive_outputs(config: &Config, as_json: bool) -> anyhow::Result<()> {
     let mut outputs = Vec::new();
-    line_readings::switch_outputs(config, |output| {
+    card_line_readings::switch_outputs(config, |output| {
         if !as_json {
             let switched = if output.reads_back {
                 "switched, read back, switched back"

@@ -11,7 +11,7 @@ use rtec_model::record::{Axis, Record};
 
 /// The circle of a ballbar run, as options.
 #[derive(Debug, clap::Args)]
-pub(crate) struct CircleOptions {
+pub(crate) struct BallbarCircleOptions {
     /// Ballbar: the bar's nominal length, mm
     #[arg(long, requires = "plane", value_name = "mm")]
     radius_mm: Option<f64>,
@@ -20,7 +20,7 @@ pub(crate) struct CircleOptions {
     plane: Option<String>,
 }
 
-impl CircleOptions {
+impl BallbarCircleOptions {
     pub(crate) fn circle(&self) -> Result<Option<Circle>, InputError> {
         let (Some(radius_mm), Some(plane)) = (self.radius_mm, &self.plane) else { return Ok(None) };
         let axes: Option<Vec<Axis>> = plane.split(',').map(|n| Axis::new(n.trim())).collect();

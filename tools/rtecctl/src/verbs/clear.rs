@@ -1,6 +1,6 @@
 //! `rtecctl clear`: release latched faults.
 
-use crate::daemon::{NO_EVENTS, ask, observe};
+use crate::daemon_connection::{NO_EVENTS, ask, observe};
 use crate::prelude::*;
 use rtec_control::protocol::{ClientRequest, DaemonStatus, word};
 
@@ -58,7 +58,7 @@ fn released(before: &DaemonStatus, after: &DaemonStatus) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_control::protocol::HoldReport;
+    use rtec_control::protocol::FeedHoldReport;
     use rtec_rt::link_messages::Fault;
 
     #[test]
@@ -82,7 +82,7 @@ mod tests {
         let text = released(&before, &after);
         assert!(text.contains("the controller too, then `rtecctl home --controller-homed`"), "{text}");
         after.mode = "hold".into();
-        (after.enabled, after.hold) = (false, Some(HoldReport { by: "user root".into(), at_s: None }));
+        (after.enabled, after.hold) = (false, Some(FeedHoldReport { by: "user root".into(), at_s: None }));
         let text = released(&before, &after);
         let ends =
             "feed hold by user root stays: `rtecctl hold off`\ncorrections are off: `rtecctl enable`\n";

@@ -11,11 +11,11 @@
 //! However it ends (an answer, a signal, no answer), the total is requested back to zero. Any part that still
 //! waits for a motion of the axis is reported.
 
-use crate::daemon::{self, expected};
+use crate::daemon_connection::{self, expected};
 use crate::prelude::*;
 use nix::sys::signal::Signal;
-use rtec_control::client::Client;
-use rtec_control::protocol::{AxisReport, ClientRequest, DaemonStatus, Response};
+use rtec_control::daemon_client::DaemonConnection;
+use rtec_control::protocol::{AxisReport, ClientRequest, DaemonResponse, DaemonStatus};
 use rtec_correct::jog_check::{
     JogFinding, JogReading, compensation_um, judge_compensation, judge_insertion, judge_jog, largest_step_um,
 };
@@ -61,8 +61,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Default number of inserted counts, limited by the belief window.
 const USUAL_COUNTS: i64 = 20;
-struct Guide<'a> {
-    client: Client,
+struct GuidedJogSession<'a> {
+    client: DaemonConnection,
     args: &'a Args,
     simulated: bool,
     /// The indicator is at the axis.
@@ -73,18 +73,18 @@ struct Guide<'a> {
     step_um: Option<f64>,
 }
 
-impl<'a> Guide<'a> {
+impl<'a> GuidedJogSession<'a> {
     fn connect(args: &'a Args) -> anyhow::Result<Self> {
         let client = args.daemon.connect()?;
         Ok(Self { client, args, simulated: false, indicator: true, counts: 0, step_um: None })
     }
 
-    fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<Response> {
-        daemon::ask(&mut self.client, request)
+    fn ask(&mut self, request: &ClientRequest) -> anyhow::Result<DaemonResponse> {
+        daemon_connection::ask(&mut self.client, request)
     }
 
     fn status(&mut self) -> anyhow::Result<(DaemonStatus, AxisReport)> {
-        let status = daemon::status(&mut self.client)?;
+        let status = daemon_connection::status(&mut self.client)?;
         let name = &self.args.axis;
         let axis = status.axes.iter().find(|a| a.name == *name).cloned().ok_or_else(|| {
             let names = list(status.axes.iter().map(|a| &a.name));
@@ -119,7 +119,7 @@ impl<'a> Guide<'a> {
     fn jog_simulated(&mut self, display_mm: Option<f64>) -> anyhow::Result<(f64, f64)> {
         let request = ClientRequest::Jog { axis: self.args.axis.clone(), display_mm, go_on: false };
         Ok(
-            expected!(self.ask(&request)?, Response::Stands { display_mm, indicator_mm } => (display_mm, indicator_mm)),
+            expected!(self.ask(&request)?, DaemonResponse::Stands { display_mm, indicator_mm } => (display_mm, indicator_mm)),
         )
     }
 
@@ -268,7 +268,7 @@ fn numbers<const N: usize>(from: &mut impl std::io::BufRead, expected: &str) -> 
 /// Withdraws the inserted counts, and reports what the controller still has.
 /// A simulated axis that was jogged goes on to and fro.
 fn take_back(args: &Args, simulated: bool) -> anyhow::Result<()> {
-    let mut guide = Guide::connect(args)?;
+    let mut guide = GuidedJogSession::connect(args)?;
     guide.insert(0)?;
     let axis = guide.status()?.1;
     if axis.in_effect != 0 {
@@ -287,7 +287,7 @@ fn take_back(args: &Args, simulated: bool) -> anyhow::Result<()> {
 /// From now on a signal ends the run after the inserted counts are withdrawn.
 /// The main thread cannot do that while it waits for answers.
 fn on_signal(args: &Args, simulated: bool) -> anyhow::Result<()> {
-    let ends = daemon::block_end_signals()?;
+    let ends = daemon_connection::block_end_signals()?;
     let args = args.clone();
     std::thread::spawn(move || {
         let signal = ends.wait();
@@ -313,7 +313,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         fail!(Bad, "found {found}, expected {expected}");
     }
     let model = args.model.as_deref().map(Machine::read).transpose()?;
-    let mut guide = Guide::connect(args)?;
+    let mut guide = GuidedJogSession::connect(args)?;
     let (status, axis) = guide.status()?;
     let places_mm = [0.0, args.jog_mm, args.far_mm];
     guide.step_um = model.map(|m| largest_step_um(&m, &args.axis, places_mm)).transpose()?;

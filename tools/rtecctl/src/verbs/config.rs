@@ -1,7 +1,7 @@
 //! `rtecctl config`: checks a configuration, and shows where it is wrong.
 
 use crate::prelude::*;
-use crate::terminal::{self, Tone, toned};
+use crate::terminal::{self, ColourMeaning, toned};
 use clap::Subcommand;
 use rtec_control::config::{Config, ConfigFindings, ConfiguredAxis, EMBEDDED};
 use rtec_rt::axis::AxisConfig;
@@ -43,7 +43,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             }
             let config = config?;
             if !json && !quiet {
-                println!("{}: {}", file.display(), toned("no findings", Tone::Good, terminal::colour()));
+                println!(
+                    "{}: {}",
+                    file.display(),
+                    toned("no findings", ColourMeaning::Good, terminal::colour())
+                );
                 print(&config);
             }
         }
@@ -93,6 +97,6 @@ fn print(config: &Config) {
         println!("{name:<8} {rapid:>14} {followed:>17} {corrected:>18} {followed_hz:>11} {corrected_hz:>12}");
     }
     for note in &config.notes {
-        println!("{} {note}", toned("note:", Tone::Doubtful, terminal::colour()));
+        println!("{} {note}", toned("note:", ColourMeaning::Doubtful, terminal::colour()));
     }
 }

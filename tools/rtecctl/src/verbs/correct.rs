@@ -1,6 +1,6 @@
 //! `rtecctl correct`: the total correction of an axis.
 
-use crate::daemon::DaemonArgs;
+use crate::daemon_connection::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Request the total correction of an axis, in counts since homing

@@ -2,9 +2,9 @@
 //! The designs are those of the sources.
 
 use crate::prelude::*;
-use rtec_sim::bench::InsertionDesign;
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::insertion_designs::{TestMotion, compare, waveforms};
+use rtec_sim::insertion_design_bench::InsertionDesign;
+use rtec_sim::insertion_design_comparison::{TestMotion, compare, waveforms};
 
 /// Compare the insertion designs: increment, time, safe speed, rest, what happens when the computer dies
 #[derive(Debug, clap::Args)]

@@ -1,6 +1,6 @@
 //! `rtecctl disable`: corrections off.
 
-use crate::daemon::DaemonArgs;
+use crate::daemon_connection::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Switch corrections off: they freeze where they are, nothing moves

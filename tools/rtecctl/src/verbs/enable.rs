@@ -1,7 +1,7 @@
 //! `rtecctl enable`: corrections on.
 
-use crate::daemon::{DaemonArgs, describe};
-use rtec_control::protocol::{ClientRequest, Response};
+use crate::daemon_connection::{DaemonArgs, describe};
+use rtec_control::protocol::{ClientRequest, DaemonResponse};
 
 /// Switch corrections on; shows what moves, and refuses a jump beyond the belief window
 #[derive(Debug, clap::Args)]
@@ -15,7 +15,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let response = args.daemon.ask(&ClientRequest::Enable { accept_jump: args.accept_jump })?;
-    if let Response::Done { jumps, already, .. } = response
+    if let DaemonResponse::Done { jumps, already, .. } = response
         && !args.daemon.json
     {
         let what = match (already, jumps.is_empty()) {

@@ -50,7 +50,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut files = Vec::new();
     for record in &mut records {
         make_folder_of(&record.path)?;
-        let done = rtec_measure::record::write(record);
+        let done = rtec_measure::run_record_files::write(record);
         done.with_context(|| format!("writing {}", record.path.display()))?;
         files.push(record.path.clone());
     }

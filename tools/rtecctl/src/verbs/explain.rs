@@ -1,8 +1,10 @@
 //! `rtecctl explain`: the components of each axis's correction.
 
-use crate::daemon::{NO_EVENTS, observe};
+use crate::daemon_connection::{NO_EVENTS, observe};
 use crate::prelude::*;
-use rtec_control::protocol::{AxisExplanation, ClientRequest, Contribution, Response, SensorReading};
+use rtec_control::protocol::{
+    AxisCorrectionComponents, ClientRequest, CorrectionComponent, DaemonResponse, SensorStateReport,
+};
 
 /// Split each axis's correction now into its effects, with sensor values and their age
 ///
@@ -17,7 +19,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let response = args.daemon.ask(&ClientRequest::Explain { axis: args.axis.clone() })?;
-    if let Response::Explained { axes } = response
+    if let DaemonResponse::Explained { axes } = response
         && !args.daemon.json
     {
         print!("{}", table(&axes));
@@ -38,16 +40,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 const NO_EFFECTS: [&str; 6] =
     ["part table", "operator", "on its way", "rounding", "not followed now", "beyond max_correction_counts"];
 
-fn without_effect(axes: &[AxisExplanation]) -> bool {
+fn without_effect(axes: &[AxisCorrectionComponents]) -> bool {
     let mut parts = axes.iter().flat_map(|a| &a.parts);
     parts.all(|p| NO_EFFECTS.contains(&p.name.as_str()))
 }
 
-fn table(axes: &[AxisExplanation]) -> String {
+fn table(axes: &[AxisCorrectionComponents]) -> String {
     let mut text = String::new();
-    for AxisExplanation { axis, requested, total_um, parts, holds } in axes {
+    for AxisCorrectionComponents { axis, requested, total_um, parts, holds } in axes {
         let _ = writeln!(text, "axis {axis}: {} µm, {requested:+} counts", um_text(*total_um));
-        for Contribution { name, um, sensors, outside_k, weight } in parts {
+        for CorrectionComponent { name, um, sensors, outside_k, weight } in parts {
             let mut note = list(sensors.iter().map(shown));
             if let (Some(k), Some(w)) = (outside_k, weight) {
                 let _ = write!(note, "; {k:.1} K outside its range, {:.0} % left", 100.0 * w);
@@ -67,7 +69,7 @@ fn um_text(um: f64) -> String {
     if um.abs() < 1e6 { format!("{um:+.3}") } else { format!("{um:+.3e}") }
 }
 
-fn shown(r: &SensorReading) -> String {
+fn shown(r: &SensorStateReport) -> String {
     let value = match (r.degc, r.age_s) {
         (Some(degc), Some(age_s)) => format!("{degc:.2} °C, {age_s:.1} s old"),
         _ => "never read".to_owned(),
@@ -83,7 +85,7 @@ mod tests {
 
     #[test]
     fn parts_sensors_and_why_it_holds() {
-        let axes: Vec<AxisExplanation> =
+        let axes: Vec<AxisCorrectionComponents> =
             serde_json::from_str(include_str!("../../tests/golden/explain.json")).unwrap();
         crate::golden("explain.txt", &table(&axes));
         assert!(!without_effect(&axes) && !without_effect(&axes[1..]));

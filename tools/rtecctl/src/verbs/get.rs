@@ -1,6 +1,6 @@
 //! `rtecctl get`: one value of the status, for scripts.
 
-use crate::daemon::{DaemonArgs, NO_EVENTS, observe};
+use crate::daemon_connection::{DaemonArgs, NO_EVENTS, observe};
 use serde_json::{Map, Value};
 
 /// Print one value of the status, as axes.x.completed or mode

@@ -1,7 +1,7 @@
 //! `rtecctl history`: one machine's figures of merit over time.
 
 use crate::prelude::*;
-use rtec_measure::history::{FigureTolerances, history};
+use rtec_measure::figure_history::{FigureTolerances, history};
 
 /// Show a machine's figures over time: A, E, M, R, B, squareness, growth per K, with limits and trend
 ///
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         return Err(missing(&args.records[0], "no record").into());
     }
     let records: Vec<_> =
-        paths.iter().map(|p| (p.display().to_string(), rtec_measure::record::read(p))).collect();
+        paths.iter().map(|p| (p.display().to_string(), rtec_measure::run_record_files::read(p))).collect();
     let found = history(&args.machine, &records, &limits);
     for left in &found.left_out {
         eprintln!("warning: {}: left out: {}", left.record, left.why);

@@ -1,19 +1,19 @@
 //! `rtecctl hold`: feed hold.
 
-use crate::daemon::DaemonArgs;
-use crate::verbs::probe::Switch;
+use crate::daemon_connection::DaemonArgs;
+use crate::verbs::probe::OnOrOff;
 use rtec_control::protocol::ClientRequest;
 
 /// Switch feed hold on or off; corrections freeze while it is on
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// On or off
-    switch: Switch,
+    switch: OnOrOff,
     #[command(flatten)]
     daemon: DaemonArgs,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let on = args.switch == Switch::On;
+    let on = args.switch == OnOrOff::On;
     args.daemon.order(&ClientRequest::Hold { on }, if on { "feed hold on" } else { "feed hold off" })
 }

@@ -1,6 +1,6 @@
 //! `rtecctl home`: declares that the axis is at its home position.
 
-use crate::daemon::DaemonArgs;
+use crate::daemon_connection::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Set the counters at the known home place and read them back

@@ -1,16 +1,16 @@
 //! `rtecctl ledger`: requests and insertions of each axis, as files for a replay.
 
-use crate::daemon::{NO_EVENTS, ask, expected, observe};
+use crate::daemon_connection::{NO_EVENTS, ask, expected, observe};
 use crate::prelude::*;
-use rtec_control::client::Client;
+use rtec_control::daemon_client::DaemonConnection;
 use rtec_control::ledger_export::LedgerExportSummary;
-use rtec_control::protocol::{AxisReport, ClientRequest, LedgerPage, Response};
+use rtec_control::protocol::{AxisReport, ClientRequest, DaemonResponse, LedgerPage};
 use rtec_driver::quadrature::State;
 use rtec_files::ColumnAssignment;
 use rtec_files::quadrature_trace::{RequestedTotalReader, TraceReader};
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{InsertionDesign, replay_any};
-use rtec_sim::replay::ReplayOutcome;
+use rtec_sim::engine_replay::ReplayOutcome;
+use rtec_sim::insertion_design_bench::{InsertionDesign, replay_any};
 
 super::verbs_below! {
     /// What each axis was asked for, and every insertion
@@ -35,7 +35,7 @@ struct ExportArgs {
     #[arg(long, value_name = "NAME")]
     axis: Option<String>,
     /// The last changes only, as 60s
-    #[arg(long, value_name = "TIME", value_parser = rtec_files::cli_options::duration)]
+    #[arg(long, value_name = "TIME", value_parser = rtec_files::cli_option_parsers::duration)]
     last: Option<Duration>,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -116,12 +116,12 @@ fn export(args: &ExportArgs) -> anyhow::Result<()> {
 }
 
 /// Fetches all kept changes of an axis's ledger.
-fn fetch(client: &mut Client, axis: &str) -> anyhow::Result<LedgerPage> {
+fn fetch(client: &mut DaemonConnection, axis: &str) -> anyhow::Result<LedgerPage> {
     let mut whole: Option<LedgerPage> = None;
     loop {
         let from = whole.as_ref().map_or(0, |w| w.first + w.rows.len() as u64);
         let request = ClientRequest::Ledger { axis: axis.to_owned(), from };
-        let page = expected!(ask(client, &request)?, Response::Ledger(page) => page);
+        let page = expected!(ask(client, &request)?, DaemonResponse::Ledger(page) => page);
         // If the axis was homed meanwhile, or rows were dropped, it begins again.
         if page.first != from && whole.is_some() {
             whole = None;

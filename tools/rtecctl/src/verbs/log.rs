@@ -4,7 +4,7 @@ use crate::prelude::*;
 use crate::terminal;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use rtec_control::audit::{self, Anchor, ChainLine, Entry};
+use rtec_control::audit_log::{self, ChainAnchor, ChainLine, Entry};
 use rtec_files::message_text::is_hidden;
 use std::collections::BTreeSet;
 use std::io;
@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     let document = args.daemon.json && !args.follow;
-    audit::read(&file, &mut |line| {
+    audit_log::read(&file, &mut |line| {
         if let Ok(entry) = &line.entry {
             last_n[usize::from(line.refused)] = entry.n;
             last_t = Some(entry.t.clone());
@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         while !terminal::reader_has_gone() {
             std::thread::sleep(EVERY);
             // The files may just have been renamed.
-            let _ = audit::read(&file, &mut |line| {
+            let _ = audit_log::read(&file, &mut |line| {
                 let n = line.entry.as_ref().map_or(0, |e| e.n);
                 let last_n = &mut last_n[usize::from(line.refused)];
                 if n > *last_n {
@@ -113,7 +113,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// Refuses an unknown axis before any line is shown.
 fn known(file: &Path, axis: &str) -> anyhow::Result<()> {
     let mut axes = BTreeSet::new();
-    audit::read(file, &mut |line| axes.extend(line.entry.into_iter().flat_map(|e| e.after.into_keys())))
+    audit_log::read(file, &mut |line| axes.extend(line.entry.into_iter().flat_map(|e| e.after.into_keys())))
         .map_err(|e| unreadable(file, &e))?;
     let known = axes.is_empty() || axes.contains(axis);
     ensure!(known, Bad, "found --axis {axis}, expected one of the record's: {}", list(axes));
@@ -128,19 +128,19 @@ fn nothing(since_s: Option<f64>, axis: Option<&str>, last_t: Option<&str>, zone:
     let axis = axis.map_or(String::new(), |axis| format!(" of axis {axis}"));
     let since = since_s.map_or(String::new(), |seconds| {
         let since = Duration::try_from_secs_f64(seconds).unwrap_or_default();
-        format!(" since {}", local(&audit::stamp(UNIX_EPOCH + since), zone))
+        format!(" since {}", local(&audit_log::stamp(UNIX_EPOCH + since), zone))
     });
     format!("no line{axis}{since}; the record's last is of {}: `rtecctl log` shows all", local(last, zone))
 }
 
 /// The anchors of the record in the journal.
-fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
+fn anchors(file: &Path) -> anyhow::Result<Vec<ChainAnchor>> {
     let text = if file == Path::new("-") {
         io::read_to_string(io::stdin()).map_err(|e| InputError::whole(file, e.to_string(), "text"))?
     } else {
-        rtec_files::text::read(file)?
+        rtec_files::text_file::read(file)?
     };
-    let found = Anchor::all(&text);
+    let found = ChainAnchor::all(&text);
     if found.is_empty() {
         let expected = "lines of rtecd, as `journalctl RTEC_EVENT=record_anchor` prints them ([control] log_anchor = true)";
         return Err(InputError::whole(file, "no anchor", expected).into());
@@ -148,8 +148,8 @@ fn anchors(file: &Path) -> anyhow::Result<Vec<Anchor>> {
     Ok(found)
 }
 
-fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> {
-    let found = audit::verify(file, anchors).map_err(|e| unreadable(file, &e))?;
+fn verify(file: &Path, anchors: &[ChainAnchor], as_json: bool) -> anyhow::Result<()> {
+    let found = audit_log::verify(file, anchors).map_err(|e| unreadable(file, &e))?;
     if as_json {
         say_line(&json!({ "file": file, "ok": found.broken.is_empty(), "found": found }))?;
     } else {
@@ -160,7 +160,7 @@ fn verify(file: &Path, anchors: &[Anchor], as_json: bool) -> anyhow::Result<()> 
         let [first, last] = found.numbers;
         println!("{}: {} lines, number {first} to {last}", file.display(), found.lines);
         if found.refused > 0 {
-            println!("{}: {} lines", audit::refused_path(file).display(), found.refused);
+            println!("{}: {} lines", audit_log::refused_path(file).display(), found.refused);
         }
         if !anchors.is_empty() {
             println!("compared with {} anchors", anchors.len());
@@ -193,7 +193,7 @@ fn local(t: &str, zone: &TimeZone) -> String {
 
 /// Parses a time: a duration back from now, or a moment. Without a Z it is local.
 fn since(text: &str, zone: &TimeZone) -> anyhow::Result<f64> {
-    if let Some(seconds) = audit::seconds(text) {
+    if let Some(seconds) = audit_log::seconds(text) {
         // The moment at which local clocks show this time. The second pass is for a change of clocks between
         // both.
         let offset_s = |at: f64| {

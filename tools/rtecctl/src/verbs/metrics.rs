@@ -1,12 +1,12 @@
 //! `rtecctl metrics`: the status as metrics.
 //! They are printed, written for a collector, or served.
 
-use crate::daemon::{NO_EVENTS, observe};
-use crate::http::{Answer, Handler, Request, Server};
+use crate::daemon_connection::{NO_EVENTS, observe};
+use crate::http_server::{HttpRequest, HttpRequestHandler, HttpResponse, HttpServer};
 use crate::prelude::*;
 use rtec_control::metrics::{MetricsFormat, text};
 use rtec_control::protocol::DaemonSnapshot;
-use rtec_files::format_stamp::VERSION;
+use rtec_files::file_format_stamp::VERSION;
 use std::fs::{Permissions, remove_file};
 use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.prom")]
     textfile: Option<PathBuf>,
     /// Write the file again and again, as 15s
-    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = rtec_files::cli_options::duration)]
+    #[arg(long, value_name = "TIME", requires = "textfile", value_parser = rtec_files::cli_option_parsers::duration)]
     every: Option<Duration>,
     /// Serve them at this address, as 127.0.0.1:9837, or at a Unix socket, as /run/rtec-metrics/socket
     #[arg(long, value_name = "ADDRESS", conflicts_with = "textfile")]
@@ -80,11 +80,11 @@ fn serve(daemon: &DaemonArgs, address: &str, beyond_loopback: bool) -> anyhow::R
     let server =
         if address.contains('/') { at_path(Path::new(address))? } else { at_port(address, beyond_loopback)? };
     eprintln!("metrics at {address}");
-    let handler = Arc::new(MetricsHandler { daemon: daemon.clone(), last: Mutex::default() });
+    let handler = Arc::new(MetricsHttpHandler { daemon: daemon.clone(), last: Mutex::default() });
     server.serve(&handler, &AtomicBool::new(false)).with_context(|| format!("listening at {address}"))
 }
 
-fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
+fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<HttpServer> {
     let Ok(at) = address.parse::<SocketAddr>() else {
         let expected = "ADDRESS:PORT as 127.0.0.1:9837, or the path of a socket";
         fail!(Bad, "--listen: found {address:?}, expected {expected}");
@@ -94,11 +94,11 @@ fn at_port(address: &str, beyond_loopback: bool) -> anyhow::Result<Server> {
         let found = format!("--listen: found {at}, which others can reach");
         fail!(Bad, "{found}; expected {expected}, or --beyond-loopback beside it");
     }
-    Server::tcp(at).map_err(|e| CommandFailure::No(format!("cannot listen at {at}: {e}")).into())
+    HttpServer::tcp(at).map_err(|e| CommandFailure::No(format!("cannot listen at {at}: {e}")).into())
 }
 
 /// Creates a Unix socket, also in place of one at which nothing listens.
-fn at_path(path: &Path) -> anyhow::Result<Server> {
+fn at_path(path: &Path) -> anyhow::Result<HttpServer> {
     let no =
         |e: &dyn std::fmt::Display| CommandFailure::No(format!("cannot listen at {}: {e}", path.display()));
     if let Ok(found) = std::fs::symlink_metadata(path) {
@@ -110,30 +110,30 @@ fn at_path(path: &Path) -> anyhow::Result<Server> {
         }
         remove_file(path).map_err(|e| no(&e))?;
     }
-    let server = Server::unix(path).map_err(|e| no(&e))?;
+    let server = HttpServer::unix(path).map_err(|e| no(&e))?;
     std::fs::set_permissions(path, Permissions::from_mode(0o660)).map_err(|e| no(&e))?;
     Ok(server)
 }
 
 /// Asks the daemon once for all clients that wait at a time.
-struct MetricsHandler {
+struct MetricsHttpHandler {
     daemon: DaemonArgs,
     /// Its last answer, and the time of that.
     last: Mutex<Option<(Instant, Option<DaemonSnapshot>)>>,
 }
 
-impl Handler for MetricsHandler {
-    fn check_head(&self, head: &Request) -> Result<(), Answer> {
+impl HttpRequestHandler for MetricsHttpHandler {
+    fn check_head(&self, head: &HttpRequest) -> Result<(), HttpResponse> {
         if !["GET", "HEAD"].contains(&head.method.as_str()) {
-            return Err(Answer::plain(405, "GET or HEAD"));
+            return Err(HttpResponse::plain(405, "GET or HEAD"));
         }
         if head.path.split('?').next() != Some("/metrics") {
-            return Err(Answer::plain(404, "metrics are at /metrics"));
+            return Err(HttpResponse::plain(404, "metrics are at /metrics"));
         }
         Ok(())
     }
 
-    fn answer(&self, request: &Request) -> Answer {
+    fn answer(&self, request: &HttpRequest) -> HttpResponse {
         let form = MetricsFormat::accepted(request.header("Accept").unwrap_or_default());
         let came = Instant::now();
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
@@ -143,6 +143,6 @@ impl Handler for MetricsHandler {
         }
         let body = text(last.as_ref().and_then(|(_, seen)| seen.as_ref()), form, VERSION);
         drop(last);
-        Answer { status: 200, kind: form.content_type(), body }
+        HttpResponse { status: 200, kind: form.content_type(), body }
     }
 }

@@ -72,7 +72,7 @@ use nix::unistd::{AccessFlags, access};
 use rtec_model::record::Record;
 
 pub(crate) fn read_records(paths: &[PathBuf]) -> Result<Vec<Record>, InputError> {
-    paths.iter().map(|p| rtec_measure::record::read(p)).collect()
+    paths.iter().map(|p| rtec_measure::run_record_files::read(p)).collect()
 }
 
 /// Reads the values of an option as a name and a number each, `x=500`.

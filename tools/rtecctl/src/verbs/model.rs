@@ -12,7 +12,7 @@ super::verbs_below! {
     /// Work with machine models: choose sensors, fit, predict, judge, rehearse, load, show, compare, export
     Args;
     /// Take the model up again that was unloaded last, as it was read when it was loaded
-    Again crate::daemon::DaemonArgs => load::again;
+    Again crate::daemon_connection::DaemonArgs => load::again;
     Compare show::CompareArgs => show::compare;
     Export export::Args => export::run;
     Fit fit::FitArgs => fit::run;
@@ -23,6 +23,6 @@ super::verbs_below! {
     SelectSensors fit::SelectSensorsArgs => fit::select;
     Show show::ShowArgs => show::show;
     /// Run without a model: corrections go back in a ramp
-    Unload crate::daemon::DaemonArgs => load::unload;
+    Unload crate::daemon_connection::DaemonArgs => load::unload;
     Validate validate::ValidateArgs => validate::validate;
 }

@@ -1,9 +1,9 @@
 //! `rtecctl park`: ends corrections, with the counts kept or withdrawn.
 
-use crate::daemon::{DaemonArgs, ask, explained, status};
+use crate::daemon_connection::{DaemonArgs, ask, explained, status};
 use crate::json_output::list;
-use rtec_control::client::Client;
-use rtec_control::protocol::{AxisExplanation, AxisReport, ClientRequest, DaemonStatus};
+use rtec_control::daemon_client::DaemonConnection;
+use rtec_control::protocol::{AxisCorrectionComponents, AxisReport, ClientRequest, DaemonStatus};
 use std::time::{Duration, Instant};
 
 /// Freeze the corrections where they are and disarm; with --to-zero take them out first, step by step
@@ -20,7 +20,7 @@ pub(crate) struct Args {
     #[arg(long, group = "moves")]
     inverters_off: bool,
     /// Give up after this time without a count taken out, as 30s or 5min; corrections stay on then
-    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = rtec_files::cli_options::duration)]
+    #[arg(long, value_name = "TIME", default_value = "5min", requires = "moves", value_parser = rtec_files::cli_option_parsers::duration)]
     patience: Duration,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -66,7 +66,7 @@ fn unknown(now: &DaemonStatus) -> Option<String> {
 }
 
 /// Withdraws all counts; returns whether a model was unloaded for it.
-fn to_zero(client: &mut Client, patience: Duration) -> anyhow::Result<bool> {
+fn to_zero(client: &mut DaemonConnection, patience: Duration) -> anyhow::Result<bool> {
     let mut now = status(client)?;
     let unloads = now.model.is_some() && now.mode == "run";
     if unloads {
@@ -117,7 +117,7 @@ fn inverted(now: &DaemonStatus) -> impl Iterator<Item = &AxisReport> {
 }
 
 /// Requests one insertion on each axis with inverters on, until all are off.
-fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> {
+fn inverters_off(client: &mut DaemonConnection, patience: Duration) -> anyhow::Result<()> {
     let begun = Instant::now();
     loop {
         let now = status(client)?;
@@ -144,7 +144,7 @@ fn inverters_off(client: &mut Client, patience: Duration) -> anyhow::Result<()> 
 }
 
 /// The operator's share of a total, counts.
-fn operator_counts(parts: &AxisExplanation) -> i64 {
+fn operator_counts(parts: &AxisCorrectionComponents) -> i64 {
     let operator_um = parts.parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
     if parts.requested == 0 {
         0
@@ -155,7 +155,7 @@ fn operator_counts(parts: &AxisExplanation) -> i64 {
 
 /// The operator's next total towards zero within the belief window.
 /// The model's part returns by itself after the model is unloaded.
-fn step_to_zero(axis: &AxisReport, parts: &AxisExplanation) -> ClientRequest {
+fn step_to_zero(axis: &AxisReport, parts: &AxisCorrectionComponents) -> ClientRequest {
     let operator_counts = operator_counts(parts);
     let step = axis.window_counts.max(1);
     let total_counts = operator_counts - operator_counts.clamp(-step, step);

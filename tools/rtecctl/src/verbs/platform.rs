@@ -3,10 +3,10 @@
 
 use crate::prelude::*;
 use rtec_control::config::{CardConfig, Config, INSTALLED, RegisterPlace};
-use rtec_driver::gpio::{GpioSetup, chip_names};
-use rtec_driver::profile::AddressSpace;
-use rtec_platform::access::{self, Device};
-use rtec_rt::setup::{RtSettings, SetupReport, SystemRoot, apply};
+use rtec_driver::card_profile::AddressSpace;
+use rtec_driver::gpio::{GpioCardConfig, chip_names};
+use rtec_platform::device_access_check::{self, CardDevice};
+use rtec_rt::realtime_setup::{RtSettings, SetupReport, SystemRoot, apply};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -33,7 +33,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Serialize)]
-struct Document<'a> {
+struct PlatformReportJson<'a> {
     can_arm: bool,
     #[serde(flatten)]
     report: &'a SetupReport,
@@ -60,8 +60,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .join()
             .map_err(|_| anyhow::anyhow!("the thread that tried the settings panicked"))?
     };
-    report.findings.extend(access::card(&system, &devices, events, cpu));
-    let document = Document { can_arm: report.can_arm(), report: &report };
+    report.findings.extend(device_access_check::card(&system, &devices, events, cpu));
+    let document = PlatformReportJson { can_arm: report.can_arm(), report: &report };
     answer(args.json, &document, || text(&report))?;
     let stops = list(report.missing().map(|f| f.name));
     ensure!(report.can_arm(), No, "a real card would not be armed: {stops}");
@@ -69,18 +69,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// The devices that the card's backend opens, and whether it wakes the thread.
-fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
+fn devices(card: &CardConfig) -> anyhow::Result<(Vec<CardDevice>, bool)> {
     Ok(match card {
         CardConfig::Mock | CardConfig::Replay { .. } => (Vec::new(), false),
         CardConfig::Gpio(setup) => (gpio_chips(setup)?, setup.events),
         CardConfig::Registers { place, .. } => {
             let device = match place {
                 RegisterPlace::File(file) | RegisterPlace::Uio(file, _) | RegisterPlace::Parport(file) => {
-                    Device::of_file(&std::path::absolute(file)?)
+                    CardDevice::of_file(&std::path::absolute(file)?)
                 }
-                RegisterPlace::Io(_) => Device::Ports(None),
-                RegisterPlace::Pci(id, _, AddressSpace::Io) => Device::Ports(Some(id.clone())),
-                RegisterPlace::Pci(id, bar, AddressSpace::Memory) => Device::Bar(id.clone(), *bar),
+                RegisterPlace::Io(_) => CardDevice::Ports(None),
+                RegisterPlace::Pci(id, _, AddressSpace::Io) => CardDevice::Ports(Some(id.clone())),
+                RegisterPlace::Pci(id, bar, AddressSpace::Memory) => CardDevice::Bar(id.clone(), *bar),
             };
             (vec![device], false)
         }
@@ -89,7 +89,7 @@ fn devices(card: &CardConfig) -> anyhow::Result<(Vec<Device>, bool)> {
 
 /// The chips of a configuration.
 /// For labels and line names the chips themselves must be asked.
-fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
+fn gpio_chips(setup: &GpioCardConfig) -> anyhow::Result<Vec<CardDevice>> {
     let lines = setup.inputs.iter().map(|i| &i.line).chain(setup.outputs.iter().map(|o| &o.line));
     let direct = |chip: &String| {
         let name = chip.strip_prefix("/dev/").unwrap_or(chip);
@@ -100,7 +100,7 @@ fn gpio_chips(setup: &GpioSetup) -> anyhow::Result<Vec<Device>> {
     let only = "only root may ask all chips for their labels and lines";
     let asked = || chip_names(setup).map_err(|e| CommandFailure::Unreachable(format!("{e}; {only}")));
     let names = named.map_or_else(asked, Ok)?;
-    Ok(names.into_iter().map(Device::Gpio).collect())
+    Ok(names.into_iter().map(CardDevice::Gpio).collect())
 }
 
 fn text(report: &SetupReport) -> String {

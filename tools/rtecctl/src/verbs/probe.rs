@@ -1,9 +1,9 @@
 //! `rtecctl probe`: positions at the trips of the probe.
 
-use crate::daemon::{DaemonArgs, NO_EVENTS, ask, check, observe, unreachable};
+use crate::daemon_connection::{DaemonArgs, NO_EVENTS, ask, check, observe, unreachable};
 use crate::json_output::say_line;
 use clap::ValueEnum;
-use rtec_control::protocol::{ClientRequest, ProbeTripReport, Response};
+use rtec_control::protocol::{ClientRequest, DaemonResponse, ProbeTripReport};
 
 /// Switch probing on and print every captured position, or switch it off
 ///
@@ -12,7 +12,7 @@ use rtec_control::protocol::{ClientRequest, ProbeTripReport, Response};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// On or off
-    switch: Switch,
+    switch: OnOrOff,
     /// Switch off again and end after so many captures, every axis counted; 0 only switches on
     #[arg(long, value_name = "N")]
     captures: Option<u64>,
@@ -21,13 +21,13 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Switch {
+pub(crate) enum OnOrOff {
     On,
     Off,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if args.switch == Switch::Off {
+    if args.switch == OnOrOff::Off {
         return args.daemon.order(&ClientRequest::Probe { on: false }, "probing off");
     }
     if args.captures == Some(0) {
@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let mut number = 0;
     while args.captures.is_none_or(|n| number < n) {
-        let Response::Event(happened) = check(watch.answer().map_err(unreachable)?)? else { continue };
+        let DaemonResponse::Event(happened) = check(watch.answer().map_err(unreachable)?)? else { continue };
         if happened.trip.is_none() {
             if happened.kind != "mode" {
                 let axis = happened.axis.map(|a| format!("axis {a}: ")).unwrap_or_default();

@@ -5,12 +5,13 @@ use super::characterise::record::{RecorderArgs, record};
 use super::read_records;
 use crate::json_output::write;
 use crate::prelude::*;
-use crate::rounding::with_half;
-use rtec_files::cli_options::number;
+use crate::uncertainty_rounding::with_half;
+use rtec_files::cli_option_parsers::number;
 use rtec_files::{InputError, date};
 use rtec_model::machine::Machine;
 use rtec_reconcile::{
-    LAWS_FILE, Options, Reconciliation, ResidualStructure, RevisedEffect, SEED, html, reconcile, why,
+    LAWS_FILE, ReconciliationOptions, ReconciliationResult, ResidualStructure, RevisedEffect, SEED, html,
+    reconcile, why,
 };
 
 /// Find what the model of a machine lacks: name it, add it, show the gap shrink
@@ -87,7 +88,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     spares_inputs(args)?;
     let date = date::format(date::today());
     let figures = args.stage == Stage::Show;
-    let options = Options { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
+    let options =
+        ReconciliationOptions { level: args.level, date: Some(date), unexplained: args.unexplained, figures };
     let answer = reconcile(&train, &holdout, &machine, &options)?;
     answer.say_of(&train, &holdout, &mut super::input_notices::say);
     if args.stage == Stage::Find {
@@ -129,7 +131,7 @@ fn spares_inputs(args: &Args) -> Result<(), InputError> {
         ("report.html", Stage::Show),
     ];
     let mut names = written.iter().filter(|(_, from)| args.stage >= *from);
-    names.try_for_each(|(name, _)| rtec_files::write::is_no_input(&dir.join(name)))
+    names.try_for_each(|(name, _)| rtec_files::atomic_write::is_no_input(&dir.join(name)))
 }
 
 /// Writes the verdict and other files to the directory, and prints the result.
@@ -155,7 +157,7 @@ fn chance(p: f64) -> String {
     if p <= 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
 }
 
-fn found(answer: &Reconciliation) -> String {
+fn found(answer: &ReconciliationResult) -> String {
     use std::fmt::Write as _;
     let mut s = String::from("Where measured and simulated disagree (false-discovery rate 5 %):\n");
     let found: Vec<_> = answer.places.iter().filter(|p| p.counts()).collect();
@@ -207,7 +209,7 @@ fn values(x: &RevisedEffect) -> String {
     if each.is_empty() { each } else { format!(": {each}") }
 }
 
-fn summary(r: &Reconciliation) -> String {
+fn summary(r: &ReconciliationResult) -> String {
     use std::fmt::Write as _;
     let mut s = found(r);
     let but = r.reservation().map_or_else(String::new, |reservation| format!("; {reservation}"));

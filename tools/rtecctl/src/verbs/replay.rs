@@ -4,16 +4,16 @@ use crate::prelude::*;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rtec_control::config::Config;
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{Listener, TracePoint};
+use rtec_driver::trace_replay::{MtcSignalListener, TracePoint};
 use rtec_files::clock_column;
 use rtec_files::quadrature_trace::{
     AtomicTraceFile, RequestedTotalReader, TraceFormat, TraceReader, request_columns, trace_columns,
 };
 use rtec_rt::axis::AxisConfig;
 use rtec_rt::link_messages::Fault;
-use rtec_sim::bench::{InsertionDesign, replay_any};
-use rtec_sim::ecc::PllLimits;
-use rtec_sim::replay::{ReplayError, ReplayOutcome};
+use rtec_sim::engine_replay::{ReplayError, ReplayOutcome};
+use rtec_sim::error_correction_circuit::PllFrequencyLimits;
+use rtec_sim::insertion_design_bench::{InsertionDesign, replay_any};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
@@ -134,7 +134,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         replay_any(design, config, trace.by_ref(), requests, large, |_, _: State| {})
             .map(|(outcome, _)| outcome)
     } else {
-        let to = Outputs { files, failed: None };
+        let to = CorrectedTraceFiles { files, failed: None };
         match replay_any(design, config, trace.by_ref(), requests, large, to) {
             Ok((outcome, to)) => to.finish().map(|()| Ok(outcome))?,
             Err(error) => Err(error),
@@ -178,7 +178,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "warning: {open:+} of the requested {:+} counts were not made: the circuit {}, twice the encoder's frequency. It adds only what \
              is done before the axis can leave the clean range; let the axis move at such a speed for longer, or take another design",
             outcome.requested,
-            PllLimits::default()
+            PllFrequencyLimits::default()
         );
     }
     if outcome.requests > 0 && outcome.refused.len() as u64 == outcome.requests {
@@ -253,12 +253,12 @@ impl Iterator for TraceWithProgress {
 }
 
 /// The files for A' and B', and the first failure to write one.
-struct Outputs<'a> {
+struct CorrectedTraceFiles<'a> {
     files: Vec<(AtomicTraceFile, &'a Path)>,
     failed: Option<io::Error>,
 }
 
-impl Listener for Outputs<'_> {
+impl MtcSignalListener for CorrectedTraceFiles<'_> {
     #[inline]
     fn changed(&mut self, t_ns: u64, state: State) {
         for (file, _) in &mut self.files {
@@ -271,7 +271,7 @@ impl Listener for Outputs<'_> {
     }
 }
 
-impl Outputs<'_> {
+impl CorrectedTraceFiles<'_> {
     fn finish(self) -> anyhow::Result<()> {
         if let Some(error) = self.failed {
             return Err(error).context("writing what the MTC sees; nothing is left behind");

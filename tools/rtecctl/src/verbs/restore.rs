@@ -4,7 +4,7 @@ use super::backup::{Manifest, PackedFile, read};
 use crate::prelude::*;
 use nix::unistd::{Gid, Uid, fchown};
 use rtec_control::config::{Config, INSTALLED};
-use rtec_control::lock;
+use rtec_control::single_process_lock;
 use rtec_files::untrusted_folder::UntrustedFolder;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
@@ -59,8 +59,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         CommandFailure::No(format!("{e}: end the daemon first (`systemctl stop rtecd`); nothing is written"))
     };
     // A dry run does not need the daemon to be stopped.
-    let _held =
-        if args.dry_run { None } else { Some(lock::keep_out(&config.control.socket).map_err(running)?) };
+    let _held = if args.dry_run {
+        None
+    } else {
+        Some(single_process_lock::keep_out(&config.control.socket).map_err(running)?)
+    };
     let differs = |w: &&RestoredFile<'_>| std::fs::read(&w.to).is_ok_and(|there| there != w.bytes);
     let files = list(wanted.iter().filter(differs).map(|w| w.to.display()));
     if !files.is_empty() && !args.replace {

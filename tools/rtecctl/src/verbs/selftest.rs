@@ -3,17 +3,17 @@
 
 use crate::prelude::*;
 use crate::verbs::card::{confirm, lock_out_daemon, unreachable};
-use rtec_control::card::{self, CardAccess, CardOperation};
+use rtec_control::card_opening::{self, CardAccess, CardOperation};
 use rtec_control::config::{CardConfig, Config, LatencyTestConditions};
-use rtec_files::write::AtomicFile;
+use rtec_files::atomic_write::AtomicFile;
 use rtec_platform::latency_test::{
-    CardTestExtent, Latency, LatencyTestResult, SelftestError, SelftestOptions, SimulatedBackend,
-    WAKEUP_INTERVAL_NS, run as measure, run_on_card,
+    CardTestExtent, LatencyDistribution, LatencyTestResult, SelftestError, SelftestOptions,
+    SimulatedCardKind, WAKEUP_INTERVAL_NS, run as measure, run_on_card,
 };
-use rtec_platform::verdict::SelftestVerdict;
+use rtec_platform::selftest_verdict::SelftestVerdict;
 use rtec_rt::axis::AxisConfig;
-use rtec_rt::histogram::HistogramSnapshot;
-use rtec_rt::setup::SystemRoot;
+use rtec_rt::latency_histogram::HistogramSnapshot;
+use rtec_rt::realtime_setup::SystemRoot;
 use std::io::Write as _;
 
 /// Rows of the histogram in the text, 1 µs each.
@@ -70,7 +70,7 @@ struct LatencyTest<'a> {
 }
 
 fn duration(text: &str) -> Result<Duration, String> {
-    let time = rtec_files::cli_options::duration(text)?;
+    let time = rtec_files::cli_option_parsers::duration(text)?;
     if time < Duration::from_millis(100) { Err("at least 100ms".into()) } else { Ok(time) }
 }
 
@@ -102,13 +102,13 @@ fn latency(args: &LatencyArgs) -> anyhow::Result<()> {
             eprintln!("selftest: card {}", provenance.card);
             let access = if args.drive { CardAccess::Drive } else { CardAccess::Read };
             let test = LatencyTest { options, axes: &config.engine_axes(), drive: args.drive };
-            (card::with(&config.card, access, test).map_err(unreachable)??, config.card.backend())
+            (card_opening::with(&config.card, access, test).map_err(unreachable)??, config.card.backend())
         }
         (simulated, _) => {
-            let backend = simulated.unwrap_or(SimulatedBackend::Mapped);
+            let backend = simulated.unwrap_or(SimulatedCardKind::Mapped);
             let (name, card) = match backend {
-                SimulatedBackend::Mock => ("mock", "wires in this process"),
-                SimulatedBackend::Mapped => ("mapped", "registers in shared memory"),
+                SimulatedCardKind::Mock => ("mock", "wires in this process"),
+                SimulatedCardKind::Mapped => ("mapped", "registers in shared memory"),
             };
             provenance.card = format!("simulated: {card}");
             (measure(options, backend, progress).context("measuring latencies")?, name)
@@ -142,11 +142,11 @@ fn progress(what: &str, left_s: u64) {
 }
 
 /// The simulated card to be measured; none for the configured one.
-fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Option<SimulatedBackend>> {
+fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Option<SimulatedCardKind>> {
     let (Some(file), Some(config)) = (&args.config, config) else {
         return match args.backend.as_deref() {
-            None | Some("mapped") => Ok(Some(SimulatedBackend::Mapped)),
-            Some("mock") => Ok(Some(SimulatedBackend::Mock)),
+            None | Some("mapped") => Ok(Some(SimulatedCardKind::Mapped)),
+            Some("mock") => Ok(Some(SimulatedCardKind::Mock)),
             Some(card) => {
                 let why = "which card of this backend is to be measured stands there";
                 fail!(Bad, "--backend {card} needs --config FILE: {why}")
@@ -165,12 +165,12 @@ fn simulated(args: &LatencyArgs, config: Option<&Config>) -> anyhow::Result<Opti
         CardConfig::Mock if args.drive => {
             fail!(Bad, "a mock card has no outputs outside the process: leave --drive out")
         }
-        CardConfig::Mock => Ok(Some(SimulatedBackend::Mock)),
+        CardConfig::Mock => Ok(Some(SimulatedCardKind::Mock)),
         _ => Ok(None),
     }
 }
 
-fn threads(measured: &LatencyTestResult) -> [&Latency; 3] {
+fn threads(measured: &LatencyTestResult) -> [&LatencyDistribution; 3] {
     [&measured.wakeup, &measured.quiet.poll_gap, &measured.quiet.edge_to_done]
 }
 
@@ -189,7 +189,7 @@ fn text(
         line(format_args!("# /dev/cpu_dma_latency set to 0us"));
     }
     let fifo = measured.setup.finding("scheduler").is_some_and(|f| f.ok);
-    for (n, Latency { tid, last_ns, ns, .. }) in threads(measured).into_iter().enumerate() {
+    for (n, LatencyDistribution { tid, last_ns, ns, .. }) in threads(measured).into_iter().enumerate() {
         let priority = if fifo && n < 2 { options.priority } else { 0 };
         let interval = if n == 0 { WAKEUP_INTERVAL_NS / 1000 } else { 0 };
         let [min, act, avg, max] = [ns.min(), *last_ns, ns.mean() as u64, ns.max()].map(|ns| ns / 1000);

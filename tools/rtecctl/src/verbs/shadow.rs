@@ -1,6 +1,6 @@
 //! `rtecctl shadow`: computes everything, writes nothing to the card.
 
-use crate::daemon::DaemonArgs;
+use crate::daemon_connection::DaemonArgs;
 use rtec_control::protocol::ClientRequest;
 
 /// Compute, gate and count everything, write nothing: watch a machine before it is touched

@@ -4,9 +4,9 @@ use crate::prelude::*;
 use rtec_model::machine::{FitNote, Machine};
 use rtec_model::record::RunKind;
 use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentError, ExperimentInputs};
-use rtec_sim::lathe_run::RunError;
-use rtec_sim::sim::{MachineSpec, SimError};
-use rtec_sim::turning::TurningError;
+use rtec_sim::corrected_machine_sim::{MachineSpec, SimError};
+use rtec_sim::lathe_program_run::ProgramRunError;
+use rtec_sim::turning_experiment::TurningExperimentError;
 use serde_json::Map;
 
 /// Run an experiment on the simulated machine, without and with compensation
@@ -100,7 +100,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let mut files = Vec::new();
     for record in &mut findings.records {
-        let done = rtec_measure::record::write(record);
+        let done = rtec_measure::run_record_files::write(record);
         done.with_context(|| format!("writing {}", record.path.display()))?;
         files.push(record.path.display().to_string());
     }
@@ -152,7 +152,7 @@ fn shown(value: &Value) -> String {
 fn explain(error: ExperimentError, file: &Path) -> anyhow::Error {
     match error {
         ExperimentError::Sim(SimError::Missing(missing))
-        | ExperimentError::Turning(TurningError::Run(RunError::Missing(missing))) => {
+        | ExperimentError::Turning(TurningExperimentError::Run(ProgramRunError::Missing(missing))) => {
             let expected = format!("sensors and channels of the simulated machine: {}", missing.has);
             InputError::whole(file, missing.to_string(), expected).into()
         }

@@ -1,14 +1,14 @@
 //! `rtecctl status`: what the corrector does, and if nothing, why.
 
-use crate::daemon::{explained, status};
+use crate::daemon_connection::{explained, status};
 use crate::json_output::line;
 use crate::prelude::*;
-use crate::terminal::{self, Tone, toned};
-use rtec_control::client::Client;
+use crate::terminal::{self, ColourMeaning, toned};
+use rtec_control::daemon_client::DaemonConnection;
 use rtec_control::protocol::{
-    AxisReport, ClientRequest, DaemonStatus, PartTable, PartTableState, Response, TimeDistribution,
+    AxisReport, ClientRequest, DaemonResponse, DaemonStatus, PartTable, PartTableState, TimeDistribution,
 };
-use rtec_correct::explain::AxisExplanation;
+use rtec_correct::explain::AxisCorrectionComponents;
 
 /// Show what the corrector is doing; exit 4 while a fault is latched
 #[derive(Debug, clap::Args)]
@@ -17,7 +17,7 @@ pub(crate) struct Args {
     #[arg(long)]
     watch: bool,
     /// With --watch: another time between two looks, as 1s
-    #[arg(long, value_name = "TIME", requires = "watch", value_parser = rtec_files::cli_options::duration)]
+    #[arg(long, value_name = "TIME", requires = "watch", value_parser = rtec_files::cli_option_parsers::duration)]
     every: Option<Duration>,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -31,7 +31,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.watch {
         return watch(&args.daemon, args.every.unwrap_or(EVERY).max(FASTEST));
     }
-    let Response::Status(status) = args.daemon.ask(&ClientRequest::Status {})? else { return Ok(()) };
+    let DaemonResponse::Status(status) = args.daemon.ask(&ClientRequest::Status {})? else { return Ok(()) };
     if !args.daemon.json {
         let way =
             args.daemon.view().map_or_else(|_| Vec::new(), |mut client| on_their_way(&mut client, &status));
@@ -61,15 +61,16 @@ fn watch(daemon: &DaemonArgs, every: Duration) -> anyhow::Result<()> {
 type RampingAxis = (String, f64);
 
 /// The ramps under way, as `explain` reports them; none without an answer.
-fn on_their_way(client: &mut Client, status: &DaemonStatus) -> Vec<RampingAxis> {
+fn on_their_way(client: &mut DaemonConnection, status: &DaemonStatus) -> Vec<RampingAxis> {
     if status.mode != "run" {
         return Vec::new();
     }
     explained(client).map_or_else(|_| Vec::new(), |axes| still_to_go(&axes))
 }
 
-fn still_to_go(axes: &[AxisExplanation]) -> Vec<RampingAxis> {
-    let of = |a: &AxisExplanation| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
+fn still_to_go(axes: &[AxisCorrectionComponents]) -> Vec<RampingAxis> {
+    let of =
+        |a: &AxisCorrectionComponents| a.parts.iter().find(|p| p.name == "on its way").map_or(0.0, |p| -p.um);
     let ramps = axes.iter().filter(|a| a.holds.is_none()).map(|a| (a.axis.clone(), of(a)));
     // Smaller rests are not shown.
     ramps.filter(|(_, um)| um.abs() >= 0.05).collect()
@@ -114,16 +115,16 @@ fn table(s: &DaemonStatus, way: &[RampingAxis], screen: TerminalStyle) -> String
 fn head(s: &DaemonStatus, screen: TerminalStyle) -> String {
     let tone = |text: &str, tone| toned(text, tone, screen.colour);
     let ledger = if !s.ledger_known() {
-        tone("not known", Tone::Doubtful)
+        tone("not known", ColourMeaning::Doubtful)
     } else if s.balanced {
-        tone("balances", Tone::Good)
+        tone("balances", ColourMeaning::Good)
     } else {
-        tone("DOES NOT BALANCE", Tone::Wrong)
+        tone("DOES NOT BALANCE", ColourMeaning::Wrong)
     };
     let mode = match s.mode.as_str() {
-        "run" => Tone::Good,
-        "fault" => Tone::Wrong,
-        _ => Tone::Doubtful,
+        "run" => ColourMeaning::Good,
+        "fault" => ColourMeaning::Wrong,
+        _ => ColourMeaning::Doubtful,
     };
     // Hold and probing hide whether corrections resume when they end.
     let disabled = if matches!(s.mode.as_str(), "hold" | "probe") && !s.enabled { ", DISABLED" } else { "" };
@@ -148,7 +149,7 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: TerminalStyle) -> String
         let _ = writeln!(text, "  {}: {}", a.name, a.rates);
     }
     for missing in &s.rt.missing {
-        let _ = writeln!(text, "{} {missing}", tone("missing:", Tone::Doubtful));
+        let _ = writeln!(text, "{} {missing}", tone("missing:", ColourMeaning::Doubtful));
     }
     if let Some(m) = &s.model {
         let _ = writeln!(text, "model \"{}\", {}", m.name, m.file);
@@ -166,20 +167,20 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: TerminalStyle) -> String
             let value = r.degc.map_or("never read".to_owned(), |v| format!("last good value {v:.2} °C"));
             let age = r.age_s.map_or(String::new(), |a| format!(" of {a:.0} s ago"));
             let fault = r.fault.as_ref().map_or(String::new(), |f| format!(": {f}"));
-            let state = tone(&r.state, Tone::Doubtful);
+            let state = tone(&r.state, ColourMeaning::Doubtful);
             let _ = writeln!(text, "  {} {state}{fault}; {value}{age}", r.sensor);
         }
     }
     for file in &s.edited {
-        let _ = writeln!(text, "{} {file}", tone("not what runs:", Tone::Doubtful));
+        let _ = writeln!(text, "{} {file}", tone("not what runs:", ColourMeaning::Doubtful));
     }
     if let Some(why) = &s.record_trouble {
-        let _ = writeln!(text, "{} {why}", tone("record of commands not written:", Tone::Wrong));
+        let _ = writeln!(text, "{} {why}", tone("record of commands not written:", ColourMeaning::Wrong));
     }
     // One axis may hold while another corrects, and a total may be in effect without the model.
     let some = s.mode == "run" && s.axes.iter().any(|a| a.requested != 0 || a.in_effect != 0);
     let what = if some { "in part only:" } else { "not correcting:" };
-    let what = tone(what, if s.mode == "fault" { Tone::Wrong } else { Tone::Doubtful });
+    let what = tone(what, if s.mode == "fault" { ColourMeaning::Wrong } else { ColourMeaning::Doubtful });
     for why in &s.why_not {
         let _ = writeln!(text, "{what} {why}");
     }
@@ -189,7 +190,7 @@ fn below(s: &DaemonStatus, way: &[RampingAxis], screen: TerminalStyle) -> String
     let left = s.axes.iter().filter(|a| a.in_effect != 0);
     let left = list(left.map(|a| format!("{} {:+}", a.name, a.in_effect)));
     if s.mode != "run" && !left.is_empty() {
-        let what = tone("still in the controller's count:", Tone::Doubtful);
+        let what = tone("still in the controller's count:", ColourMeaning::Doubtful);
         let _ = writeln!(text, "{what} {left} counts");
     }
     text
@@ -229,7 +230,7 @@ fn axes(s: &DaemonStatus, screen: TerminalStyle) -> String {
                 a.insertions.to_string(),
             ],
         );
-        let row = if a.faults.is_empty() { row } else { toned(&row, Tone::Wrong, screen.colour) };
+        let row = if a.faults.is_empty() { row } else { toned(&row, ColourMeaning::Wrong, screen.colour) };
         text = text + &row + "\n";
     }
     text
@@ -299,7 +300,7 @@ fn times(d: &TimeDistribution) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rtec_correct::explain::Contribution;
+    use rtec_correct::explain::CorrectionComponent;
     use rtec_rt::link_messages::Fault;
 
     const PLAIN: TerminalStyle = TerminalStyle { colour: false, width: None };
@@ -371,7 +372,7 @@ mod tests {
         let mut status = corrects();
         status.axes.iter_mut().for_each(|a| (a.requested, a.in_effect) = (0, 0));
         assert_eq!(correcting(&status, &[]), "correcting: nothing to take out now");
-        let part = |name: &str, um| Contribution {
+        let part = |name: &str, um| CorrectionComponent {
             name: name.to_owned(),
             um,
             sensors: Vec::new(),
@@ -379,7 +380,7 @@ mod tests {
             weight: None,
         };
         // The model wants 12.4 µm and none of it is inserted, so all of it is left.
-        let explained = |axis: &str, parts, holds| AxisExplanation {
+        let explained = |axis: &str, parts, holds| AxisCorrectionComponents {
             axis: axis.to_owned(),
             requested: 0,
             total_um: 0.0,

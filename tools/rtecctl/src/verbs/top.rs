@@ -3,20 +3,20 @@
 
 mod view;
 
-use crate::daemon::{DaemonArgs, observe};
-use crate::full_screen::{Key, Screen, keys};
+use crate::daemon_connection::{DaemonArgs, observe};
+use crate::full_screen::{Key, RawModeScreen, keys};
 use crate::terminal::signs;
 use nix::poll::PollFlags;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use ratatui_core::terminal::Terminal;
-use rtec_control::client::Client;
+use rtec_control::daemon_client::DaemonConnection;
 use rtec_control::protocol::DaemonSnapshot;
 use std::io::IsTerminal;
 use std::os::fd::AsFd;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
-use view::View;
+use view::TopScreenState;
 
 /// Show the corrector on the whole terminal: axes, error by effect, sensors, latencies, events, the last minutes
 ///
@@ -24,7 +24,7 @@ use view::View;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Time between two looks, as 500ms
-    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = rtec_files::cli_options::duration)]
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = rtec_files::cli_option_parsers::duration)]
     every: Duration,
     #[command(flatten)]
     daemon: DaemonArgs,
@@ -59,9 +59,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let daemon = args.daemon.clone();
     std::thread::spawn(move || look(&daemon, every, &to));
     let colour = crate::terminal::colours_are_wanted();
-    let mut terminal = Terminal::new(Screen::take()?)?;
+    let mut terminal = Terminal::new(RawModeScreen::take()?)?;
     terminal.clear()?;
-    show(&mut terminal, &looks, &signals, View::new(colour, every))
+    show(&mut terminal, &looks, &signals, TopScreenState::new(colour, every))
 }
 
 /// Looks repeatedly until the receiver is gone.
@@ -80,7 +80,7 @@ fn look(daemon: &DaemonArgs, every: Duration, to: &Sender<PollResult>) {
 
 fn once(
     daemon: &DaemonArgs,
-    client: &mut Option<Client>,
+    client: &mut Option<DaemonConnection>,
     last: &mut u64,
 ) -> anyhow::Result<Box<DaemonSnapshot>> {
     let client = match client {
@@ -98,10 +98,10 @@ fn once(
 }
 
 fn show(
-    terminal: &mut Terminal<Screen>,
+    terminal: &mut Terminal<RawModeScreen>,
     looks: &Receiver<PollResult>,
     signals: &SignalFd,
-    mut view: View,
+    mut view: TopScreenState,
 ) -> anyhow::Result<()> {
     loop {
         match looks.recv_timeout(KEYS) {

@@ -2,22 +2,22 @@
 //! The positions are from a measured record.
 
 use crate::prelude::*;
-use rtec_driver::replay::TracePoint;
-use rtec_files::cli_options::number;
+use rtec_driver::trace_replay::TracePoint;
+use rtec_files::cli_option_parsers::number;
 use rtec_files::quadrature_trace::{AtomicTraceFile, TraceReader, trace_columns};
-use rtec_files::trace_from_positions::{PositionOptions, PositionRecord};
+use rtec_files::trace_from_positions::{PositionRecord, PositionRecordOptions};
 use std::time::{Duration, Instant};
 
 super::verbs_below! {
     /// Convert quadrature traces, or make one from a measured position record
     Args;
-    Convert Convert => convert;
-    FromPosition FromPosition => from_position;
+    Convert ConvertArgs => convert;
+    FromPosition FromPositionArgs => from_position;
 }
 
 /// Rewrite a trace; the extensions tell the formats (.csv: `t_ns,a,b`; .vcd: IEEE 1364, signals a and b)
 #[derive(Debug, clap::Args)]
-struct Convert {
+struct ConvertArgs {
     /// The trace to read
     input: PathBuf,
     /// The trace to write
@@ -34,7 +34,7 @@ struct Convert {
 
 /// Make the trace that a scale gives along a measured position record (CSV: `t_s` and a position column)
 #[derive(Debug, clap::Args)]
-struct FromPosition {
+struct FromPositionArgs {
     /// The record: a header, a time column `t_s` (or `t_ms`, `t_us`, `t_ns`) and a position column
     input: PathBuf,
     /// What one count is worth, in µm
@@ -45,14 +45,14 @@ struct FromPosition {
     #[arg(long, value_name = "FILE", value_parser = crate::verbs::output())]
     out: PathBuf,
     #[command(flatten)]
-    options: PositionOptions,
+    options: PositionRecordOptions,
     /// Print the summary as one JSON document
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Debug, Default, PartialEq)]
-struct Summary {
+struct TraceSummary {
     points: u64,
     illegal: u64,
     net_counts: i64,
@@ -61,7 +61,7 @@ struct Summary {
     shortest_ns: Option<u64>,
 }
 
-impl Summary {
+impl TraceSummary {
     fn add(&mut self, point: TracePoint) {
         if self.points == 0 {
             self.first = point;
@@ -96,16 +96,16 @@ impl Summary {
 }
 
 /// A trace being written; it reports its progress every two seconds.
-struct Output<'a> {
+struct TraceFileWriter<'a> {
     path: &'a Path,
     file: AtomicTraceFile,
-    summary: Summary,
+    summary: TraceSummary,
     shown_at: Instant,
 }
 
-impl<'a> Output<'a> {
+impl<'a> TraceFileWriter<'a> {
     fn create(path: &'a Path) -> anyhow::Result<Self> {
-        let (file, summary) = (AtomicTraceFile::create(path)?, Summary::default());
+        let (file, summary) = (AtomicTraceFile::create(path)?, TraceSummary::default());
         Ok(Self { path, file, summary, shown_at: Instant::now() })
     }
 
@@ -118,18 +118,18 @@ impl<'a> Output<'a> {
         self.file.write(point).with_context(|| format!("writing {}", self.path.display()))
     }
 
-    fn finish(self) -> anyhow::Result<Summary> {
+    fn finish(self) -> anyhow::Result<TraceSummary> {
         self.file.finish().with_context(|| format!("writing {}", self.path.display()))?;
         Ok(self.summary)
     }
 }
 
-fn convert(args: &Convert) -> anyhow::Result<()> {
+fn convert(args: &ConvertArgs) -> anyhow::Result<()> {
     let mut reader = TraceReader::open_columns(&args.input, &trace_columns(&args.columns)?)?;
     if let Some(written) = reader.written() {
         eprintln!("note: {written}");
     }
-    let mut out = Output::create(&args.output)?;
+    let mut out = TraceFileWriter::create(&args.output)?;
     while let Some(point) = reader.next_point()? {
         out.write(point)?;
     }
@@ -140,14 +140,14 @@ fn convert(args: &Convert) -> anyhow::Result<()> {
     summary.print(&args.output, args.json)
 }
 
-fn from_position(args: &FromPosition) -> anyhow::Result<()> {
+fn from_position(args: &FromPositionArgs) -> anyhow::Result<()> {
     made(args)?.print(&args.out, args.json)
 }
 
-fn made(args: &FromPosition) -> anyhow::Result<Summary> {
-    let FromPosition { input, count_um, options, .. } = args;
+fn made(args: &FromPositionArgs) -> anyhow::Result<TraceSummary> {
+    let FromPositionArgs { input, count_um, options, .. } = args;
     let record = PositionRecord { file: input.clone(), count_um: *count_um, options: options.clone() };
-    let mut out = Output::create(&args.out)?;
+    let mut out = TraceFileWriter::create(&args.out)?;
     record.trace(&mut |said| eprintln!("{said}"), &mut |point| out.write(point))?;
     out.finish()
 }
@@ -156,12 +156,12 @@ fn made(args: &FromPosition) -> anyhow::Result<Summary> {
 mod tests {
     use super::*;
 
-    fn run_from(text: &str, options: &[&str]) -> (anyhow::Result<Summary>, String) {
+    fn run_from(text: &str, options: &[&str]) -> (anyhow::Result<TraceSummary>, String) {
         use clap::Parser;
         #[derive(Parser)]
         struct Cli {
             #[command(flatten)]
-            args: FromPosition,
+            args: FromPositionArgs,
         }
         let directory = tempfile::tempdir().unwrap();
         let (input, out) = (directory.path().join("p.csv"), directory.path().join("t.csv"));

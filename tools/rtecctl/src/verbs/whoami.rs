@@ -1,7 +1,7 @@
 //! `rtecctl whoami`: as whom the daemon knows this user, and the requests allowed.
 
-use crate::daemon::DaemonArgs;
-use rtec_control::protocol::{ClientProcess, ClientRequest, Response};
+use crate::daemon_connection::DaemonArgs;
+use rtec_control::protocol::{ClientProcess, ClientRequest, DaemonResponse};
 
 /// Show as whom the daemon knows you, and what you may ask for
 ///
@@ -13,7 +13,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    if let Response::Whoami(caller) = args.daemon.ask(&ClientRequest::Whoami {})?
+    if let DaemonResponse::Whoami(caller) = args.daemon.ask(&ClientRequest::Whoami {})?
         && !args.daemon.json
     {
         print!("{}", text(&caller));

@@ -1,6 +1,6 @@
 //! A machine's set-up is backed up and restored into another folder.
 
-use rtec_control::lock;
+use rtec_control::single_process_lock;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -104,7 +104,7 @@ fn a_machine_goes_from_one_folder_to_another() {
     expected.insert("run/state".into(), vec![7; 100]);
     assert_eq!(files(new.path()), expected);
     // Refused while a daemon runs.
-    let held = lock::socket(&new.path().join("run/s")).unwrap();
+    let held = single_process_lock::socket(&new.path().join("run/s")).unwrap();
     let (code, said) = restore(&["--replace"]);
     assert!(code == Some(1) && said.contains("nothing is written"), "{said}");
     let before = files(new.path());

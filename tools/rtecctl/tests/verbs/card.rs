@@ -84,7 +84,7 @@ fn every_profile_is_listed_and_what_is_here_is_looked_for() {
     let document = crate::document(&out.stdout);
     let listed: Vec<_> =
         document["profiles"].as_array().expect("a list").iter().map(|p| p["profile"].as_str()).collect();
-    assert_eq!(listed, rtec_control::profile::SHIPPED.map(|(name, _)| Some(name)));
+    assert_eq!(listed, rtec_control::card_profile_file::SHIPPED.map(|(name, _)| Some(name)));
     for kind in ["gpio", "pci", "parport", "uio"] {
         assert!(document["here"][kind].is_array(), "{kind}");
     }

@@ -337,7 +337,7 @@ fn drives_the_card_only_when_the_mtc_is_said_to_be_off() {
 #[test]
 fn leaves_a_card_alone_that_a_daemon_works_with() {
     let bench = Bench::new(Some(&LEFT_ON));
-    let _daemon = rtec_control::lock::socket(&bench.at("s")).expect("a lock");
+    let _daemon = rtec_control::single_process_lock::socket(&bench.at("s")).expect("a lock");
     let (code, out, said) = bench.latency(&[]);
     assert_eq!((code, out.as_str()), (Some(1), ""), "{said}");
     assert!(said.contains("stop it first"), "{said}");

@@ -1,13 +1,15 @@
 //! Requests to the real-time thread, and its answers.
 
-use super::{ControlSide, loads};
+use super::{ControlSide, model_and_table_loads};
 use rtec_control::config::ConfiguredAxis;
 use rtec_control::protocol::{
-    EnableJump, Response, explain_fault, explain_not_homed, explain_refusal, explain_unknown, word,
+    DaemonResponse, EnableJump, explain_fault, explain_not_homed, explain_refusal, explain_unknown, word,
 };
 use rtec_rt::axis::INCREMENT_COUNTS;
 use rtec_rt::link::{ControlEnd, REQUESTS};
-use rtec_rt::link_messages::{AxisStatus, Event, EventKind, Mode, Refusal, Request, Status};
+use rtec_rt::link_messages::{
+    AxisStatus, CorrectorMode, CorrectorStatus, Event, EventKind, Refusal, RequestToRt,
+};
 use std::time::Duration;
 
 /// Edge rate below which an axis counts as at rest, Hz.
@@ -15,7 +17,7 @@ use std::time::Duration;
 const STANDSTILL_HZ: f64 = 50.0;
 
 /// The events of a request, or its refusal.
-type EventsOrRefusal = Result<Vec<Event>, Response>;
+type EventsOrRefusal = Result<Vec<Event>, DaemonResponse>;
 
 /// What to do when the real-time thread has ended.
 pub(super) const ENDED: &str = "the real-time thread has ended: see the log, then restart the daemon";
@@ -23,7 +25,7 @@ pub(super) const ENDED: &str = "the real-time thread has ended: see the log, the
 impl ControlSide {
     /// Sends a request and waits until it is completed.
     /// Returns the events of the meantime.
-    pub(super) fn send(&mut self, request: Request, control: &mut ControlEnd) -> EventsOrRefusal {
+    pub(super) fn send(&mut self, request: RequestToRt, control: &mut ControlEnd) -> EventsOrRefusal {
         let silent =
             "the real-time thread does not answer: see `rtecctl platform` for what else runs on its CPU";
         // No look since a request was last left unanswered, so this one is not waited for.
@@ -36,10 +38,10 @@ impl ControlSide {
             self.time.sleep(Duration::from_micros(200));
         }
         self.drain(control);
-        control.send(request).map_err(|full| Response::refused("ring_full", full.to_string()))?;
+        control.send(request).map_err(|full| DaemonResponse::refused("ring_full", full.to_string()))?;
         if stuck {
             // It takes the request when it looks again.
-            return Err(Response::refused("no_answer", silent));
+            return Err(DaemonResponse::refused("no_answer", silent));
         }
         self.unanswered = None;
         let mut events = Vec::new();
@@ -61,18 +63,18 @@ impl ControlSide {
                 return Ok(events);
             }
             if control.ended() {
-                return Err(Response::refused("ended", ENDED));
+                return Err(DaemonResponse::refused("ended", ENDED));
             }
             if self.time.now() > deadline {
                 self.unanswered = Some(status.polls);
-                return Err(Response::refused("no_answer", silent));
+                return Err(DaemonResponse::refused("no_answer", silent));
             }
             self.time.sleep(Duration::from_micros(200));
         }
     }
 
     /// Sends a request and makes an answer from the events.
-    pub(super) fn carry_out(&mut self, request: Request, control: &mut ControlEnd) -> EventsOrRefusal {
+    pub(super) fn carry_out(&mut self, request: RequestToRt, control: &mut ControlEnd) -> EventsOrRefusal {
         let events = self.send(request, control)?;
         for event in &events {
             let text = match event.kind {
@@ -83,66 +85,66 @@ impl ControlSide {
                 EventKind::Fault(fault) => format!("{}: {}", word(fault), explain_fault(fault)),
                 _ => continue,
             };
-            return Err(Response::Fault { text });
+            return Err(DaemonResponse::Fault { text });
         }
         Ok(events)
     }
 
     /// A refusal with its axis and figures.
-    fn refused(&self, why: Refusal, request: Request, status: &Status) -> Response {
+    fn refused(&self, why: Refusal, request: RequestToRt, status: &CorrectorStatus) -> DaemonResponse {
         let axis = match request {
-            Request::Correct { axis, .. }
-            | Request::Home { axis, .. }
-            | Request::ConfirmHome { axis, .. } => {
+            RequestToRt::Correct { axis, .. }
+            | RequestToRt::Home { axis, .. }
+            | RequestToRt::ConfirmHome { axis, .. } => {
                 self.config.axes.get(usize::from(axis)).zip(status.axes().get(usize::from(axis)))
             }
             _ => None,
         };
         let known = axis.is_some_and(|(_, now)| now.mtc_known);
         if let (Refusal::NotHomed, Some(text)) = (why, self.unknown(status).filter(|_| !known)) {
-            return Response::refused(word(why), text);
+            return DaemonResponse::refused(word(why), text);
         }
         let about = match (why, request, axis) {
-            (Refusal::NotBelieved, Request::Correct { total_counts, .. }, Some((axis, now))) => {
+            (Refusal::NotBelieved, RequestToRt::Correct { total_counts, .. }, Some((axis, now))) => {
                 let window = axis.engine.window_counts;
                 format!("{}, window {window}", asked(axis, total_counts, now.requested))
             }
-            (Refusal::AboveMaximum, Request::Correct { total_counts, .. }, Some((axis, now))) => {
+            (Refusal::AboveMaximum, RequestToRt::Correct { total_counts, .. }, Some((axis, now))) => {
                 let max = axis.engine.max_correction_counts;
                 format!("{}, at most {max} either way", asked(axis, total_counts, now.requested))
             }
             (_, _, Some((axis, _))) => format!("axis {}", axis.name),
             (Refusal::NotHomed, ..) => {
                 let text = explain_not_homed(&self.not_homed(status));
-                return Response::refused(word(why), text);
+                return DaemonResponse::refused(word(why), text);
             }
             _ => return refused(why),
         };
         let text = format!("{about}: {}", explain_refusal(why));
-        Response::refused(word(why), text)
+        DaemonResponse::refused(word(why), text)
     }
 
     /// The axes with an unknown count of the controller, and a remedy.
-    pub(super) fn unknown(&self, status: &Status) -> Option<String> {
+    pub(super) fn unknown(&self, status: &CorrectorStatus) -> Option<String> {
         let all = self.config.axes.iter().zip(status.axes());
         let unknown: Vec<&str> = all.filter(|(_, s)| !s.mtc_known).map(|(a, _)| a.name.as_str()).collect();
         (!unknown.is_empty()).then(|| explain_unknown(&unknown))
     }
 
     /// The axes that are not homed.
-    pub(super) fn not_homed(&self, status: &Status) -> Vec<&str> {
+    pub(super) fn not_homed(&self, status: &CorrectorStatus) -> Vec<&str> {
         let all = self.config.axes.iter().zip(status.axes());
         all.filter(|(_, now)| !now.homed).map(|(axis, _)| axis.name.as_str()).collect()
     }
 
-    pub(super) fn number(&self, axis: &str) -> Result<usize, Response> {
+    pub(super) fn number(&self, axis: &str) -> Result<usize, DaemonResponse> {
         self.config.axis(axis).ok_or_else(|| {
             let names: Vec<&str> = self.config.axes.iter().map(|a| a.name.as_str()).collect();
             let mut text = format!("found axis {axis:?}, expected one of {}", names.join(", "));
             if let Some(near) = self.config.nearest_axis(axis) {
                 text = format!("{text}; did you mean {near}?");
             }
-            Response::Bad { text }
+            DaemonResponse::Bad { text }
         })
     }
 
@@ -153,18 +155,18 @@ impl ControlSide {
         operator_counts: i64,
         large: bool,
         control: &mut ControlEnd,
-    ) -> Result<Response, Response> {
+    ) -> Result<DaemonResponse, DaemonResponse> {
         let n = self.number(axis)?;
         let total_counts = self.corrector.with_operator(n, operator_counts);
         let others_counts = total_counts - operator_counts;
         let before = control.status().axes[n].requested;
-        let request = Request::Correct { axis: n as u8, total_counts, large };
+        let request = RequestToRt::Correct { axis: n as u8, total_counts, large };
         let events = self.carry_out(request, control).map_err(|refusal| match refusal {
             // The refused total includes the other sources, so the text names it.
-            Response::Refused { why, text, jumps } if others_counts != 0 => {
+            DaemonResponse::Refused { why, text, jumps } if others_counts != 0 => {
                 let text =
                     format!("{text} (asked {operator_counts:+}, model and part table {others_counts:+})");
-                Response::Refused { why, text, jumps }
+                DaemonResponse::Refused { why, text, jumps }
             }
             other => other,
         })?;
@@ -183,22 +185,27 @@ impl ControlSide {
         });
         let warnings =
             warnings.take(1).chain(leftover_note(config, total_counts, control.status().axes[n].in_effect));
-        Ok(Response::done_with(warnings.collect()))
+        Ok(DaemonResponse::done_with(warnings.collect()))
     }
 
     /// Jogs a simulated axis or lets it go on.
     /// Reports what display and indicator show.
-    pub(super) fn jog(&self, axis: &str, display_mm: Option<f64>, go_on: bool) -> Result<Response, Response> {
+    pub(super) fn jog(
+        &self,
+        axis: &str,
+        display_mm: Option<f64>,
+        go_on: bool,
+    ) -> Result<DaemonResponse, DaemonResponse> {
         let n = self.number(axis)?;
         let Some(stand) = &self.simulated_operator else {
             let text = "only a simulated machine can be jogged from here";
-            return Err(Response::refused("not_simulated", text));
+            return Err(DaemonResponse::refused("not_simulated", text));
         };
         if let Some(mm) = display_mm {
             let travel_mm = self.config.axes[n].travel_mm;
             if mm.abs() > travel_mm {
                 let text = format!("found {mm} mm, expected a place within the travel of {travel_mm} mm");
-                return Err(Response::Bad { text });
+                return Err(DaemonResponse::Bad { text });
             }
             stand.jog_to(n, mm);
         }
@@ -206,7 +213,7 @@ impl ControlSide {
             stand.go_on(n);
         }
         let (display_mm, indicator_mm) = stand.read_mm(n);
-        Ok(Response::Stands { display_mm, indicator_mm })
+        Ok(DaemonResponse::Stands { display_mm, indicator_mm })
     }
 
     /// Homes one axis or all.
@@ -216,7 +223,7 @@ impl ControlSide {
         axis: Option<&str>,
         controller_homed: Option<bool>,
         control: &mut ControlEnd,
-    ) -> Result<Response, Response> {
+    ) -> Result<DaemonResponse, DaemonResponse> {
         let axes = match axis {
             Some(name) => {
                 let n = self.number(name)?;
@@ -232,7 +239,7 @@ impl ControlSide {
                     "axis {name} moves at {rate_hz:.0} edges/s: its counter would be set somewhere on the way. Home it at \
                      a standstill, at its known place"
                 );
-                return Err(Response::refused("moving", text));
+                return Err(DaemonResponse::refused("moving", text));
             }
         }
         if let Some(refusal) = self.still_counted(axes.clone(), controller_homed, &status) {
@@ -241,7 +248,7 @@ impl ControlSide {
         let controller_homed = controller_homed == Some(true);
         for n in axes {
             let (axis, position_counts) = (n as u8, self.config.axes[n].home_counts);
-            let request = Request::Home { axis, position_counts, controller_homed };
+            let request = RequestToRt::Home { axis, position_counts, controller_homed };
             let events = self.carry_out(request, control)?;
             let read_back = events.iter().find_map(|e| match e.kind {
                 EventKind::HomeSet { position_counts } if e.axis == Some(axis) => Some(position_counts),
@@ -250,11 +257,11 @@ impl ControlSide {
             if read_back != Some(position_counts) {
                 let found = format!("axis {}: read back {read_back:?}", self.config.axes[n].name);
                 let text = format!("{found}, expected {position_counts} counts: not homed");
-                return Err(Response::refused("home_read_back", text));
+                return Err(DaemonResponse::refused("home_read_back", text));
             }
-            self.carry_out(Request::ConfirmHome { axis, position_counts }, control)?;
+            self.carry_out(RequestToRt::ConfirmHome { axis, position_counts }, control)?;
         }
-        Ok(Response::done())
+        Ok(DaemonResponse::done())
     }
 
     /// Refusal to home these axes, if the MTC may still have counts in effect.
@@ -263,9 +270,9 @@ impl ControlSide {
         &self,
         axes: std::ops::Range<usize>,
         controller_homed: Option<bool>,
-        status: &Status,
-    ) -> Option<Response> {
-        if controller_homed == Some(true) || status.mode == Mode::Fault {
+        status: &CorrectorStatus,
+    ) -> Option<DaemonResponse> {
+        if controller_homed == Some(true) || status.mode == CorrectorMode::Fault {
             return None;
         }
         let all = || axes.clone().map(|n| (&self.config.axes[n], &status.axes[n]));
@@ -276,7 +283,7 @@ impl ControlSide {
         let unknown = names(&|s| !s.mtc_known);
         if !unknown.is_empty() {
             let text = format!("axis {unknown}: {}", explain_refusal(Refusal::ControllerUnknown));
-            return Some(Response::refused(word(Refusal::ControllerUnknown), text));
+            return Some(DaemonResponse::refused(word(Refusal::ControllerUnknown), text));
         }
         if controller_homed.is_some() || all().all(|(_, s)| s.in_effect == 0) {
             return None;
@@ -290,11 +297,11 @@ impl ControlSide {
              `rtecctl home --controller-not-homed` keeps them",
             counted.collect::<Vec<_>>().join("; ")
         );
-        Some(Response::refused("still_counted", text))
+        Some(DaemonResponse::refused("still_counted", text))
     }
 
     /// The counts that enabling would insert, axis by axis.
-    pub(super) fn jumps(&self, status: &Status) -> Vec<EnableJump> {
+    pub(super) fn jumps(&self, status: &CorrectorStatus) -> Vec<EnableJump> {
         let all = self.config.axes.iter().zip(status.axes()).enumerate();
         let all = all.map(|(n, (axis, s))| (axis, self.corrector.goal(n, s) - s.in_effect));
         let jump = |(axis, counts): (&ConfiguredAxis, i64)| {
@@ -307,26 +314,26 @@ impl ControlSide {
     /// Why corrections must not be enabled, as far as this side knows.
     pub(super) fn forbidden(
         &self,
-        status: &Status,
+        status: &CorrectorStatus,
         jumps: &[EnableJump],
         accept_jump: bool,
-    ) -> Option<Response> {
+    ) -> Option<DaemonResponse> {
         match status.mode {
-            Mode::Probe => return Some(refused(Refusal::Probing)),
-            Mode::Hold => return Some(refused(Refusal::Held)),
-            Mode::Run | Mode::Shadow | Mode::Fault | Mode::Disabled => {}
+            CorrectorMode::Probe => return Some(refused(Refusal::Probing)),
+            CorrectorMode::Hold => return Some(refused(Refusal::Held)),
+            CorrectorMode::Run | CorrectorMode::Shadow | CorrectorMode::Fault | CorrectorMode::Disabled => {}
         }
         if !self.unfit.is_empty() {
             let (why, text) = (word(Refusal::NotArmable), self.unfit.join("; "));
-            return Some(Response::refused(why, text));
+            return Some(DaemonResponse::refused(why, text));
         }
         let ended = self.corrector.expired();
         if !ended.is_empty() {
-            let text = format!("{}: {}", ended.join("; "), loads::LOOK_AGAIN);
-            return Some(Response::refused("expired", text));
+            let text = format!("{}: {}", ended.join("; "), model_and_table_loads::LOOK_AGAIN);
+            return Some(DaemonResponse::refused("expired", text));
         }
         let large = jumps.iter().any(|j| j.counts.abs() > j.window_counts);
-        (large && !accept_jump).then(|| Response::Refused {
+        (large && !accept_jump).then(|| DaemonResponse::Refused {
             why: "jump".to_owned(),
             text: "enabling would move an axis further than its belief window; --accept-jump if it is meant"
                 .to_owned(),
@@ -351,6 +358,6 @@ fn asked(axis: &ConfiguredAxis, total_counts: i64, now_counts: i64) -> String {
     format!("axis {}: total {total_counts:+}, now {now_counts:+} counts", axis.name)
 }
 
-fn refused(why: Refusal) -> Response {
-    Response::refused(word(why), explain_refusal(why))
+fn refused(why: Refusal) -> DaemonResponse {
+    DaemonResponse::refused(word(why), explain_refusal(why))
 }

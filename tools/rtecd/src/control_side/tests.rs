@@ -3,24 +3,24 @@ mod verbs;
 
 use super::*;
 use rtec_driver::clock::Monotonic;
-use rtec_driver::mock::{MockCard, SharedWires, Wires};
+use rtec_driver::mock_card::{MockCard, SharedWires, Wires};
 use rtec_files::csv::Reader;
 use rtec_model::machine::Machine;
 use rtec_rt::engine::{Engine, MachineConfig};
 use rtec_rt::journal::StateAtOpen;
 use rtec_rt::link::{REQUESTS, link};
-use rtec_rt::thread::{ThreadOptions, spawn};
+use rtec_rt::pinned_rt_thread::{ThreadOptions, spawn};
 use std::cell::Cell;
 
-fn ask(session: &mut ControlSide, request: &ClientRequest, control: &mut ControlEnd) -> Response {
+fn ask(session: &mut ControlSide, request: &ClientRequest, control: &mut ControlEnd) -> DaemonResponse {
     let deadline = Instant::now() + Duration::from_secs(60);
     loop {
         let beside = RequestContext { trusted: true, ..RequestContext::default() };
         match session.answer(request, beside, control) {
-            RequestAnswer::Now(response) => return response,
-            RequestAnswer::Again(response) if Instant::now() > deadline => return response,
-            RequestAnswer::Again(_) => {}
-            RequestAnswer::Later(_) => loop {
+            RequestOutcome::Now(response) => return response,
+            RequestOutcome::Again(response) if Instant::now() > deadline => return response,
+            RequestOutcome::Again(_) => {}
+            RequestOutcome::Later(_) => loop {
                 control.beat();
                 if let Some((_, response, _)) = session.loaded(|_| true, control) {
                     return response;
@@ -49,7 +49,7 @@ fn set_up(engine: &Engine, real: bool) -> RtStartupReport {
 }
 
 fn session(engine: &Engine) -> ControlSide {
-    let time = Rc::new(SystemClock(Clock::start()));
+    let time = Rc::new(SystemClock(SteadyEpochClock::start()));
     ControlSide::with_clock(
         time,
         Config::embedded(),
@@ -90,7 +90,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
     let mut session = ControlSide::with_clock(Rc::clone(&time) as _, config, set_up(&engine, false), played);
     let machine = Machine::read(&folder.join("machine.toml")).unwrap();
     session.corrector.load(machine, &|_| Vec::new()).unwrap();
-    let mut status = Status { mode: Mode::Run, axes_used: 3, ..Status::default() };
+    let mut status = CorrectorStatus { mode: CorrectorMode::Run, axes_used: 3, ..CorrectorStatus::default() };
     status.axes.iter_mut().for_each(|a| a.homed = true);
     let (mut control, mut rt) = link(status);
     let mut reader = Reader::open(&folder.join("shift.csv")).unwrap();
@@ -111,7 +111,7 @@ fn a_recorded_shift_gets_the_recorded_totals() {
         session.next_evaluation = Instant::now();
         session.tick(&mut control);
         while let Some(request) = rt.request() {
-            let Request::Correct { axis, total_counts, large: false } = request else {
+            let RequestToRt::Correct { axis, total_counts, large: false } = request else {
                 panic!("{request:?} from the corrector")
             };
             let axis = &mut status.axes[usize::from(axis)];
@@ -134,17 +134,17 @@ fn a_full_ring_and_a_silent_thread_are_answers_not_hangs() {
     let (mut control, _rt) = link(engine.status());
     let hold = ClientRequest::Hold { on: true };
     for _ in 0..REQUESTS {
-        let Response::Refused { why, .. } = ask(&mut session, &hold, &mut control) else {
+        let DaemonResponse::Refused { why, .. } = ask(&mut session, &hold, &mut control) else {
             panic!("an answer from nobody")
         };
         assert_eq!(why, "no_answer");
     }
-    let Response::Refused { why, text, .. } = ask(&mut session, &hold, &mut control) else {
+    let DaemonResponse::Refused { why, text, .. } = ask(&mut session, &hold, &mut control) else {
         panic!("an answer from nobody")
     };
     assert!(why == "ring_full" && text.contains("256 requests"), "{why}: {text}");
     // A status never waits for the real-time thread.
-    assert!(matches!(ask(&mut session, &ClientRequest::Status {}, &mut control), Response::Status(_)));
+    assert!(matches!(ask(&mut session, &ClientRequest::Status {}, &mut control), DaemonResponse::Status(_)));
 }
 
 /// A model that ends while it runs stays active, and is not enabled again.
@@ -171,9 +171,9 @@ fn corrections_are_not_enabled_on_a_model_that_has_ended() {
         expired,
         files: Vec::new(),
     };
-    let (enable, done) = (ClientRequest::Enable { accept_jump: false }, Response::done());
-    let refused = |response: Response| match response {
-        Response::Refused { why, text, .. } => (why, text),
+    let (enable, done) = (ClientRequest::Enable { accept_jump: false }, DaemonResponse::done());
+    let refused = |response: DaemonResponse| match response {
+        DaemonResponse::Refused { why, text, .. } => (why, text),
         other => panic!("{other:?}"),
     };
     session.today = || 10;
@@ -212,10 +212,10 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 20_000_000 };
     let mut running = spawn(engine, card, options).unwrap();
     let control = &mut running.control;
-    let done = Response::done();
+    let done = DaemonResponse::done();
     assert_eq!(ask(&mut session, &ClientRequest::Home { axis: None, controller_homed: None }, control), done);
     let enabled = ask(&mut session, &ClientRequest::Enable { accept_jump: false }, control);
-    let Response::Done { jumps, warnings, already: false } = enabled else { panic!("{enabled:?}") };
+    let DaemonResponse::Done { jumps, warnings, already: false } = enabled else { panic!("{enabled:?}") };
     assert!(jumps.is_empty() && warnings[0].starts_with("no model is loaded"), "{warnings:?}");
     while !control.status().control_stale {
         std::thread::sleep(Duration::from_millis(1));
@@ -231,12 +231,13 @@ fn a_stale_control_side_freezes_corrections_and_is_named() {
     let why = session.status(control).why_not;
     assert_eq!(why, ["corrections are off since the control side was silent: `rtecctl enable`"]);
     let enable = ClientRequest::Enable { accept_jump: false };
-    assert!(matches!(ask(&mut session, &enable, control), Response::Done { .. }));
+    assert!(matches!(ask(&mut session, &enable, control), DaemonResponse::Done { .. }));
     assert!(session.status(control).why_not.is_empty());
     let (ended, mut control) = running.stop();
     assert!(ended.status.balanced());
     // A thread that has ended is reported.
-    let Response::Refused { why, .. } = ask(&mut session, &ClientRequest::Clear {}, &mut control) else {
+    let DaemonResponse::Refused { why, .. } = ask(&mut session, &ClientRequest::Clear {}, &mut control)
+    else {
         panic!("an answer from nobody")
     };
     assert_eq!(why, "ended");
@@ -262,7 +263,7 @@ fn a_card_without_figures_of_its_own_is_not_armed() {
         let text = format!("{text}{measured}").replace("30000", if slower { "3000" } else { "30000" });
         let config = Config::parse(Path::new("rtec.toml"), &text).unwrap();
         let (engine, _card) = engine(&config);
-        let time = Rc::new(SystemClock(Clock::start()));
+        let time = Rc::new(SystemClock(SteadyEpochClock::start()));
         let session = ControlSide::with_clock(
             time,
             config,

@@ -3,10 +3,10 @@
 
 use super::{ExperimentError, ExperimentInputs, ExperimentResult};
 use crate::axis::AxisSpec;
-use crate::heat::SENSORS;
+use crate::corrected_machine_sim::{CorrectedMachineSim, MachineSnapshot, MachineSpec, SimError};
 use crate::nc_block::Block;
 use crate::noise::NoiseGenerator;
-use crate::sim::{MachineSnapshot, MachineSpec, Sim, SimError};
+use crate::thermal_network::SENSORS;
 use crate::trajectory::{AXES, AXIS_NAMES};
 use rtec_files::InputError;
 use rtec_measure::plot::{Chart, Series, Style};
@@ -15,7 +15,7 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 
 #[derive(Debug, Clone)]
-pub(super) struct Row {
+pub(super) struct MeasuredRow {
     pub(super) now: MachineSnapshot,
     pub(super) temperatures: Vec<f64>,
     pub(super) channels: Vec<f64>,
@@ -29,19 +29,19 @@ pub(super) struct Row {
 
 /// Rows measured so far, to become a record.
 #[derive(Debug, Default)]
-pub(super) struct Log {
-    pub(super) rows: Vec<Row>,
+pub(super) struct MeasuredRowLog {
+    pub(super) rows: Vec<MeasuredRow>,
 }
 
-impl Log {
-    pub(super) fn take(&mut self, sim: &mut Sim, cycle: f64) -> &mut Row {
+impl MeasuredRowLog {
+    pub(super) fn take(&mut self, sim: &mut CorrectedMachineSim, cycle: f64) -> &mut MeasuredRow {
         let now = sim.moment();
         let mut requested_um = [0.0; AXES];
         for (n, a) in sim.status().axes().iter().enumerate() {
             let machine = &sim.machine;
             requested_um[machine.place[n]] = a.requested as f64 * machine.axes[n].spec.count_um;
         }
-        self.rows.push(Row {
+        self.rows.push(MeasuredRow {
             now,
             temperatures: sim.errors.heat.readings_degc().to_vec(),
             channels: sim.errors.channels.clone(),
@@ -62,7 +62,7 @@ pub(super) fn digits(v: f64, per: f64) -> f64 {
     (v * per).round() / per + 0.0
 }
 
-impl Log {
+impl MeasuredRowLog {
     /// The record of these rows.
     /// It has every quantity that an effect may read and that is not always zero.
     pub(super) fn record(
@@ -80,13 +80,14 @@ impl Log {
                 columns.push(Column { name: name.to_owned(), role, unit: unit.to_owned(), data });
             }
         };
-        let column =
-            |f: &dyn Fn(&Row) -> f64, per: f64| rows.iter().map(|r| digits(f(r), per)).collect::<Vec<_>>();
+        let column = |f: &dyn Fn(&MeasuredRow) -> f64, per: f64| {
+            rows.iter().map(|r| digits(f(r), per)).collect::<Vec<_>>()
+        };
         let names: Vec<Axis> = AXIS_NAMES.iter().filter_map(|n| Axis::new(n)).collect();
         add("t", Role::Time, "s", column(&|r| r.now.t_s, 1e6), true);
         for (p, axis) in names.iter().enumerate() {
             let n = axis.as_str();
-            let dir = |r: &Row| r.direction.map_or(r.now.axes[p].direction, |d| d[p]);
+            let dir = |r: &MeasuredRow| r.direction.map_or(r.now.axes[p].direction, |d| d[p]);
             add(n, Role::Position(axis.clone()), "mm", column(&|r| r.now.axes[p].position_mm, 1e6), false);
             add(&format!("dir_{n}"), Role::Direction(axis.clone()), "1", column(&dir, 1.0), false);
             // At a standstill a speed is not worth a column.
@@ -118,7 +119,8 @@ impl Log {
                 Role::Error(names[p].clone())
             };
             let (name, unit) = if kind == RunKind::Dynamics { ("f", "N") } else { ("e", "um") };
-            let value = |r: &Row| if kind == RunKind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
+            let value =
+                |r: &MeasuredRow| if kind == RunKind::Dynamics { r.now.force_n[p] } else { r.now.off_um(p) };
             let data = rows.iter().map(|r| digits(value(r) + noise_um * noise.normal(), 1e4)).collect();
             add(&format!("{name}_{}", names[p]), role, unit, data, true);
         }
@@ -130,7 +132,7 @@ impl Log {
 /// The second exists if a model of the machine is known.
 pub(super) struct RunPair {
     name: String,
-    pub(super) logs: Vec<Log>,
+    pub(super) logs: Vec<MeasuredRowLog>,
     pub(super) channels: Vec<String>,
 }
 
@@ -166,7 +168,7 @@ impl<'a> ExperimentRun<'a> {
     pub(super) fn run_pair(
         &self,
         name: &str,
-        run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
+        run: impl FnMut(&mut CorrectedMachineSim, &mut MeasuredRowLog) -> Result<(), SimError>,
     ) -> Result<RunPair, ExperimentError> {
         self.both_on(self.setting.spec, [0.0; AXES], name, run)
     }
@@ -177,14 +179,14 @@ impl<'a> ExperimentRun<'a> {
         spec: &MachineSpec,
         at_mm: [f64; AXES],
         name: &str,
-        mut run: impl FnMut(&mut Sim, &mut Log) -> Result<(), SimError>,
+        mut run: impl FnMut(&mut CorrectedMachineSim, &mut MeasuredRowLog) -> Result<(), SimError>,
     ) -> Result<RunPair, ExperimentError> {
         let setting = self.setting;
         let mut done = RunPair { name: name.to_owned(), logs: Vec::new(), channels: Vec::new() };
         for (known, suffix) in std::iter::once(None).chain(setting.known.map(Some)).zip(SUFFIXES) {
             let seed = seed_of(setting, &format!("{name}{suffix}"));
-            let mut sim = Sim::new(spec, setting.truth, known, at_mm, seed)?;
-            let mut log = Log::default();
+            let mut sim = CorrectedMachineSim::new(spec, setting.truth, known, at_mm, seed)?;
+            let mut log = MeasuredRowLog::default();
             run(&mut sim, &mut log)?;
             done.logs.push(log);
             done.channels = sim.errors.channel_names().to_vec();
@@ -198,7 +200,7 @@ impl<'a> ExperimentRun<'a> {
         runs: &RunPair,
         kind: RunKind,
         what: (&[usize], f64),
-        x: (&str, &dyn Fn(&Row) -> f64),
+        x: (&str, &dyn Fn(&MeasuredRow) -> f64),
     ) -> Done {
         let mut records = Vec::new();
         for (log, suffix) in runs.logs.iter().zip(SUFFIXES) {

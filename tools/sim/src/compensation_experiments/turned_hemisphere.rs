@@ -1,7 +1,7 @@
 //! The loop of NISTIR 4854: a nose turned and probed.
 
 use super::runs::{Done, ExperimentRun, SUFFIXES, digits, seed_of};
-use crate::turning::TurningExperiment;
+use crate::turning_experiment::TurningExperimentInputs;
 use rtec_files::InputError;
 use rtec_model::record::{Record, Role, RunKind, span};
 use serde_json::{Map, Value, json};
@@ -37,16 +37,16 @@ fn part_record(session: Record, path: &Path) -> Result<Record, InputError> {
 /// It corrects by the known form of the part, or otherwise by the errors probed after the semi-finish cut.
 pub(super) fn hemisphere(experiment: &mut ExperimentRun<'_>) -> Done {
     let setting = experiment.setting;
-    let setup = TurningExperiment {
+    let setup = TurningExperimentInputs {
         machine: setting.truth.clone(),
         design: "c".to_owned(),
-        ..TurningExperiment::default()
+        ..TurningExperimentInputs::default()
     };
     let (mut records, mut figures) = (Vec::new(), Map::new());
     let knows = std::iter::once(None).chain(setting.known.map(Some));
     for ((suffix, label), known) in SUFFIXES.into_iter().zip(["without", "with"]).zip(knows) {
         let seed = seed_of(setting, &format!("hemisphere{suffix}"));
-        let setup = TurningExperiment { model: known.cloned(), seed, ..setup.clone() };
+        let setup = TurningExperimentInputs { model: known.cloned(), seed, ..setup.clone() };
         let turned = setup.turn_nose(!suffix.is_empty())?;
         let path = setting.out.join(format!("hemisphere{suffix}.run.toml"));
         // Only a session with all its trips has a record.

@@ -4,9 +4,9 @@
 
 use rtec_driver::quadrature::State;
 use rtec_rt::axis::AxisConfig;
-use rtec_sim::bench::{BenchResult, BenchRun, InsertionDesign, constant, there_and_back};
 use rtec_sim::computer_timing::ComputerTiming;
-use rtec_sim::insertion_designs::{InsertionDesignComparison, TestMotion, compare, waveforms};
+use rtec_sim::insertion_design_bench::{BenchResult, BenchRun, InsertionDesign, constant, there_and_back};
+use rtec_sim::insertion_design_comparison::{InsertionDesignComparison, TestMotion, compare, waveforms};
 
 fn comparison(computer: &ComputerTiming) -> InsertionDesignComparison {
     compare(computer, TestMotion { counts: 4000, ..TestMotion::default() }, 1)
@@ -147,7 +147,7 @@ fn the_original_cannot_insert_at_rest_outside_low_low() {
         for (design, served) in
             [(InsertionDesign::Original, bits == 0), (InsertionDesign::A, true), (InsertionDesign::C, true)]
         {
-            let config = rtec_sim::bench::insert_at_rest(AxisConfig::default());
+            let config = rtec_sim::insertion_design_bench::insert_at_rest(AxisConfig::default());
             let totals = [(1_000_000, 8), (60_000_000, 8)];
             let start = State::from_bits(bits);
             let seen = BenchRun { config, start, totals: &totals, ..BenchRun::new(design, &computer) }

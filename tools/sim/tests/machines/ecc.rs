@@ -3,10 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_driver::quadrature::State;
-use rtec_driver::replay::{DirectOutputs, RequestedTotal, TracePoint};
-use rtec_sim::bench::there_and_back;
-use rtec_sim::ecc::{Ecc, PllLimits};
-use rtec_sim::replay::replay_with;
+use rtec_driver::trace_replay::{DirectOutputs, RequestedTotal, TracePoint};
+use rtec_sim::engine_replay::replay_with;
+use rtec_sim::error_correction_circuit::{ErrorCorrectionCircuitAxis, PllFrequencyLimits};
+use rtec_sim::insertion_design_bench::there_and_back;
 
 /// A controller that knows the axis's acceleration makes no error at a reversal.
 /// The reversals are those that this acceleration allows.
@@ -26,7 +26,9 @@ fn guarded_it_balances_over_every_reversal() {
                 t_ns: last * n / 60,
                 requested: if n % 2 == 0 { 60 } else { -60 },
             });
-            let start = |card: &mut _| Ok(Ecc::new(PllLimits::default(), 1, card)?.guarded(accel));
+            let start = |card: &mut _| {
+                Ok(ErrorCorrectionCircuitAxis::new(PllFrequencyLimits::default(), 1, card)?.guarded(accel))
+            };
             let (outcome, _) = replay_with::<_, _, _, _, _, std::convert::Infallible>(
                 DirectOutputs,
                 start,

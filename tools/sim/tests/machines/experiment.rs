@@ -4,10 +4,10 @@
 
 use rtec_model::machine::Machine;
 use rtec_model::record::{Record, Role};
-use rtec_rt::axis::RestPolicy;
+use rtec_rt::axis::InsertionAtRestPolicy;
 use rtec_sim::compensation_experiments::{EXPERIMENTS, Experiment, ExperimentInputs, ExperimentResult};
-use rtec_sim::heat::FIGURE_9;
-use rtec_sim::sim::MachineSpec;
+use rtec_sim::corrected_machine_sim::MachineSpec;
+use rtec_sim::thermal_network::FIGURE_9;
 use std::path::Path;
 
 fn model(text: &str) -> Machine {
@@ -199,7 +199,9 @@ fn same_seed_same_bytes_another_seed_others() {
         let records: String = f
             .records
             .iter()
-            .map(|r| rtec_records::record::to_csv(r) + &rtec_records::record::to_sidecar(r))
+            .map(|r| {
+                rtec_records::run_record_files::to_csv(r) + &rtec_records::run_record_files::to_sidecar(r)
+            })
             .collect();
         records + &f.plots.iter().map(|p| p.1.as_str()).collect::<String>()
     };
@@ -290,7 +292,7 @@ fn a_chain_acts_in_an_experiment_and_is_corrected() {
     }
     let chain = "tool_mm = [0.0, 0.0, -100.0]\n[[joint]]\nname = \"x slide\"\nbranch = \"tool\"\naxis = \"x\"\n\
                  component = [{ of = \"dx\", terms = [{ p = 1, value = 6.0 }] }, { of = \"ey\", terms = [{ p = 1, value = 40.0 }] }]\n";
-    let chain = rtec_model::chain::Chain::parse(Path::new("c.toml"), chain).unwrap();
+    let chain = rtec_model::kinematic_chain::KinematicChain::parse(Path::new("c.toml"), chain).unwrap();
     let truth = Machine::ideal("m").with_chain(Some(chain));
     let findings = run("linear-displacement", &truth, &truth, 1);
     let plain = record(&findings, "linear-displacement-x");
@@ -315,7 +317,7 @@ fn gauges_show_the_tilt() {
     let chain = "[[joint]]\nname = \"spindle\"\nbranch = \"tool\"\ncomponent = [\
                  { of = \"ey\", sensor = \"T13\", minus = \"T18\", terms = [{ dT = 1, value = 4.0 }] },\
                  { of = \"ex\", sensor = \"T13\", minus = \"T18\", terms = [{ dT = 1, value = -2.0 }] }]\n";
-    let chain = rtec_model::chain::Chain::parse(Path::new("c.toml"), chain).unwrap();
+    let chain = rtec_model::kinematic_chain::KinematicChain::parse(Path::new("c.toml"), chain).unwrap();
     let truth = Machine::ideal("m").with_chain(Some(chain));
     let findings = run("drift", &truth, &Machine::ideal("m"), 1);
     let (name, gauges) = &findings.gauges[0];
@@ -355,7 +357,7 @@ fn experiments_of_the_sources_bring_their_machine() {
 #[test]
 fn an_axis_that_turns_slowly_is_not_at_rest() {
     let spec = MachineSpec::machining_centre();
-    let RestPolicy::Insert { after_ns } = spec.rest else { panic!("{:?}", spec.rest) };
+    let InsertionAtRestPolicy::Insert { after_ns } = spec.rest else { panic!("{:?}", spec.rest) };
     let (radius_mm, feed_mm_s) = (150.0, 10.0 * 25.4 / 60.0);
     for axis in &spec.axes {
         let counts_s2 = feed_mm_s * feed_mm_s / radius_mm * 1000.0 / axis.count_um;

@@ -4,17 +4,17 @@
 
 use rtec_model::machine::Machine;
 use rtec_sim::axis::AxisSpec;
-use rtec_sim::machine::{ControllerLimits, ServoFault, SimMachine};
+use rtec_sim::corrected_machine_sim::{CorrectedMachineSim, MachineSnapshot, MachineSpec};
+use rtec_sim::machine::{ControllerFault, ControllerLimits, SimMachine};
 use rtec_sim::nc_block::Block;
-use rtec_sim::sim::{MachineSnapshot, MachineSpec, Sim};
 use std::path::Path;
 
 fn model(text: &str) -> Machine {
     Machine::parse(Path::new("m.toml"), &format!("name = \"m\"\n{text}")).unwrap()
 }
 
-fn sim(truth: &Machine, known: Option<&Machine>) -> Sim {
-    Sim::new(&MachineSpec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
+fn sim(truth: &Machine, known: Option<&Machine>) -> CorrectedMachineSim {
+    CorrectedMachineSim::new(&MachineSpec::machining_centre(), truth, known, [0.0; 3], 1).unwrap()
 }
 
 fn rapid(to: [f64; 3]) -> Block {
@@ -99,7 +99,7 @@ fn an_illegal_state_is_a_servo_fault() {
     use rtec_driver::card::Card;
     let mut s = sim(&Machine::ideal("m"), None);
     s.machine.write(3, 3).unwrap();
-    assert_eq!(s.machine.fault(), Some(ServoFault::IllegalState { axis: 0 }));
+    assert_eq!(s.machine.fault(), Some(ControllerFault::IllegalState { axis: 0 }));
 }
 
 /// An independent decoder of the lines agrees with the machine's counters.
@@ -168,6 +168,6 @@ fn the_counters_say_what_the_lines_show() {
     }
     let illegal: u64 = mtc.iter().map(Decoder::illegal).sum();
     let fault = machine.fault();
-    assert!(matches!(fault, Some(ServoFault::IllegalState { .. })), "{fault:?}, {edges} edges");
+    assert!(matches!(fault, Some(ControllerFault::IllegalState { .. })), "{fault:?}, {edges} edges");
     assert!(edges > 20_000 && illegal == 1, "{edges} edges, {illegal} illegal");
 }

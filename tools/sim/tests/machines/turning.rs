@@ -2,19 +2,19 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use rtec_model::machine::Machine;
-use rtec_part::batch::BatchFinding;
+use rtec_part::batch_evaluation::PlaceFinding;
 use rtec_part::geometric_fit::Zx;
-use rtec_part::trip_check::{CapturedTrips, TripFault, assign};
-use rtec_sim::turning::{TurningExperiment, TurningOutcome};
+use rtec_part::probe_trip_check::{CapturedTrips, ProbeTripFault, assign};
+use rtec_sim::turning_experiment::{TurningExperimentInputs, TurningExperimentResult};
 use std::path::Path;
 use test_needs::repetitions;
 
-fn run(setup: &TurningExperiment) -> TurningOutcome {
+fn run(setup: &TurningExperimentInputs) -> TurningExperimentResult {
     setup.run(&mut |_| {}).unwrap()
 }
 
-fn setup(design: &str, seed: u64) -> TurningExperiment {
-    TurningExperiment { design: design.into(), seed, ..TurningExperiment::default() }
+fn setup(design: &str, seed: u64) -> TurningExperimentInputs {
+    TurningExperimentInputs { design: design.into(), seed, ..TurningExperimentInputs::default() }
 }
 
 /// The report's figures: a bump of about 23 µm, largest bar 21.4 µm.
@@ -104,19 +104,19 @@ fn a_lobe_of_the_machine_is_not_observable_by_its_own_probe() {
         (list(knots.map(|z| z.to_string()).collect()), list(um.map(|e| format!("{e:.4}")).collect()));
     let lobe =
         machine(&format!("[[effect]]\nname = \"straightness.x.z\"\nknots_mm = [{knots}]\num = [{um}]\n"));
-    let o = run(&TurningExperiment { machine: lobe, ..setup("c", 7) });
+    let o = run(&TurningExperimentInputs { machine: lobe, ..setup("c", 7) });
     // The probe finds no error, but the true surface has one.
     assert!(o.finish.largest_um < 3.0 && o.finish.true_form_um > 8.0, "{:?}", o.finish);
     let batch = o.off_machine.unwrap();
-    let count = |f: BatchFinding| batch.places.iter().filter(|p| p.finding == f).count();
+    let count = |f: PlaceFinding| batch.places.iter().filter(|p| p.finding == f).count();
     println!(
         "after the finish cut the probe sees {:.1} µm at most, the true surface's form is {:.1} µm; {} of {} places not observable",
         o.finish.largest_um,
         o.finish.true_form_um,
-        count(BatchFinding::NotObservable),
+        count(PlaceFinding::NotObservable),
         batch.places.len()
     );
-    assert!(count(BatchFinding::NotObservable) >= 4, "{:?}", batch.offers);
+    assert!(count(PlaceFinding::NotObservable) >= 4, "{:?}", batch.offers);
     assert!(batch.offers.iter().any(|o| o.contains("not observable")));
     assert!(run(&setup("c", 7)).off_machine.is_none());
 }
@@ -133,7 +133,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
         "[[effect]]\nname = \"scale.z\"\nppm = 150.0\n[[effect]]\nname = \"thermal_expansion.x\"\nsensor = \"T8\"\n\
          reference_degC = 20.0\nppm_per_K = 40.0\n[[effect]]\nname = \"squareness.x.z\"\nurad = -80.0\n",
     );
-    let warm = TurningExperiment { machine: wrong.clone(), begin_s: 3600.0, ..setup("c", 3) };
+    let warm = TurningExperimentInputs { machine: wrong.clone(), begin_s: 3600.0, ..setup("c", 3) };
     let radius_mm = warm.radius_mm;
     let mut part = warm.raw();
     let ran = warm.turn(&mut part, radius_mm, None, 1).unwrap();
@@ -151,8 +151,9 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
             .fold(0.0, f64::max)
     };
     let blind = warm.errors(&session, radius_mm).unwrap();
-    let knowing =
-        TurningExperiment { model: Some(wrong.clone()), ..warm.clone() }.errors(&session, radius_mm).unwrap();
+    let knowing = TurningExperimentInputs { model: Some(wrong.clone()), ..warm.clone() }
+        .errors(&session, radius_mm)
+        .unwrap();
     let radius = |report: &rtec_part::part_errors::PartErrorReport| {
         (report.radius_mm.unwrap() - truth.radius_mm.unwrap()).abs() * 1e3
     };
@@ -167,7 +168,7 @@ fn temperatures_recorded_at_the_trips_take_the_machines_error_out_off_line() {
     assert!(off(&knowing) < 1.2, "{}", off(&knowing));
     // Corrected live with the table, and off line in the probed points: a measuring machine finds the part
     // right too.
-    let o = run(&TurningExperiment { model: Some(wrong), ..warm });
+    let o = run(&TurningExperimentInputs { model: Some(wrong), ..warm });
     assert!(o.finish.largest_um <= 3.0 && o.finish.true_form_um < 5.0, "{:?}", o.finish);
     assert!(o.balanced());
 }
@@ -177,7 +178,7 @@ fn an_effect_that_the_lathe_cannot_feel_is_named() {
     let wrong = machine(
         "[[effect]]\nname = \"thermal_growth.z\"\nsensor = \"T99\"\num_per_K = 1.0\num_per_K2 = 0.0\n",
     );
-    let Err(error) = (TurningExperiment { machine: wrong, ..setup("c", 1) }).run(&mut |_| {}) else {
+    let Err(error) = (TurningExperimentInputs { machine: wrong, ..setup("c", 1) }).run(&mut |_| {}) else {
         panic!("no T99")
     };
     assert!(error.to_string().contains("thermal_growth.z reads temperature.T99"), "{error}");
@@ -199,21 +200,21 @@ fn trips_that_are_not_as_planned_name_their_point() {
     assert!((all[3].tip_centre - expected[3]).norm() < 1e-9 && (all[3].uncertainty_um - 0.02).abs() < 1e-12);
     let mut missed = good.clone();
     missed.remove(2);
-    assert_eq!(judge(missed, vec![]), Err(TripFault::Missed { point: 3, window_mm: 0.5 }));
-    assert_eq!(judge(good[..4].to_vec(), vec![]), Err(TripFault::Missed { point: 5, window_mm: 0.5 }));
+    assert_eq!(judge(missed, vec![]), Err(ProbeTripFault::Missed { point: 3, window_mm: 0.5 }));
+    assert_eq!(judge(good[..4].to_vec(), vec![]), Err(ProbeTripFault::Missed { point: 5, window_mm: 0.5 }));
     let mut double = good.clone();
     double.insert(2, good[1]);
-    assert_eq!(judge(double, vec![]), Err(TripFault::Double { point: 2 }));
-    assert_eq!(judge(good.clone(), vec![4]), Err(TripFault::Bounce { point: 4 }));
+    assert_eq!(judge(double, vec![]), Err(ProbeTripFault::Double { point: 2 }));
+    assert_eq!(judge(good.clone(), vec![4]), Err(ProbeTripFault::Bounce { point: 4 }));
     let mut outside = good.clone();
     outside[1].0[1] += 700.0;
-    assert!(matches!(judge(outside, vec![]), Err(TripFault::Outside { point: 2, .. })));
+    assert!(matches!(judge(outside, vec![]), Err(ProbeTripFault::Outside { point: 2, .. })));
     let mut zero = good.clone();
     zero[1].0 = [0.0, 0.0];
-    assert_eq!(judge(zero, vec![]), Err(TripFault::Zero { point: 2 }));
+    assert_eq!(judge(zero, vec![]), Err(ProbeTripFault::Zero { point: 2 }));
     let mut surplus = good;
     surplus.push(([0.0, 0.0], 0.0, 9.0));
-    assert!(matches!(judge(surplus, vec![]), Err(TripFault::Outside { point: 6, .. })));
+    assert!(matches!(judge(surplus, vec![]), Err(ProbeTripFault::Outside { point: 6, .. })));
 }
 
 /// G01 lines must begin where the arc does.
@@ -227,7 +228,7 @@ fn g01_lines_begin_beyond_the_arc() {
     let wrong = machine(
         "[[effect]]\nname = \"reversal.x\"\num = 30.0\n[[effect]]\nname = \"reversal.z\"\num = 40.0\n",
     );
-    let o = run(&TurningExperiment { machine: wrong.clone(), model: Some(wrong), ..setup("c", 1) });
+    let o = run(&TurningExperimentInputs { machine: wrong.clone(), model: Some(wrong), ..setup("c", 1) });
     assert!(o.program.largest_um <= 7.0 && o.finish.largest_um <= 2.5, "{:?} {:?}", o.program, o.finish);
     assert!(o.program.true_form_um < 8.0, "{:?}", o.program);
     assert!((88..=92).contains(&o.program_lines), "{}", o.program_lines);
@@ -243,8 +244,11 @@ fn the_original_is_not_waited_for_at_rest() {
     let wrong =
         machine("[[effect]]\nname = \"offset.x\"\num = 9.0\n[[effect]]\nname = \"offset.z\"\num = 13.0\n");
     for flat_um in [12.0, 25.0] {
-        let mut known =
-            TurningExperiment { machine: wrong.clone(), model: Some(wrong.clone()), ..setup("original", 1) };
+        let mut known = TurningExperimentInputs {
+            machine: wrong.clone(),
+            model: Some(wrong.clone()),
+            ..setup("original", 1)
+        };
         known.bench.flat_um = flat_um;
         let o = run(&known);
         assert!(o.finish.largest_um <= 4.0 && o.balanced(), "{flat_um}: {:?}", o.finish);

@@ -1,7 +1,7 @@
 //! Scatter of consecutive readings while the machine drifts.
 
-use crate::derivatives::{FEWEST, beyond_cubic};
 use crate::gauge_resolution::step_of;
+use crate::motion_from_positions::{FEWEST, beyond_cubic};
 
 /// Readings that are used to find the gauge's resolution.
 const READINGS: usize = 4096;

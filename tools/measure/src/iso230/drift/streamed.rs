@@ -1,13 +1,13 @@
 //! A drift test of any number of rows in bounded memory.
 //! It reads the file three times; leaving rows out takes three more.
 
-use super::figures::{Row, SpreadAndChange, SumsForMeans};
+use super::heat_phases::{HeatPhase, HeatPhaseCollector};
 use super::scatter::Scatter;
-use super::spans::{Span, Spans};
-use super::{Drift, Figures, Phase, charts_of, displaced};
+use super::two_pass_figures::{FirstPassSums, Row, SecondPassSums};
+use super::{DriftFigures, DriftPhaseResult, DriftResult, charts_of, displaced};
 use crate::plausible::{DEGC, Suspicion, every_row, rows_left_out};
 use crate::plot::{Chart, Series, Style};
-use crate::record::RecordPieceReader;
+use crate::run_record_files::RecordPieceReader;
 use rtec_files::{InputError, Result};
 use rtec_model::disconnected_sensor_codes::disconnected;
 use rtec_model::record::{Column, Record, Role, median, span};
@@ -24,9 +24,9 @@ pub(crate) struct StreamedDriftTest {
     /// The record with its first rows only.
     pub(crate) head: Record,
     pub(crate) rows: usize,
-    spans: Vec<Span>,
-    errors: Vec<Outline>,
-    degc: Vec<Outline>,
+    spans: Vec<HeatPhase>,
+    errors: Vec<DecimatedCurve>,
+    degc: Vec<DecimatedCurve>,
     usual: UsualTemperatures,
     /// Suspicions against its rows.
     doubts: Vec<Suspicion>,
@@ -73,8 +73,8 @@ impl StreamedDriftTest {
         else {
             return Ok(None);
         };
-        let (mut spans, mut rows, mut head) = (Spans::default(), 0, None);
-        let (mut errors, mut degc): (Vec<Outline>, Vec<Outline>) = (Vec::new(), Vec::new());
+        let (mut spans, mut rows, mut head) = (HeatPhaseCollector::default(), 0, None);
+        let (mut errors, mut degc): (Vec<DecimatedCurve>, Vec<DecimatedCurve>) = (Vec::new(), Vec::new());
         let (mut before, mut usual) = (Vec::new(), UsualTemperatures::default());
         while let Some(record) = pieces.next_record(PIECE_ROWS)? {
             let is_still = !moves(&record, &mut before);
@@ -83,12 +83,12 @@ impl StreamedDriftTest {
             for (row, t) in t.iter().enumerate() {
                 spans.see(&[], *t, rpm.map_or(0.0, |r| r[row]));
             }
-            errors.resize_with(displaced(&record.columns).count(), Outline::default);
+            errors.resize_with(displaced(&record.columns).count(), DecimatedCurve::default);
             for (outline, c) in errors.iter_mut().zip(displaced(&record.columns)) {
                 outline.see(rows, t, &c.data);
             }
             let sensors = usual.taken(&record);
-            degc.resize_with(sensors.len(), Outline::default);
+            degc.resize_with(sensors.len(), DecimatedCurve::default);
             for (outline, data) in degc.iter_mut().zip(&sensors) {
                 outline.see(rows, t, data);
             }
@@ -113,8 +113,8 @@ impl StreamedDriftTest {
                 self.left_out.retain(|row| !span.rows.contains(row));
             }
         }
-        let mut errors = vec![Outline::default(); self.errors.len()];
-        let mut degc = vec![Outline::default(); self.degc.len()];
+        let mut errors = vec![DecimatedCurve::default(); self.errors.len()];
+        let mut degc = vec![DecimatedCurve::default(); self.degc.len()];
         let mut place = 0;
         self.walk(PIECE_ROWS, &mut |_: &Record| (), |_, response, (t, e, sensors, row)| {
             place += usize::from(response == 0);
@@ -132,29 +132,33 @@ impl StreamedDriftTest {
 
     /// Lowest and highest value of each temperature, °C.
     pub(crate) fn ranges_degc(&self) -> impl Iterator<Item = (&str, [f64; 2])> {
-        self.head.temperatures().map(|c| c.name.as_str()).zip(self.degc.iter().map(Outline::range))
+        self.head.temperatures().map(|c| c.name.as_str()).zip(self.degc.iter().map(DecimatedCurve::range))
     }
 
     /// The same result as [`super::drift`], to the last bit.
     /// Reads the file twice; `each` gets its rows in pieces of `rows_at_once`.
-    pub(crate) fn drift(&mut self, rows_at_once: usize, mut each: impl FnMut(&Record)) -> Result<Vec<Drift>> {
+    pub(crate) fn drift(
+        &mut self,
+        rows_at_once: usize,
+        mut each: impl FnMut(&Record),
+    ) -> Result<Vec<DriftResult>> {
         let (responses, sensors) = (self.errors.len(), self.degc.len());
-        let none = vec![SumsForMeans::new(sensors); responses];
+        let none = vec![FirstPassSums::new(sensors); responses];
         let (mut whole, mut by_span) = (none.clone(), vec![none; self.spans.len()]);
         self.walk(rows_at_once, &mut each, |span, response, row| {
             whole[response].see(row);
             by_span[span][response].see(row);
         })?;
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
-        let looks = |of: Vec<SumsForMeans>| of.into_iter().map(SpreadAndChange::at).collect::<Vec<_>>();
+        let looks = |of: Vec<FirstPassSums>| of.into_iter().map(SecondPassSums::at).collect::<Vec<_>>();
         let (mut whole, mut now) = (looks(whole), Vec::new());
         let mut scatters = vec![Scatter::default(); responses];
-        let mut phases: Vec<Vec<Figures>> = vec![Vec::new(); responses];
+        let mut phases: Vec<Vec<DriftFigures>> = vec![Vec::new(); responses];
         let head = self.head.clone();
-        let figures = |look: &SpreadAndChange| look.figures(head.temperatures().map(|c| c.name.as_str()));
+        let figures = |look: &SecondPassSums| look.figures(head.temperatures().map(|c| c.name.as_str()));
         let mut by_span = by_span.into_iter();
         let mut present = None;
-        let mut close = |looks: Vec<SpreadAndChange>| {
+        let mut close = |looks: Vec<SecondPassSums>| {
             phases.iter_mut().zip(&looks).for_each(|(phases, look)| phases.push(figures(look)));
         };
         self.walk(PIECE_ROWS, &mut |_: &Record| (), |span, response, row| {
@@ -169,14 +173,14 @@ impl StreamedDriftTest {
             scatters[response].see(row.0, row.1);
         })?;
         close(now);
-        let phase = |(of, figures): (&Span, Figures)| -> Phase {
+        let phase = |(of, figures): (&HeatPhase, DriftFigures)| -> DriftPhaseResult {
             of.phase(&head.columns, (of.start_s - start_s) / 60.0, None, figures)
         };
         let all = displaced(&self.head.columns).zip(whole).zip(phases).zip(&scatters);
         Ok(all
-            .map(|(((column, whole), phases), scatter)| Drift {
+            .map(|(((column, whole), phases), scatter)| DriftResult {
                 phases: self.spans.iter().zip(phases).map(&phase).collect(),
-                ..Drift::of(column, figures(&whole), scatter)
+                ..DriftResult::of(column, figures(&whole), scatter)
             })
             .collect())
     }
@@ -223,7 +227,7 @@ impl StreamedDriftTest {
     /// They touch the same pixels, except for some at the edge between two.
     pub(crate) fn charts(&self) -> Vec<Chart> {
         let start_s = self.spans.first().map_or(0.0, |s| s.start_s);
-        let line = |name: &str, of: &Outline| Series::new(name, Style::Line, of.points(start_s));
+        let line = |name: &str, of: &DecimatedCurve| Series::new(name, Style::Line, of.points(start_s));
         let errors = displaced(&self.head.columns)
             .zip(&self.errors)
             .map(|(c, of)| (c.unit.clone(), line(&c.role.to_string(), of)));
@@ -255,20 +259,20 @@ type Block = [Point; 4];
 
 /// A line of any number of points, kept as four points per block of rows.
 #[derive(Debug, Clone)]
-struct Outline {
+struct DecimatedCurve {
     blocks: Vec<Block>,
     rows_a_block: usize,
     /// Rows of the last block.
     rows: usize,
 }
 
-impl Default for Outline {
+impl Default for DecimatedCurve {
     fn default() -> Self {
         Self { blocks: Vec::new(), rows_a_block: 1, rows: 0 }
     }
 }
 
-impl Outline {
+impl DecimatedCurve {
     /// The next rows; `first` is the number of the first one.
     fn see(&mut self, first: usize, t: &[f64], v: &[f64]) {
         for (row, (t, v)) in t.iter().zip(v).enumerate().filter(|(_, (_, v))| v.is_finite()) {
@@ -330,7 +334,7 @@ mod tests {
     fn an_outline_has_what_a_plot_shows() {
         let rows = 20 * MOST_BLOCKS + 77;
         let value = |row: usize| (row as f64 / 9e3).sin() + ((row * row * 7 + row * 3) % 1009) as f64 / 500.0;
-        let mut outline = Outline::default();
+        let mut outline = DecimatedCurve::default();
         let all: Vec<(f64, f64)> = (0..rows).map(|row| (60.0 * row as f64, value(row))).collect();
         for (n, piece) in all.chunks(1000).enumerate() {
             let (t, v): (Vec<f64>, Vec<f64>) = piece.iter().copied().unzip();

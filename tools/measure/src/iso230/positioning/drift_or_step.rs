@@ -3,7 +3,7 @@
 //! Candidates are compared by likelihood with Schwarz's criterion. A drift over time is a straight line or a
 //! warm-up, each optionally growing along the axis, or a parabola. A step has a size and a row.
 
-use super::{AxisRun, Target, largest, mean_of, repeatability, targets};
+use super::{AxisRun, TargetResult, largest, mean_of, repeatability, targets};
 use crate::iso230::{CHANCE, STEP_SIDE, is_alike};
 use rtec_least_squares::{dot, solve};
 use rtec_model::record::Role;
@@ -24,7 +24,7 @@ type Unchanged = [Option<f64>; 5];
 
 /// A drift of all targets together, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Trend {
+pub struct SharedDrift {
     /// Change from the first row to the last, at the middle of the travel.
     pub drift: f64,
     /// Probability of a drift of this size by chance.
@@ -36,7 +36,7 @@ pub struct Trend {
 
 /// A step of all targets together, in the unit of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Step {
+pub struct SharedStep {
     /// The first row after it, from 1, in the file.
     pub row: usize,
     /// The cycle of that row.
@@ -67,12 +67,12 @@ fn about<S: Serializer>(change: &str, without: &Unchanged, to: S) -> Result<S::O
 /// A change over time that all approaches share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum DriftOrStep {
-    Drift(Trend),
-    Step(Step),
+    Drift(SharedDrift),
+    Step(SharedStep),
 }
 
 /// A shape over the rows that may explain the differences of repeats.
-struct ChangeModel {
+struct CandidateChange {
     /// One column, or a second one that grows along the axis.
     columns: Vec<Vec<f64>>,
     /// Number of non-linear parameters: a time constant, a row.
@@ -86,8 +86,8 @@ struct ChangeModel {
 }
 
 /// A fitted shape: its factors and the residual sum of squares.
-struct Fitted {
-    shape: ChangeModel,
+struct FittedChange {
+    shape: CandidateChange,
     factors: Vec<f64>,
     left: f64,
     /// Standard deviation of the first factor for noise of variance 1.
@@ -96,7 +96,7 @@ struct Fitted {
     is_alike: bool,
 }
 
-impl Fitted {
+impl FittedChange {
     fn parameters(&self) -> usize {
         self.shape.columns.len() + self.shape.sought
     }
@@ -133,12 +133,12 @@ fn residual(y: &[f64], columns: &[Vec<f64>], factors: &[f64]) -> Vec<f64> {
 }
 
 /// Rows of one target and side, and values within them.
-struct Repeats {
+struct RepeatGroups {
     groups: Vec<Vec<usize>>,
     rows: usize,
 }
 
-impl Repeats {
+impl RepeatGroups {
     /// Each value less the mean of its group; 0 for rows without a group.
     fn within(&self, values: &[f64]) -> Vec<f64> {
         let mut all = vec![0.0; self.rows];
@@ -153,7 +153,7 @@ impl Repeats {
 
     /// Least-squares fit to the differences of repeats (`y`).
     /// `None` if a column is zero or the columns are equal.
-    fn fit(&self, shape: ChangeModel, y: &[f64]) -> Option<Fitted> {
+    fn fit(&self, shape: CandidateChange, y: &[f64]) -> Option<FittedChange> {
         let columns: Vec<Vec<f64>> = shape.columns.iter().map(|c| self.within(c)).collect();
         let found = solve(&columns, y).ok()?;
         if found.independent.iter().any(|share| *share <= LEAST_SHARE) {
@@ -161,7 +161,7 @@ impl Repeats {
         }
         let (left, is_alike) = (found.left(), self.is_alike(&found.residual));
         let standard_deviation = found.spread()[0];
-        Some(Fitted { shape, factors: found.values, left, standard_deviation, is_alike })
+        Some(FittedChange { shape, factors: found.values, left, standard_deviation, is_alike })
     }
 
     /// Whether consecutive residuals are more alike than chance makes them.
@@ -175,7 +175,7 @@ impl Repeats {
     }
 
     /// The step that explains most of `y`.
-    fn best_step(&self, y: &[f64]) -> Option<ChangeModel> {
+    fn best_step(&self, y: &[f64]) -> Option<CandidateChange> {
         let mut group_of = vec![None; self.rows];
         for (g, rows) in self.groups.iter().enumerate() {
             for row in rows {
@@ -206,7 +206,7 @@ impl Repeats {
         }
         let (at, _) = best?;
         let column = (0..self.rows).map(|row| f64::from(row >= at)).collect();
-        Some(ChangeModel { columns: vec![column], sought: 1, tried, step_at: Some(at), bends: false })
+        Some(CandidateChange { columns: vec![column], sought: 1, tried, step_at: Some(at), bends: false })
     }
 }
 
@@ -233,7 +233,7 @@ impl AxisRun<'_> {
         // Rounding to a step q leaves a variance of at least q²/12 per reading.
         let rounding = crate::gauge_resolution::step_of(&self.error).map_or(0.0, |q| q * q / 12.0);
         let least = (1e-12 * before).max(used as f64 * rounding).max(f64::MIN_POSITIVE);
-        let better = |f: &Fitted| f.criterion(used as f64, least);
+        let better = |f: &FittedChange| f.criterion(used as f64, least);
         let fitted = shapes.into_iter().filter_map(|shape| repeats.fit(shape, &y));
         let fitted = fitted.filter(|f| f.shape.step_at.is_none() || f.left <= 1e-12 * before || !f.is_alike);
         let best = fitted.min_by(|a, b| better(a).total_cmp(&better(b)))?;
@@ -249,12 +249,13 @@ impl AxisRun<'_> {
         let reduced = residual(&self.error, &best.shape.columns, &best.factors);
         // The parameters reduced the degrees of freedom.
         let lost = ((used - repeats.groups.len()) as f64 / freedom).sqrt();
-        let about = |t: &Target| repeatability(t.reversal, [t.s_up, t.s_down].map(|s| Some(s? * lost)));
-        let list: Vec<Target> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
+        let about = |t: &TargetResult| repeatability(t.reversal, [t.s_up, t.s_down].map(|s| Some(s? * lost)));
+        let list: Vec<TargetResult> = self.list_of(&reduced).iter().map(|t| t.counted(false)).collect();
         let reversals: Vec<f64> = list.iter().filter_map(|t| t.reversal).collect();
         let both_ways = largest(list.iter().filter_map(about));
-        let one_way =
-            |s: fn(&Target) -> Option<f64>| largest(list.iter().filter_map(|t| Some(4.0 * s(t)? * lost)));
+        let one_way = |s: fn(&TargetResult) -> Option<f64>| {
+            largest(list.iter().filter_map(|t| Some(4.0 * s(t)? * lost)))
+        };
         let reversal = largest(reversals.iter().map(|b| b.abs()));
         let one_way = [one_way(|t| t.s_up), one_way(|t| t.s_down)];
         let values = [both_ways, one_way[0], one_way[1], reversal, mean_of(&reversals)];
@@ -278,7 +279,7 @@ impl AxisRun<'_> {
                         best.factors[1],
                     ));
                 }
-                DriftOrStep::Drift(Trend { drift: size, p_value, without: values })
+                DriftOrStep::Drift(SharedDrift { drift: size, p_value, without: values })
             }
             Some(at) => {
                 let (row, cycle) = (self.record.row_number(at), self.cycle(&repeats, at));
@@ -290,19 +291,31 @@ impl AxisRun<'_> {
                          gauge, workpiece, lost counts), and test again"
                     ));
                 }
-                DriftOrStep::Step(Step { row, cycle, step: size, standard_error, p_value, without: values })
+                DriftOrStep::Step(SharedStep {
+                    row,
+                    cycle,
+                    step: size,
+                    standard_error,
+                    p_value,
+                    without: values,
+                })
             }
         })
     }
 
     /// Shapes over time that may explain the differences of repeats.
     /// `middle` and `reach` are those of the positions, mm.
-    fn shapes(&self, time: &[f64], [middle, reach]: [f64; 2], step: Option<ChangeModel>) -> Vec<ChangeModel> {
+    fn shapes(
+        &self,
+        time: &[f64],
+        [middle, reach]: [f64; 2],
+        step: Option<CandidateChange>,
+    ) -> Vec<CandidateChange> {
         let span = time[time.len() - 1] - time[0];
         let over_time = |of: &dyn Fn(f64) -> f64, sought: usize, tried: usize| {
             let own: Vec<f64> = time.iter().map(|t| of((t - time[0]) / span)).collect();
             let grows = own.iter().zip(self.position).map(|(v, p)| v * (p - middle) / reach).collect();
-            ChangeModel { columns: vec![own, grows], sought, tried, step_at: None, bends: false }
+            CandidateChange { columns: vec![own, grows], sought, tried, step_at: None, bends: false }
         };
         let warm_up = |share: f64| {
             let at_end = 1.0 - (-1.0 / share).exp();
@@ -313,24 +326,24 @@ impl AxisRun<'_> {
         // A drift that turns back, as in a hall that warms and cools.
         let moment: Vec<f64> = time.iter().map(|t| (t - time[0]) / span).collect();
         let columns = vec![moment.clone(), moment.iter().map(|m| m * m).collect()];
-        shapes.push(ChangeModel { columns, sought: 0, tried: 1, step_at: None, bends: true });
+        shapes.push(CandidateChange { columns, sought: 0, tried: 1, step_at: None, bends: true });
         shapes.extend(step);
         shapes
     }
 
     /// The rows of each target and side that was approached more than once.
-    fn repeats(&self) -> Repeats {
+    fn repeats(&self) -> RepeatGroups {
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for rows in targets(self.position) {
             let moving = rows.into_iter().filter(|r| self.direction[*r] != 0.0);
             let (up, down): (Vec<_>, Vec<_>) = moving.partition(|r| self.direction[*r] > 0.0);
             groups.extend([up, down].into_iter().filter(|g| g.len() > 1));
         }
-        Repeats { groups, rows: self.error.len() }
+        RepeatGroups { groups, rows: self.error.len() }
     }
 
     /// Cycle of a row: the record's own, or its approach's number at target and side.
-    fn cycle(&self, repeats: &Repeats, row: usize) -> usize {
+    fn cycle(&self, repeats: &RepeatGroups, row: usize) -> usize {
         if let Some(own) = self.record.data(&Role::Cycle) {
             return own[row].round().max(0.0) as usize;
         }

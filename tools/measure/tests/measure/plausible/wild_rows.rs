@@ -59,7 +59,7 @@ fn unusable_rows_and_sensors_are_left_out() {
     assert_eq!(left.rows(), clean.rows());
     assert_eq!(left.temperature("T2"), None);
     assert_eq!(left.temperature("T1"), clean.temperature("T1"));
-    assert_eq!(unusable(&suspicions(&[clean])), rtec_measure::plausible::Exclusions::default());
+    assert_eq!(unusable(&suspicions(&[clean])), rtec_measure::plausible::FitExclusions::default());
 }
 
 /// A sensor of noise, a single wild row of a gauge or a bar however far off, a spreadsheet's days; and the clean twins.

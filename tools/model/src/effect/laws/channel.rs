@@ -1,6 +1,6 @@
 //! `channel.A.NAME`: a logged quantity with no physics named.
 
-use crate::effect::{LawDescription, Law, Linear, Naming, RequiredInput, Parameter, LawSearchSettings};
+use crate::effect::{LawDescription, Law, LinearLaw, EffectNameAxes, RequiredInput, LawParameter, LawSearchSettings};
 use std::sync::Arc;
 
 /// Extra price over an effect that has a physical cause, nats.
@@ -12,11 +12,11 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = gain·NAME".into(),
         cause: "a logged quantity with no physics named".into(),
         experiment: "that quantity varied on its own, everything else held".into(),
-        naming: Naming::Channel,
+        naming: EffectNameAxes::Channel,
         parameters: vec![
             // No physics bounds it, whatever the channel's unit. Beyond this, sums lose the other effects to
             // rounding.
-            Parameter::linear("gain", "um/1", 1e12).within(
+            LawParameter::linear("gain", "um/1", 1e12).within(
                 [-1e12, 1e12],
                 "1e-12 of the channel's unit would make a micrometre of error: the unit is wrong",
             ),
@@ -25,5 +25,5 @@ pub(super) fn law() -> Arc<dyn Law> {
         searched: LawSearchSettings { price: NO_PHYSICS, ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.channel })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = i.channel })
 }

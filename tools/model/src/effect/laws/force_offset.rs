@@ -1,6 +1,6 @@
 //! `force_offset.A`: a constant force.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, Parameter, AffectedQuantity};
+use crate::effect::{LawDescription, Law, LinearLaw, MechanicalParameter, LawParameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -11,10 +11,10 @@ pub(super) fn law() -> Arc<dyn Law> {
             .into(),
         experiment: "slow strokes both ways (dynamics run)".into(),
         quantity: AffectedQuantity::Force,
-        parameters: vec![Parameter::linear("N", "N", 10_000.0).typically(20.0).within([-1e6, 1e6], "the weight of 100 t")],
+        parameters: vec![LawParameter::linear("N", "N", 10_000.0).typically(20.0).within([-1e6, 1e6], "the weight of 100 t")],
         constant: true,
         mechanism: Some(MechanicalParameter::ConstantForce),
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |_, _, out| out[0] = 1.0 })
+    Arc::new(LinearLaw { description, basis: |_, _, out| out[0] = 1.0 })
 }

@@ -2,9 +2,9 @@
 //! Its cause is the part's own form or a fault of the path.
 
 use crate::effect::{
-    LawDescription, Effect, RecordExtent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis, Refine,
-    ParameterSearch,
-    LawSearchSettings, EffectState,
+    LawDescription, Effect, RecordExtent, Input, Law, EffectNameAxes, RequiredInput, Out, EffectOwner, LawParameter, SearchGridPoint, ParameterRefinement,
+    ParameterFitMethod,
+    LawSearchSettings, EffectMemory,
 };
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -22,22 +22,22 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um·(1 + cos(2π(angle − centre_rad)/width_rad))/2 within ±width_rad/2 of the centre, else 0"
             .into(),
         cause: "local form: a hard spot, a chip, a mark of the cutter's entry".into(),
-        naming: Naming::Plain,
+        naming: EffectNameAxes::Plain,
         parameters: vec![
-            Parameter::linear("um", "um", 500.0).typically(10.0)
+            LawParameter::linear("um", "um", 500.0).typically(10.0)
                 .within([-10_000.0, 10_000.0], "a bump of 10 mm is another part"),
-            Parameter::new("centre_rad", "rad", [-PI, TAU], ParameterSearch::Smooth)
+            LawParameter::new("centre_rad", "rad", [-PI, TAU], ParameterFitMethod::Smooth)
                 .within([-1e3, 1e3], "whole turns change nothing")
-                .refined(Refine::Step(0.12))
+                .refined(ParameterRefinement::Step(0.12))
                 .telling_apart()
                 .cyclic(),
-            Parameter::new("width_rad", "rad", [0.05, TAU], ParameterSearch::Smooth)
+            LawParameter::new("width_rad", "rad", [0.05, TAU], ParameterFitMethod::Smooth)
                 .within([1e-6, TAU], "at most the whole turn")
-                .refined(Refine::Factor(0.2)),
+                .refined(ParameterRefinement::Factor(0.2)),
         ],
         needs: vec![RequiredInput::Angle],
         experiment: "the part probed densely all around, twice (a bump stays, a chip does not)".into(),
-        owner: Owner::Part,
+        owner: EffectOwner::Part,
         searched: LawSearchSettings { repeats: true, ..LawSearchSettings::default() },
         ..LawDescription::default()
     }))
@@ -54,12 +54,12 @@ impl Law for FormBump {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         let (d, width) = (from_centre(effect, now), effect.scalar(WIDTH));
         out[0] = if d.abs() <= width / 2.0 { f64::midpoint(1.0, (TAU * d / width).cos()) } else { 0.0 };
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectMemory, out: Out<'_>) {
         self.basis(effect, now, component, state, &mut out[UM..=UM]);
         let (d, width) = (from_centre(effect, now), effect.scalar(WIDTH));
         if d.abs() <= width / 2.0 {
@@ -70,7 +70,7 @@ impl Law for FormBump {
     }
 
     /// Widths in a geometric series; for each, centres a quarter of the width apart.
-    fn grid(&self, effect: &Effect, _: &dyn RecordExtent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, _: &dyn RecordExtent) -> Vec<SearchGridPoint> {
         let mut points = Vec::new();
         let mut width = 0.15;
         while width < 4.0 {
@@ -79,7 +79,7 @@ impl Law for FormBump {
             for i in 0..places {
                 let centre = TAU * i as f64 / places as f64;
                 let at = effect.with(&[(CENTRE, centre), (WIDTH, width)]);
-                points.extend(at.map(|effect| GridHypothesis { effect, price }));
+                points.extend(at.map(|effect| SearchGridPoint { effect, price }));
             }
             width *= 1.4;
         }

@@ -1,6 +1,6 @@
 //! `friction_asymmetric.A`: viscous friction that differs by direction.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity};
+use crate::effect::{LawDescription, Law, LinearLaw, MechanicalParameter, RequiredInput, LawParameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -11,12 +11,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
         quantity: AffectedQuantity::Force,
         parameters: vec![
-            Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(60.0)
+            LawParameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(60.0)
                 .within([-1e6, 1e6], "as viscous friction itself"),
         ],
         needs: vec![RequiredInput::Velocity],
         mechanism: Some(MechanicalParameter::AsymmetricFriction),
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s.abs() / 1000.0 })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = i.v_mm_s.abs() / 1000.0 })
 }

@@ -1,6 +1,6 @@
 //! `friction_coulomb.A`: dry friction.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity, sign};
+use crate::effect::{LawDescription, Law, LinearLaw, MechanicalParameter, RequiredInput, LawParameter, AffectedQuantity, sign};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -11,12 +11,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "slow strokes both ways (dynamics run)".into(),
         quantity: AffectedQuantity::Force,
         parameters: vec![
-            Parameter::linear("N", "N", 10_000.0).typically(40.0)
+            LawParameter::linear("N", "N", 10_000.0).typically(40.0)
                 .within([0.0, 1e6], "friction takes energy and gives none; at most the dry friction of 1000 t on rollers of 0.01"),
         ],
         needs: vec![RequiredInput::Velocity],
         mechanism: Some(MechanicalParameter::CoulombFriction),
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = sign(i.v_mm_s) })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = sign(i.v_mm_s) })
 }

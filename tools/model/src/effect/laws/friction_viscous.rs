@@ -1,6 +1,6 @@
 //! `friction_viscous.A`: force in proportion to the velocity.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity};
+use crate::effect::{LawDescription, Law, LinearLaw, MechanicalParameter, RequiredInput, LawParameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -11,12 +11,12 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "strokes at several steady speeds, both ways (dynamics run)".into(),
         quantity: AffectedQuantity::Force,
         parameters: vec![
-            Parameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(200.0)
+            LawParameter::linear("N_s_per_m", "N·s/m", 100_000.0).typically(200.0)
                 .within([0.0, 1e6], "friction takes energy and gives none; 1 kN at 1 mm/s is more than oil in any guideway takes"),
         ],
         needs: vec![RequiredInput::Velocity],
         mechanism: Some(MechanicalParameter::ViscousFriction),
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
 }

@@ -1,6 +1,6 @@
 //! `inertia.A`: the force that accelerates an axis.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Parameter, AffectedQuantity};
+use crate::effect::{LawDescription, Law, LinearLaw, MechanicalParameter, RequiredInput, LawParameter, AffectedQuantity};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -11,11 +11,11 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "strokes at several accelerations (dynamics run)".into(),
         quantity: AffectedQuantity::Force,
         parameters: vec![
-            Parameter::linear("kg", "kg", 100_000.0).typically(120.0).within([0.0, 1e6], "no mass is negative; 1000 t: no axis moves that"),
+            LawParameter::linear("kg", "kg", 100_000.0).typically(120.0).within([0.0, 1e6], "no mass is negative; 1000 t: no axis moves that"),
         ],
         needs: vec![RequiredInput::Acceleration],
         mechanism: Some(MechanicalParameter::Mass),
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = i.a_mm_s2 / 1000.0 })
 }

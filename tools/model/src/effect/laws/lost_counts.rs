@@ -1,8 +1,8 @@
 //! `lost_counts.A`: a step at one moment that stays.
 
 use crate::effect::{
-    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
-    Refine, ParameterSearch, EffectState,
+    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, LawParameter, SearchGridPoint,
+    ParameterRefinement, ParameterFitMethod, EffectMemory,
 };
 use std::sync::Arc;
 
@@ -18,11 +18,11 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um from at_s on; whole counts".into(),
         cause: "edges lost or gained by a decoder, a connector, a scale that is dirty".into(),
         parameters: vec![
-            Parameter::linear("um", "um", 10_000.0).typically(6.0)
+            LawParameter::linear("um", "um", 10_000.0).typically(6.0)
                 .within([-1e6, 1e6], "a metre: a decoder that lost so much has lost the axis"),
-            Parameter::new("at_s", "s", [0.0, 1e6], ParameterSearch::Chosen)
+            LawParameter::new("at_s", "s", [0.0, 1e6], ParameterFitMethod::Chosen)
                 .within([-1e12, 1e12], "30 000 years: no clock of a log is that far off")
-                .refined(Refine::Moment)
+                .refined(ParameterRefinement::Moment)
                 .telling_apart(),
         ],
         needs: vec![RequiredInput::Time],
@@ -38,26 +38,26 @@ impl Law for LostCounts {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         out[0] = f64::from(now.t_s >= effect.scalar(AT));
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         let at_s = effect.scalar(AT);
         for (row, out) in out.iter_mut().enumerate() {
             *out = f64::from(bound.t_s[row] >= at_s);
         }
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, component: usize, state: &mut EffectMemory, out: Out<'_>) {
         self.basis(effect, now, component, state, &mut out[UM..=UM]);
     }
 
     /// About 160 moments; the search continues between them from row to row.
-    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<SearchGridPoint> {
         let all = records.moments_s();
         let price = (all.len().max(2) as f64).ln();
         let step = (all.len() / 160).max(1);
-        GridHypothesis::along(effect, AT, all.into_iter().step_by(step), price)
+        SearchGridPoint::along(effect, AT, all.into_iter().step_by(step), price)
     }
 }

@@ -1,6 +1,6 @@
 //! `offset.A`: the zero of an axis.
 
-use crate::effect::{LawDescription, ThermalDependence, Law, Linear, Parameter};
+use crate::effect::{LawDescription, ThermalDependence, Law, LinearLaw, LawParameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -16,12 +16,12 @@ pub(super) fn law() -> Arc<dyn Law> {
                      error"
                 .into(),
         parameters: vec![
-            Parameter::linear("um", "um", 2000.0).typically(10.0)
+            LawParameter::linear("um", "um", 2000.0).typically(10.0)
                 .within([-10_000.0, 10_000.0], "a gauge reaches 10 mm: farther off is another datum"),
         ],
         heat: ThermalDependence::StandsIn,
         constant: true,
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |_, _, out| out[0] = 1.0 })
+    Arc::new(LinearLaw { description, basis: |_, _, out| out[0] = 1.0 })
 }

@@ -1,6 +1,6 @@
 //! `position_map.A`: an axis's repeatable error beyond a straight line.
 
-use crate::effect::knots::{BrokenLine, parameters};
+use crate::effect::piecewise_linear::{PiecewiseLinearLaw, parameters};
 use crate::effect::{LawDescription, Law, RequiredInput};
 use std::sync::Arc;
 
@@ -18,5 +18,5 @@ pub(super) fn law() -> Arc<dyn Law> {
         needs: vec![RequiredInput::Position(ALONG)],
         ..LawDescription::default()
     };
-    Arc::new(BrokenLine { description, along: ALONG })
+    Arc::new(PiecewiseLinearLaw { description, along: ALONG })
 }

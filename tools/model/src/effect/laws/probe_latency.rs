@@ -1,6 +1,6 @@
 //! `probe_latency.A`: time from contact to capture.
 
-use crate::effect::{LawDescription, Law, Linear, MechanicalParameter, RequiredInput, Owner, Parameter, ProbingDependence};
+use crate::effect::{LawDescription, Law, LinearLaw, MechanicalParameter, RequiredInput, EffectOwner, LawParameter, ProbingDependence};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -10,14 +10,14 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "time from the probe's contact to the captured position".into(),
         experiment: "one surface probed at several speeds, both ways".into(),
         parameters: vec![
-            Parameter::linear("us", "us", 20000.0).typically(300.0)
+            LawParameter::linear("us", "us", 20000.0).typically(300.0)
                 .within([-1e6, 1e6], "no trigger of a probe is late by a second"),
         ],
         needs: vec![RequiredInput::Velocity],
-        owner: Owner::Probe,
+        owner: EffectOwner::Probe,
         probing: ProbingDependence::Only,
         mechanism: Some(MechanicalParameter::ProbeDelay),
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = i.v_mm_s / 1000.0 })
 }

@@ -1,10 +1,10 @@
 //! `probe_lobing`: a kinematic probe's pre-travel around its stylus.
 
-use crate::effect::wave::{amplitude, phase, polar, set_polar};
+use crate::effect::periodic_laws::{amplitude, phase, polar, set_polar};
 use crate::effect::{
-    LawDescription, Effect, RecordExtent, Input, Law, Naming, RequiredInput, Out, Owner, Parameter, GridHypothesis,
-    ParameterSearch, LawSearchSettings,
-    EffectState, ValueError,
+    LawDescription, Effect, RecordExtent, Input, Law, EffectNameAxes, RequiredInput, Out, EffectOwner, LawParameter, SearchGridPoint,
+    ParameterFitMethod, LawSearchSettings,
+    EffectMemory, ParameterValueError,
 };
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ const LOBES: usize = 1;
 const PHASE: usize = 2;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let lobes = Parameter::new("lobes", "1", [2.0, 12.0], ParameterSearch::Chosen)
+    let lobes = LawParameter::new("lobes", "1", [2.0, 12.0], ParameterFitMethod::Chosen)
         .within([1.0, 1000.0], "one lobe is an eccentric ring; a thousand are roughness")
         .telling_apart();
     Arc::new(Lobing(LawDescription {
@@ -27,14 +27,14 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment:
             "a ring gauge probed all around; turned by a part of a turn to tell the ring from the probe"
                 .into(),
-        naming: Naming::Plain,
+        naming: EffectNameAxes::Plain,
         parameters: vec![
             amplitude(50.0, 2.0).within([-1000.0, 1000.0], "pre-travel of a millimetre: the stylus is loose"),
             lobes,
             phase(),
         ],
         needs: vec![RequiredInput::Angle],
-        owner: Owner::Probe,
+        owner: EffectOwner::Probe,
         searched: LawSearchSettings { repeats: true, ..LawSearchSettings::default() },
         ..LawDescription::default()
     }))
@@ -45,13 +45,13 @@ impl Law for Lobing {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         // um·cos(x + φ) = um·cos φ·cos x − um·sin φ·sin x
         let (sin, cos) = (effect.scalar(LOBES) * now.angle_rad).sin_cos();
         (out[0], out[1]) = (cos, -sin);
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         let (sin, cos) = (effect.scalar(LOBES) * now.angle_rad + effect.scalar(PHASE)).sin_cos();
         out[UM] = cos;
         out[PHASE] = -effect.scalar(UM) * sin;
@@ -69,19 +69,19 @@ impl Law for Lobing {
         2
     }
 
-    fn check(&self, effect: &Effect) -> Result<(), ValueError> {
+    fn check(&self, effect: &Effect) -> Result<(), ParameterValueError> {
         let lobes = effect.scalar(LOBES);
         if lobes.fract() == 0.0 {
             return Ok(());
         }
-        Err(ValueError::new("lobes", lobes.to_string(), "a whole number of lobes"))
+        Err(ParameterValueError::new("lobes", lobes.to_string(), "a whole number of lobes"))
     }
 
     /// A single lobe can also be an eccentric set-up: it is allowed at a price.
-    fn grid(&self, effect: &Effect, _: &dyn RecordExtent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, _: &dyn RecordExtent) -> Vec<SearchGridPoint> {
         let told_apart = 11f64.ln();
-        let mut points = GridHypothesis::along(effect, LOBES, [1.0], 1.0 + told_apart);
-        points.extend(GridHypothesis::along(effect, LOBES, (2..=12).map(f64::from), told_apart));
+        let mut points = SearchGridPoint::along(effect, LOBES, [1.0], 1.0 + told_apart);
+        points.extend(SearchGridPoint::along(effect, LOBES, (2..=12).map(f64::from), told_apart));
         points
     }
 }

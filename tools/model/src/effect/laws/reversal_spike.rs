@@ -2,8 +2,8 @@
 //! It fades with the travel since the change.
 
 use crate::effect::{
-    LawDescription, Effect, RecordExtent, Input, Law, RequiredInput, Out, Parameter, GridHypothesis, Refine, ParameterSearch,
-    EffectState,
+    LawDescription, Effect, RecordExtent, Input, Law, RequiredInput, Out, LawParameter, SearchGridPoint, ParameterRefinement, ParameterFitMethod,
+    EffectMemory,
 };
 use std::sync::Arc;
 
@@ -22,11 +22,11 @@ pub(super) fn law() -> Arc<dyn Law> {
         law: "e = um·dir·exp(−d/length_mm), d = travel since the last reversal".into(),
         cause: "static friction: the axis sticks while the drive winds up".into(),
         parameters: vec![
-            Parameter::linear("um", "um", 100.0).typically(3.0)
+            LawParameter::linear("um", "um", 100.0).typically(3.0)
                 .within([-1000.0, 1000.0], "a drive that winds up by a millimetre is broken"),
-            Parameter::new("length_mm", "mm", [0.01, 50.0], ParameterSearch::Smooth)
+            LawParameter::new("length_mm", "mm", [0.01, 50.0], ParameterFitMethod::Smooth)
                 .within([1e-9, 1e6], "a positive length")
-                .refined(Refine::Factor(0.3)),
+                .refined(ParameterRefinement::Factor(0.3)),
         ],
         needs: vec![RequiredInput::Direction, RequiredInput::Position(0)],
         experiment:
@@ -45,10 +45,10 @@ pub(super) fn law() -> Arc<dyn Law> {
 ///
 /// The first travel is since the last row of the present direction; it becomes the start when the direction
 /// changes. The second is since the reversal, −1 before the first.
-fn travel(now: &Input, state: &mut EffectState) -> Option<f64> {
+fn travel(now: &Input, state: &mut EffectMemory) -> Option<f64> {
     let p = now.p_mm[0];
     if !state.started {
-        *state = EffectState { started: true, x: [now.dir, p, 0.0, -1.0] };
+        *state = EffectMemory { started: true, x: [now.dir, p, 0.0, -1.0] };
         return None;
     }
     let [mut old, before, mut since_row, mut since_reversal] = state.x;
@@ -73,22 +73,22 @@ impl Law for ReversalSpike {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectMemory, out: Out<'_>) {
         out[0] = travel(now, state).map_or(0.0, |d| now.dir * (-d / effect.scalar(LENGTH)).exp());
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectMemory, out: Out<'_>) {
         let Some(d) = travel(now, state) else { return };
         let length = effect.scalar(LENGTH);
         out[UM] = now.dir * (-d / length).exp();
         out[LENGTH] = effect.scalar(UM) * out[UM] * d / (length * length);
     }
 
-    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<SearchGridPoint> {
         let travel = records.travel_mm(&effect.axes()[0]);
         if travel <= 0.0 {
             return Vec::new();
         }
-        GridHypothesis::along(effect, LENGTH, (0..12).map(|i| travel * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
+        SearchGridPoint::along(effect, LENGTH, (0..12).map(|i| travel * 0.4 * 0.6_f64.powi(i)), 8f64.ln())
     }
 }

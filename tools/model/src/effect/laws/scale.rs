@@ -1,6 +1,6 @@
 //! `scale.A`: an error proportional to the position.
 
-use crate::effect::{LawDescription, Law, Linear, RequiredInput, Parameter};
+use crate::effect::{LawDescription, Law, LinearLaw, RequiredInput, LawParameter};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -14,11 +14,11 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "linear displacement over the whole travel (ISO 230-2) at a steady, known temperature"
             .into(),
         parameters: vec![
-            Parameter::linear("ppm", "ppm", 1000.0).typically(15.0)
+            LawParameter::linear("ppm", "ppm", 1000.0).typically(15.0)
                 .within([-1000.0, 1000.0], "the loosest screw (ISO 3408-3, grade 10) is 700 ppm off"),
         ],
         needs: vec![RequiredInput::Position(0)],
         ..LawDescription::default()
     };
-    Arc::new(Linear { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 })
+    Arc::new(LinearLaw { description, basis: |i, _, out| out[0] = i.p_mm[0] / 1000.0 })
 }

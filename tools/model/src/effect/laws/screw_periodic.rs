@@ -1,8 +1,8 @@
 //! `screw_periodic.A`: a wave along the travel.
 //! Its period is a turn of a screw or an encoder.
 
-use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{LawDescription, Law, RequiredInput, LawSearchSettings, Wave};
+use crate::effect::periodic_laws::{SineLaw, amplitude, period, phase};
+use crate::effect::{LawDescription, Law, RequiredInput, LawSearchSettings, PeriodicLawSettings};
 use std::sync::Arc;
 
 /// First part of the effect's name.
@@ -15,7 +15,7 @@ const LEADS_MM: [f64; 15] =
 pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "half the finest and one and a half times the coarsest lead of ISO 3408-2, 1 to 40 mm";
     let wobble = "a screw that wobbles by more than a millimetre does not turn";
-    let wave = Wave { unit_mm: 1.0, usual_mm: &LEADS_MM, steps: None, most_periods: None };
+    let wave = PeriodicLawSettings { unit_mm: 1.0, usual_mm: &LEADS_MM, steps: None, most_periods: None };
     let description = LawDescription {
         name: NAME.into(),
         law: "e = um·sin(2πp/period_mm + phase)".into(),
@@ -31,5 +31,5 @@ pub(super) fn law() -> Arc<dyn Law> {
         searched: LawSearchSettings { repeats: true, wave: Some(wave), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
-    Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: false })
+    Arc::new(SineLaw { description, unit_mm: 1.0, most_periods: None, grows: false })
 }

@@ -1,7 +1,7 @@
 //! `screw_slope.A`: the amplitude of a screw's wave grows along the axis.
 
-use crate::effect::wave::{Sine, period, phase};
-use crate::effect::{LawDescription, Law, RequiredInput, Parameter, ParameterSearch, LawSearchSettings};
+use crate::effect::periodic_laws::{SineLaw, period, phase};
+use crate::effect::{LawDescription, Law, RequiredInput, LawParameter, ParameterFitMethod, LawSearchSettings};
 use std::sync::Arc;
 
 pub(super) fn law() -> Arc<dyn Law> {
@@ -12,7 +12,7 @@ pub(super) fn law() -> Arc<dyn Law> {
         experiment: "linear displacement over the whole travel with targets that are no whole fraction of the lead".into(),
         parameters: vec![
             period("period_mm", "mm", [0.5, 60.0], "the periods of screw_periodic"),
-            Parameter::new("um_per_m", "um/m", [0.0, 200.0], ParameterSearch::Amplitude)
+            LawParameter::new("um_per_m", "um/m", [0.0, 200.0], ParameterFitMethod::Amplitude)
                 .typically(4.0)
                 .within([-1000.0, 1000.0], "a screw that wobbles by more than a millimetre does not turn"),
             phase(),
@@ -21,5 +21,5 @@ pub(super) fn law() -> Arc<dyn Law> {
         searched: LawSearchSettings { repeats: true, beside: Some(super::screw_periodic::NAME), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
-    Arc::new(Sine { description, unit_mm: 1.0, most_periods: None, grows: true })
+    Arc::new(SineLaw { description, unit_mm: 1.0, most_periods: None, grows: true })
 }

@@ -1,8 +1,8 @@
 //! `straightness.A.B`: the error of A along the travel of B.
 //! A straight line is not part of it.
 
-use crate::effect::knots::{BrokenLine, parameters};
-use crate::effect::{LawDescription, Law, Naming, RequiredInput};
+use crate::effect::piecewise_linear::{PiecewiseLinearLaw, parameters};
+use crate::effect::{LawDescription, Law, EffectNameAxes, RequiredInput};
 use std::sync::Arc;
 
 /// Index of the axis in the name that the knots lie on.
@@ -15,10 +15,10 @@ pub(super) fn law() -> Arc<dyn Law> {
         cause: "a guideway that is not straight".into(),
         experiment: "straightedge or laser along B read across it, forward and turned over (ISO 230-1)"
             .into(),
-        naming: Naming::Two,
+        naming: EffectNameAxes::Two,
         parameters: parameters(),
         needs: vec![RequiredInput::Position(ALONG)],
         ..LawDescription::default()
     };
-    Arc::new(BrokenLine { description, along: ALONG })
+    Arc::new(PiecewiseLinearLaw { description, along: ALONG })
 }

@@ -1,7 +1,7 @@
 //! `subdivision.A`: a wave along the travel with the signal period of the scale.
 
-use crate::effect::wave::{Sine, amplitude, period, phase};
-use crate::effect::{LawDescription, Law, RequiredInput, LawSearchSettings, Wave};
+use crate::effect::periodic_laws::{SineLaw, amplitude, period, phase};
+use crate::effect::{LawDescription, Law, RequiredInput, LawSearchSettings, PeriodicLawSettings};
 use std::sync::Arc;
 
 /// Unit of the period, mm.
@@ -18,7 +18,7 @@ const MOST_PERIODS: f64 = 0.25;
 pub(super) fn law() -> Arc<dyn Law> {
     let bounds = "signal periods of linear scales, from interferential (1 µm) to inductive ones (200 µm)";
     // Two steps of the positions to a period: a finer wave looks like a coarser one.
-    let wave = Wave { unit_mm: UNIT_MM, usual_mm: &SIGNALS_MM, steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
+    let wave = PeriodicLawSettings { unit_mm: UNIT_MM, usual_mm: &SIGNALS_MM, steps: Some(2.0), most_periods: Some(MOST_PERIODS) };
     let description = LawDescription {
         name: "subdivision".into(),
         law: "e = um·sin(2πp/period_um + phase)".into(),
@@ -35,5 +35,5 @@ pub(super) fn law() -> Arc<dyn Law> {
         searched: LawSearchSettings { repeats: true, wave: Some(wave), ..LawSearchSettings::default() },
         ..LawDescription::default()
     };
-    Arc::new(Sine { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS), grows: false })
+    Arc::new(SineLaw { description, unit_mm: UNIT_MM, most_periods: Some(MOST_PERIODS), grows: false })
 }

@@ -1,8 +1,8 @@
 //! `thermal_growth.A`: a temperature difference moves a point.
 
 use crate::effect::{
-    EffectInputColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, Parameter,
-    EffectState,
+    EffectInputColumns, LawDescription, Effect, ThermalDependence, Input, Law, RequiredInput, Out, LawParameter,
+    EffectMemory,
 };
 use std::sync::Arc;
 
@@ -13,11 +13,11 @@ pub const NAME: &str = "thermal_growth";
 struct ThermalGrowth(LawDescription);
 
 /// Growth per kelvin, and per kelvin squared.
-pub(super) fn gains() -> [Parameter; 2] {
+pub(super) fn gains() -> [LawParameter; 2] {
     let source = "five metres of steel (12 ppm/K) grow by 60 µm/K, and the point of a machine by less";
     [
-        Parameter::linear("um_per_K", "um/K", 60.0).typically(2.5).within([-60.0, 60.0], source),
-        Parameter::linear("um_per_K2", "um/K2", 10.0).typically(0.08)
+        LawParameter::linear("um_per_K", "um/K", 60.0).typically(2.5).within([-60.0, 60.0], source),
+        LawParameter::linear("um_per_K2", "um/K2", 10.0).typically(0.08)
             .within([-60.0, 60.0], "bent so far that one kelvin doubles the largest growth")
             .or(0.0),
     ]
@@ -44,13 +44,13 @@ impl Law for ThermalGrowth {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         let d = effect.bounded(now.delta_k);
         out[0] = d;
         out[1] = d * d;
     }
 
-    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectState, out: Out<'_>) {
+    fn basis_rows(&self, effect: &Effect, bound: &EffectInputColumns<'_>, _: usize, _: &mut EffectMemory, out: Out<'_>) {
         let (first, second) = out.split_at_mut(bound.rows());
         for (row, (a, b)) in first.iter_mut().zip(second).enumerate() {
             *a = effect.bounded(bound.delta_k(row));

@@ -1,10 +1,10 @@
 //! `thermal_lag.A`: growth at a point that follows the sensor late.
 
-use crate::effect::lag::{Decay, Lag};
+use crate::effect::lag::{LagStepDecay, Lag};
 use crate::effect::{
-    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, Parameter, GridHypothesis,
-    Refine, ParameterSearch,
-    EffectState,
+    EffectInputColumns, LawDescription, Effect, RecordExtent, ThermalDependence, Input, Law, RequiredInput, Out, LawParameter, SearchGridPoint,
+    ParameterRefinement, ParameterFitMethod,
+    EffectMemory,
 };
 use std::sync::Arc;
 
@@ -17,9 +17,9 @@ struct ThermalLag(LawDescription);
 const TAU: usize = 2;
 
 pub(super) fn law() -> Arc<dyn Law> {
-    let tau = Parameter::new("tau_s", "s", [30.0, 36_000.0], ParameterSearch::Smooth)
+    let tau = LawParameter::new("tau_s", "s", [30.0, 36_000.0], ParameterFitMethod::Smooth)
         .within([1e-6, 1e9], "a positive time; a lag of 30 years is no change at all")
-        .refined(Refine::TimeConstant(0.35))
+        .refined(ParameterRefinement::TimeConstant(0.35))
         .telling_apart();
     let [linear, square] = super::thermal_growth::gains();
     Arc::new(ThermalLag(LawDescription {
@@ -40,16 +40,16 @@ pub(super) fn law() -> Arc<dyn Law> {
 
 /// The lagged ΔT and, if `SLOPE` asks for it, its derivative by tau.
 /// The state holds both, with the input and the time of the previous instant.
-fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut EffectState) -> (f64, f64) {
+fn advance<const SLOPE: bool>(tau_s: f64, now: &Input, state: &mut EffectMemory) -> (f64, f64) {
     let u = now.delta_k;
     if !state.started {
-        *state = EffectState { started: true, x: [u, 0.0, u, now.t_s] };
+        *state = EffectMemory { started: true, x: [u, 0.0, u, now.t_s] };
         return (u, 0.0);
     }
     let [mut y, mut dy, u0, t0] = state.x;
     let h = now.t_s - t0;
     if h > 0.0 {
-        let decay = Decay::over(h, tau_s);
+        let decay = LagStepDecay::over(h, tau_s);
         if SLOPE {
             dy = decay.step_slope(tau_s, dy, [y, u0, u]);
         }
@@ -64,7 +64,7 @@ impl Law for ThermalLag {
         &self.0
     }
 
-    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
+    fn basis(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectMemory, out: Out<'_>) {
         let (y, _) = advance::<false>(effect.scalar(TAU), now, state);
         let y = effect.bounded(y);
         out[0] = y;
@@ -76,7 +76,7 @@ impl Law for ThermalLag {
         effect: &Effect,
         bound: &EffectInputColumns<'_>,
         _: usize,
-        state: &mut EffectState,
+        state: &mut EffectMemory,
         out: Out<'_>,
     ) {
         let (first, second) = out.split_at_mut(bound.rows());
@@ -87,11 +87,11 @@ impl Law for ThermalLag {
             *b = *a * *a;
         }
         if let Some([lagged, input, t_s]) = lag.at() {
-            *state = EffectState { started: true, x: [lagged, 0.0, input, t_s] };
+            *state = EffectMemory { started: true, x: [lagged, 0.0, input, t_s] };
         }
     }
 
-    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectState, out: Out<'_>) {
+    fn slopes(&self, effect: &Effect, now: &Input, _: usize, state: &mut EffectMemory, out: Out<'_>) {
         let (y, dy) = advance::<true>(effect.scalar(TAU), now, state);
         let inside = effect.bounded(y);
         out[0] = inside;
@@ -101,10 +101,10 @@ impl Law for ThermalLag {
     }
 
     /// Pairs of sensors are many, so they get every other time constant only.
-    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<GridHypothesis> {
+    fn grid(&self, effect: &Effect, records: &dyn RecordExtent) -> Vec<SearchGridPoint> {
         let all = records.time_constants_s();
         let price = (all.len() as f64).ln();
         let every = if effect.delta.as_ref().is_some_and(super::super::TemperatureDifference::is_pair) { 2 } else { 1 };
-        GridHypothesis::along(effect, TAU, all.into_iter().step_by(every), price)
+        SearchGridPoint::along(effect, TAU, all.into_iter().step_by(every), price)
     }
 }

@@ -77,7 +77,7 @@ fn slopes_agree_with_central_differences() {
         bound.slopes(&e, component, &mut slopes);
         for i in 0..e.values().len() {
             let p = &e.description().parameters[i / e.width()];
-            if p.search == ParameterSearch::Chosen {
+            if p.search == ParameterFitMethod::Chosen {
                 assert!(slopes[i * r.rows()..(i + 1) * r.rows()].iter().all(|s| *s == 0.0));
                 continue;
             }
@@ -120,7 +120,7 @@ fn map_is_linear_between_knots_and_constant_beyond() {
     let mut out = [0.0; 4];
     let mut at = |p: f64| {
         let now = Input { p_mm: [p, 0.0, 0.0], ..Input::default() };
-        e.law().basis(e, &now, 0, &mut EffectState::default(), &mut out);
+        e.law().basis(e, &now, 0, &mut EffectMemory::default(), &mut out);
         out.iter().zip(e.get(1)).map(|(b, u)| b * u).sum::<f64>()
     };
     for (p, um) in
@@ -139,7 +139,7 @@ fn lag_is_exact_for_linear_input() {
     let mut e = Dictionary::default().effect("thermal_lag.z").unwrap();
     e.set_values(&[1.0, 0.0, 50.0]).unwrap();
     for steps in [&[10.0; 30][..], &[0.0, 1.0, 200.0, 0.5, 0.0, 300.0][..]] {
-        let mut state = EffectState::default();
+        let mut state = EffectMemory::default();
         let mut t = 5.0;
         let mut out = [0.0; 2];
         let now = |t: f64| Input { t_s: t, delta_k: 2.0 + 0.1 * (t - 5.0), ..Input::default() };
@@ -159,7 +159,7 @@ fn lag_is_exact_for_linear_input() {
 fn spike_counts_travel_from_the_last_row_of_the_old_direction() {
     let mut e = Dictionary::default().effect("reversal_spike.x").unwrap();
     e.set_values(&[10.0, 2.0]).unwrap();
-    let mut state = EffectState::default();
+    let mut state = EffectMemory::default();
     let mut out = [0.0];
     // position, direction, travel since the reversal (none before the first)
     for (p, dir, d) in [

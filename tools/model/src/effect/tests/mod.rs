@@ -62,7 +62,7 @@ fn one_of_each() -> Vec<Effect> {
             &[1.2, 0.05, 90.0],
             Some(TemperatureDifference {
                 sensor: "T1".into(),
-                against: DifferenceReference::Reference(18.0),
+                against: ReferenceTemperature::Reference(18.0),
             }),
         ),
         effect("warm_up.x", &[15.0, 120.0], None),

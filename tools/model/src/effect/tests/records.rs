@@ -2,7 +2,7 @@
 
 use super::super::*;
 use super::{one_of_each, record, value_on};
-use crate::live::{AxisMotionState, LiveModel, MachineState, StateLayout};
+use crate::live_evaluation::{AxisMotionState, LiveModel, MachineState, MachineStateLayout};
 
 /// A whole record gives the same digits as its rows one by one.
 #[test]
@@ -15,7 +15,7 @@ fn a_record_in_one_go_is_its_instants_one_by_one() {
         let (bound, k) = (e.bind(&r).unwrap(), e.coefficient_count());
         let mut all = vec![f64::NAN; 60 * k];
         bound.basis(&e, 0, &mut all);
-        let (mut state, mut one) = (EffectState::default(), vec![0.0; k]);
+        let (mut state, mut one) = (EffectMemory::default(), vec![0.0; k]);
         for row in 0..60 {
             e.law().basis(&e, &bound.input(row), 0, &mut state, &mut one);
             for (c, x) in one.iter().enumerate() {
@@ -84,7 +84,8 @@ fn live_is_the_batch_row_by_row() {
     let effects = one_of_each();
     let r = record(RunKind::Probing, 60, &["error.x", "error.y", "force.x"]);
     let axes: Vec<Axis> = ["x", "y", "z"].iter().map(|n| Axis::new(n).unwrap()).collect();
-    let layout = StateLayout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec!["z9".into()] };
+    let layout =
+        MachineStateLayout { axes, sensors: vec!["T1".into(), "T2".into()], channels: vec!["z9".into()] };
     let mut live = LiveModel::new(&effects, layout).unwrap();
     let sums: Vec<Vec<f64>> = ["error.x", "error.y", "force.x"]
         .iter()

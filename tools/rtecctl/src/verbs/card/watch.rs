@@ -5,10 +5,10 @@
 use super::{ProbeArgs, refused, unreachable};
 use crate::prelude::*;
 use crate::terminal::redraw;
-use rtec_control::card::{self, CardAccess, CardOperation};
+use rtec_control::card_line_readings::{WiredLine, wires};
+use rtec_control::card_opening::{self, CardAccess, CardOperation};
 use rtec_control::config::Config;
-use rtec_control::line_readings::{WiredLine, wires};
-use rtec_driver::card::{AxisLines, Card, Sample};
+use rtec_driver::card::{AxisLines, Card, CardInputSample};
 use rtec_driver::quadrature::{Decoder, Signal, State};
 
 /// Changes of one channel alone after which the other is reported as silent.
@@ -45,7 +45,7 @@ impl InputLine {
 
 /// The two channels of an axis.
 #[derive(Debug)]
-struct AxisChannels {
+struct AxisQuadratureChannels {
     name: String,
     lines: AxisLines,
     scale: Decoder,
@@ -55,7 +55,7 @@ struct AxisChannels {
     alone: Option<(Signal, u64)>,
 }
 
-impl AxisChannels {
+impl AxisQuadratureChannels {
     fn look(&mut self, state: State) {
         let before = self.scale.state();
         if state == before {
@@ -96,7 +96,7 @@ impl AxisChannels {
 struct InputMonitor {
     card: String,
     lines: Vec<InputLine>,
-    axes: Vec<AxisChannels>,
+    axes: Vec<AxisQuadratureChannels>,
     start_ns: u64,
     last_ns: u64,
     shown_ns: u64,
@@ -105,7 +105,7 @@ struct InputMonitor {
 }
 
 impl InputMonitor {
-    fn new(config: &Config, first: &Sample) -> Self {
+    fn new(config: &Config, first: &CardInputSample) -> Self {
         let on = |bit: u8| first.inputs >> bit & 1 == 1;
         let line = |WiredLine { name, bit, .. }: WiredLine| {
             let level = on(bit);
@@ -115,7 +115,7 @@ impl InputMonitor {
         let axes = config.axes.iter().map(|axis| {
             let lines = axis.engine.lines;
             let scale = Decoder::new(lines.scale(first.inputs));
-            AxisChannels { name: axis.name.clone(), lines, scale, up: 0, down: 0, alone: None }
+            AxisQuadratureChannels { name: axis.name.clone(), lines, scale, up: 0, down: 0, alone: None }
         });
         Self {
             card: config.card.named(),
@@ -129,7 +129,7 @@ impl InputMonitor {
         }
     }
 
-    fn look(&mut self, sample: &Sample) {
+    fn look(&mut self, sample: &CardInputSample) {
         self.looks += 1;
         self.longest_ns = self.longest_ns.max(sample.t_ns - self.last_ns);
         self.last_ns = sample.t_ns;
@@ -168,7 +168,7 @@ impl InputMonitor {
             let _ = writeln!(out, "{name:<16} {bit:>3} {level:>5} {edges:>12} {rate_hz:>10.0}  {seen}");
         }
         for axis in &self.axes {
-            let AxisChannels { name, up, down, .. } = axis;
+            let AxisQuadratureChannels { name, up, down, .. } = axis;
             let (count, illegal, finding) = (axis.scale.count(), axis.scale.illegal(), axis.finding());
             let _ = writeln!(
                 out,
@@ -231,7 +231,7 @@ impl CardOperation for WatchOperation<'_> {
 /// # Errors
 /// When the card cannot be opened, or has no lines outside the daemon.
 pub(super) fn watch(config: &Config, args: &ProbeArgs) -> anyhow::Result<()> {
-    card::with(&config.card, CardAccess::Read, WatchOperation { config, args })
+    card_opening::with(&config.card, CardAccess::Read, WatchOperation { config, args })
         .map_err(|e| refused(config, e))?
 }
 
@@ -263,7 +263,7 @@ mod tests {
             let x = [0b00, 0b01, 0b11, 0b10][(n % 4) as usize];
             let (y, w) = ((n % 2) << 2, if n > 100 { 0b11 << 6 } else { 0 });
             let probe = if n > 50 { 1 << 28 } else { 0 };
-            Sample::level(1_000_000 * (n + 1), x | y | w | probe)
+            CardInputSample::level(1_000_000 * (n + 1), x | y | w | probe)
         };
         let mut watch = InputMonitor::new(&config, &at(0));
         let mut pictures = String::new();

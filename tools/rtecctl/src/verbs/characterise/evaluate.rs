@@ -3,9 +3,9 @@
 
 use crate::json_output::{answer, write};
 use crate::verbs::input_notices;
-use rtec_files::cli_options::one_of;
+use rtec_files::cli_option_parsers::one_of;
 use rtec_measure::evaluation::{EvaluationRequest, Standard, evaluate_files};
-use rtec_measure::iso230::Conditions;
+use rtec_measure::iso230::TestConditions;
 use std::path::PathBuf;
 
 /// Evaluate runs as their standard defines it
@@ -41,7 +41,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let asked = EvaluationRequest {
         standard: args.standard,
-        conditions: args.conditions.as_deref().map(Conditions::read).transpose()?.unwrap_or_default(),
+        conditions: args.conditions.as_deref().map(TestConditions::read).transpose()?.unwrap_or_default(),
         one_way: args.one_way,
         fourth_powers: args.norm != 2,
     };

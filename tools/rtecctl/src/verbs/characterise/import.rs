@@ -4,7 +4,7 @@ use crate::prelude::*;
 use crate::verbs::input_notices;
 use rtec_files::InputNotice;
 use rtec_measure::import::request::ImportRequest;
-use rtec_measure::record;
+use rtec_measure::run_record_files;
 
 /// Turn another tool's file into a run record
 #[derive(Debug, clap::Args)]
@@ -12,7 +12,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     request: ImportRequest,
     #[command(flatten)]
-    circle: super::CircleOptions,
+    circle: super::BallbarCircleOptions,
     /// The run record to write; its CSV stands beside it
     #[arg(long, value_name = "NAME.run.toml", value_parser = crate::verbs::output())]
     out: PathBuf,
@@ -23,7 +23,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         InputNotice::Note(text) => eprintln!("{text}"),
         InputNotice::Warning(text) => eprintln!("warning: {text}"),
     })?;
-    record::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
+    run_record_files::write(&mut record).with_context(|| format!("writing {}", args.out.display()))?;
     if let Some(note) = &record.note {
         eprintln!("note: {note}");
     }

@@ -1,18 +1,19 @@
 //! `rtecctl characterise record`: records temperatures, positions and gauges.
 //! It shows its progress.
 
-use crate::daemon::{self, status};
+use crate::daemon_connection::{self, status};
 use crate::prelude::*;
 use crate::verbs::input_notices;
 use nix::sys::signal::Signal;
-use rtec_control::client::Client;
+use rtec_control::daemon_client::DaemonConnection;
 use rtec_control::protocol::{ClientRequest, DaemonStatus};
-use rtec_files::keys::{FileWithFindings, Section};
-use rtec_files::text::open_regular;
-use rtec_files::toml::Document;
+use rtec_files::strict_toml::Document;
+use rtec_files::text_file::open_regular;
+use rtec_files::toml_section_keys::{FileWithFindings, TomlSection};
+use rtec_measure::run_record_files;
 use rtec_model::record::{Column, LINEAR, Record, Role, RunKind, check};
-use rtec_sensors::bank::SensorBank;
-use rtec_sensors::sensor_line_feed::SensorLineFeed;
+use rtec_sensors::sensor_bank::SensorBank;
+use rtec_sensors::sensor_text_stream::SensorTextStream;
 use rtec_sensors::{SensorConfig, SensorUsability};
 use std::io::Write;
 use std::sync::Arc;
@@ -64,7 +65,7 @@ pub(crate) struct RecorderArgs {
     #[arg(long, value_parser = seconds)]
     duration: Option<f64>,
     #[command(flatten)]
-    circle: super::CircleOptions,
+    circle: super::BallbarCircleOptions,
     /// Where /sys is found
     #[arg(long, default_value = "/", hide = true)]
     root: PathBuf,
@@ -131,7 +132,7 @@ fn usage(found: String, expected: &str) -> InputError {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    rtec_files::cli_options::duration(text).map(|t| t.as_secs_f64())
+    rtec_files::cli_option_parsers::duration(text).map(|t| t.as_secs_f64())
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -147,10 +148,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .with_context(|| format!("writing to {}", spool.display()))?;
     }
     if keeps {
-        let csv = rtec_measure::record::read_log(&args.out)?.file;
+        let csv = rtec_measure::run_record_files::read_log(&args.out)?.file;
         let files = [args.out.clone(), args.out.with_file_name(csv)];
         let open = [open_regular(&files[0])?, open_regular(&files[1])?];
-        let files = files.map(|f| daemon::absolute(&f)).to_vec();
+        let files = files.map(|f| daemon_connection::absolute(&f)).to_vec();
         let written = || format!("the record is in {}, and not in the daemon's spool", args.out.display());
         daemon.ask_with(&ClientRequest::Keep { files }, &open).with_context(written)?;
     }
@@ -171,7 +172,7 @@ pub(crate) fn record(out: &Path, args: &RecorderArgs, with_response: bool) -> an
     let ended = on_signal()?;
     let mut columns = vec![Column::new("t", Role::Time, Vec::new())];
     let sensors = read_sensors(args.sensors.as_deref())?;
-    let mut bank = SensorBank::new(sensors, &args.root, rtec_measure::record::read_log)?;
+    let mut bank = SensorBank::new(sensors, &args.root, run_record_files::read_log)?;
     columns
         .extend(bank.sensors().iter().map(|w| Column::new(&w.config().name, Role::Temperature, Vec::new())));
     let (own, mut corrector) = (columns.len(), args.corrector(with_response)?);
@@ -181,7 +182,7 @@ pub(crate) fn record(out: &Path, args: &RecorderArgs, with_response: bool) -> an
     let gauges = columns.len();
     columns.extend(args.gauges()?);
     args.check(out, kind, &columns, with_response)?;
-    let mut feed = args.feed.as_deref().map(SensorLineFeed::new);
+    let mut feed = args.feed.as_deref().map(SensorTextStream::new);
     let (part, mut file) = rows_apart(out, &columns)?;
     let (start, begun) = (Instant::now(), rtec_files::date::format(rtec_files::date::today()));
     let rows = (duration / period).floor() as u64 + 1;
@@ -241,7 +242,7 @@ pub(crate) fn record(out: &Path, args: &RecorderArgs, with_response: bool) -> an
     if taken == 0 {
         std::fs::remove_file(&part).ok();
         let quiet = || silent(&bank, duration, &last[own..], &columns[own..]).join(", ");
-        let trouble = |f: &SensorLineFeed| columns[gauges..].iter().find_map(|c| f.value(&c.name).err());
+        let trouble = |f: &SensorTextStream| columns[gauges..].iter().find_map(|c| f.value(&c.name).err());
         let what = feed.as_ref().map_or_else(quiet, |f| trouble(f).unwrap_or_default());
         let faulty = match left_out {
             0 => String::new(),
@@ -249,7 +250,7 @@ pub(crate) fn record(out: &Path, args: &RecorderArgs, with_response: bool) -> an
         };
         fail!(Unreachable, "no complete row in {duration:.0} s ({what}{faulty})");
     }
-    if let Some(refused) = feed.as_ref().map(SensorLineFeed::refused).filter(|n| *n > 0) {
+    if let Some(refused) = feed.as_ref().map(SensorTextStream::refused).filter(|n| *n > 0) {
         eprintln!("warning: lines of the feed that were no readings: {refused}");
     }
     if left_out > 0 {
@@ -261,7 +262,7 @@ pub(crate) fn record(out: &Path, args: &RecorderArgs, with_response: bool) -> an
     // Every value was checked when it came.
     let mut record = args.circle.apply(Record::of_checked(out, kind, columns))?;
     record.date = Some(begun);
-    rtec_measure::record::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
+    run_record_files::write(&mut record).with_context(|| format!("writing {}", out.display()))?;
     input_notices::warn(std::slice::from_ref(&record));
     std::fs::remove_file(&part).with_context(|| format!("removing {}", part.display()))
 }
@@ -281,7 +282,7 @@ fn rows_apart(out: &Path, columns: &[Column]) -> anyhow::Result<(PathBuf, std::f
 }
 
 /// Reports lines of the feed that cannot be read, a repeated one once.
-fn say_odd_lines(feed: &mut SensorLineFeed, now_s: f64, said: &mut String) {
+fn say_odd_lines(feed: &mut SensorTextStream, now_s: f64, said: &mut String) {
     for odd in feed.odd_lines() {
         if odd != *said {
             eprintln!("warning: at {now_s:.3} s: {odd}");
@@ -291,7 +292,7 @@ fn say_odd_lines(feed: &mut SensorLineFeed, now_s: f64, said: &mut String) {
 }
 
 /// Reports a lost connection, and its return.
-fn say_lost(feed: &SensorLineFeed, now_s: f64, lost: &mut bool) {
+fn say_lost(feed: &SensorTextStream, now_s: f64, lost: &mut bool) {
     match feed.lost() {
         Some(why) if !*lost => {
             eprintln!("warning: at {now_s:.3} s: the feed is lost: {why}; it is tried again");
@@ -319,7 +320,7 @@ const HELD_S: f64 = 180.0;
 
 /// Takes the feed's values since the last poll, and their times, s.
 fn take(
-    feed: &mut SensorLineFeed,
+    feed: &mut SensorTextStream,
     now_s: f64,
     columns: &[Column],
     last: &mut [Option<f64>],
@@ -361,7 +362,7 @@ fn twice(columns: &[Column]) -> Option<String> {
 
 /// The running daemon, which is asked once per row.
 struct DaemonTotalsReader {
-    client: Client,
+    client: DaemonConnection,
     status: DaemonStatus,
     /// µm per count of each axis, once it was away from zero.
     count_um: Vec<Option<f64>>,
@@ -435,7 +436,7 @@ fn wait_until(start: Instant, due_s: f64, ended: &AtomicBool) -> bool {
 /// Any other signal ends the program. It must be called before sensors and feed start threads, so that only
 /// this thread receives signals.
 fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
-    let ends = daemon::block_end_signals()?;
+    let ends = daemon_connection::block_end_signals()?;
     let ended = Arc::new(AtomicBool::new(false));
     let told = Arc::downgrade(&ended);
     std::thread::spawn(move || {
@@ -452,10 +453,10 @@ fn on_signal() -> anyhow::Result<Arc<AtomicBool>> {
 
 fn read_sensors(path: Option<&Path>) -> Result<Vec<SensorConfig>, InputError> {
     let Some(path) = path else { return Ok(Vec::new()) };
-    let text = rtec_files::text::read(path)?;
+    let text = rtec_files::text_file::read(path)?;
     let document = Document::parse(path, &text)?;
     let mut source = FileWithFindings { file: path, text: &text, findings: Vec::new() };
-    let mut root = Section::root(&document);
+    let mut root = TomlSection::root(&document);
     if !root.has("sensor") {
         root.say_missing(&mut source, "sensor", "[[sensor]] tables");
     }

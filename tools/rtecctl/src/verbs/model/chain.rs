@@ -2,11 +2,11 @@
 
 use super::fit::draw;
 use crate::prelude::*;
-use crate::rounding::with_bounds;
+use crate::uncertainty_rounding::with_bounds;
 use crate::verbs::input_notices;
-use rtec_fit::chain::{self as chain_fit, ChainRun};
+use rtec_fit::kinematic_chain_fit::{self as chain_fit, RecordWithToolPoint};
 use rtec_measure::plausible;
-use rtec_model::chain::Chain;
+use rtec_model::kinematic_chain::KinematicChain;
 
 /// Fit components of a kinematic chain on the records that measure them
 #[derive(Debug, clap::Args)]
@@ -33,14 +33,17 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let chain = Chain::read(&args.chain)?;
+    let chain = KinematicChain::read(&args.chain)?;
     let points = args.records.iter().map(|r| point(r)).collect::<Result<Vec<_>, _>>()?;
     let read = |(path, _): &(PathBuf, _)| {
-        Ok::<_, InputError>(plausible::only_good(rtec_measure::record::read(path)?, &mut input_notices::said))
+        Ok::<_, InputError>(plausible::only_good(
+            rtec_measure::run_record_files::read(path)?,
+            &mut input_notices::said,
+        ))
     };
     let records = points.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-    let run = |(record, (_, tool_mm)): (_, &(PathBuf, _))| ChainRun { record, tool_mm: *tool_mm };
-    let runs: Vec<ChainRun<'_>> = records.iter().zip(&points).map(run).collect();
+    let run = |(record, (_, tool_mm)): (_, &(PathBuf, _))| RecordWithToolPoint { record, tool_mm: *tool_mm };
+    let runs: Vec<RecordWithToolPoint<'_>> = records.iter().zip(&points).map(run).collect();
     let (fitted, report) = chain_fit::fit(&chain, &args.components, &runs)?;
     for warning in &report.warnings {
         eprintln!("warning: {warning}");

@@ -3,8 +3,8 @@
 
 use crate::prelude::*;
 use crate::verbs::pairs;
-use rtec_measure::export::TableRange;
-use rtec_measure::export::request::{ExportRequest, TableFormat};
+use rtec_measure::compensation_export::TableRange;
+use rtec_measure::compensation_export::request::{ControllerTableFormat, ExportRequest};
 use rtec_model::machine::Machine;
 
 /// Write one axis' errors as a table for a controller that compensates by itself
@@ -26,7 +26,7 @@ pub(crate) struct Args {
     #[arg(long, value_delimiter = ',', value_name = "AXIS=mm", allow_negative_numbers = true)]
     at: Vec<String>,
     #[command(flatten)]
-    to: TableFormat,
+    to: ControllerTableFormat,
     /// The file
     #[arg(long, value_parser = crate::verbs::output())]
     out: PathBuf,

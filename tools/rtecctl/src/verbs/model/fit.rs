@@ -2,18 +2,18 @@
 //! The model is judged on data that it has not seen.
 
 use crate::prelude::*;
-use crate::rounding::with_bounds;
+use crate::uncertainty_rounding::with_bounds;
 use crate::verbs::{input_notices, read_records};
 use rtec_files::date;
 use rtec_fit::thermal::{self, FittedEffect, ThermalFitReport};
-use rtec_fit::workflow::{self, FitRequest, ThermalFit};
+use rtec_fit::workflow::{self, FitRequest, ThermalFitResult};
 use rtec_measure::plot::Chart;
 use rtec_model::machine::{FitNote, Machine};
 
 /// What both verbs take
 #[derive(Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools)] // each is an option of its own
-pub(crate) struct Common {
+pub(crate) struct FitAndSelectArgs {
     /// Records to fit on
     #[arg(long = "record", value_name = "TRAIN.run.toml", required = true)]
     records: Vec<PathBuf>,
@@ -51,14 +51,14 @@ pub(crate) struct Common {
 #[derive(Debug, clap::Args)]
 pub(crate) struct SelectSensorsArgs {
     #[command(flatten)]
-    common: Common,
+    common: FitAndSelectArgs,
 }
 
 /// Fit growth from temperatures: sensors chosen, blocks of time left out, hold-outs judged
 #[derive(Debug, clap::Args)]
 pub(crate) struct FitArgs {
     #[command(flatten)]
-    common: Common,
+    common: FitAndSelectArgs,
     /// Records that never influence the fit, only the last figures
     #[arg(long, value_name = "LATER.run.toml")]
     holdout: Vec<PathBuf>,
@@ -80,24 +80,24 @@ pub(crate) struct FitArgs {
     despite_suspicions: bool,
 }
 
-impl Common {
+impl FitAndSelectArgs {
     fn asked(&self) -> anyhow::Result<FitRequest> {
         Ok(FitRequest {
             sensors: self.sensors.clone(),
-            options: thermal::Options {
+            options: thermal::ThermalFitOptions {
                 environment: self.environment.clone(),
                 folds: usize::from(self.folds),
                 lag: !self.no_lag,
                 square: !self.no_square,
                 speed: !self.no_speed,
                 base: self.base.as_deref().map(Machine::read).transpose()?,
-                ..thermal::Options::default()
+                ..thermal::ThermalFitOptions::default()
             },
             ..FitRequest::default()
         })
     }
 
-    fn fit(&self, holdout: &[PathBuf], asked: &FitRequest) -> anyhow::Result<ThermalFit> {
+    fn fit(&self, holdout: &[PathBuf], asked: &FitRequest) -> anyhow::Result<ThermalFitResult> {
         let (train, holdout) = (read_records(&self.records)?, read_records(holdout)?);
         let done = workflow::fit(train, holdout, asked, &mut input_notices::say)?;
         if let Some(path) = &self.plot {

@@ -1,9 +1,9 @@
 //! `rtecctl model load` and `unload`: choose the model that the daemon runs.
 
-use crate::daemon::{absolute, check, expected, unreachable};
+use crate::daemon_connection::{absolute, check, expected, unreachable};
 use crate::prelude::*;
-use rtec_control::protocol::{AxisTotalChange, ClientRequest, ModelPreview, Response};
-use rtec_files::text::open_regular;
+use rtec_control::protocol::{AxisTotalChange, ClientRequest, DaemonResponse, ModelChangePreview};
+use rtec_files::text_file::open_regular;
 use rtec_model::machine::Machine;
 use std::fs::File;
 use std::io::IsTerminal;
@@ -33,13 +33,13 @@ pub(crate) fn load(args: &LoadArgs) -> anyhow::Result<()> {
     let (warnings, own) = own.map(|(machine, own)| (machine.changed_sources(), own)).unwrap_or_default();
     let mut client = args.daemon.connect()?;
     let names: Vec<String> = own.iter().map(|f| f.display().to_string()).collect();
-    let mut request = |take: Option<String>| -> anyhow::Result<Response> {
+    let mut request = |take: Option<String>| -> anyhow::Result<DaemonResponse> {
         let files = own.iter().map(|f| open_regular(f)).collect::<Result<Vec<File>, _>>()?;
         let expired = take.is_some() && args.expired;
         let request = ClientRequest::ModelLoad { file: file.clone(), take, expired, files: names.clone() };
         check(client.ask_with(&request, &files).map_err(unreachable)?)
     };
-    let mut preview = expected!(request(None)?, Response::ModelPreview(preview) => preview);
+    let mut preview = expected!(request(None)?, DaemonResponse::ModelPreview(preview) => preview);
     preview.warnings.splice(0..0, warnings);
     if args.daemon.json {
         say_line(&*preview)?;
@@ -76,7 +76,7 @@ fn agreed() -> anyhow::Result<bool> {
     Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
 }
 
-fn table(p: &ModelPreview) -> String {
+fn table(p: &ModelChangePreview) -> String {
     let mut text = format!("model \"{}\", {}\nSHA-256 {}\n", p.name, p.file, p.sha256);
     for fit in &p.fits {
         let _ = writeln!(text, "{fit}");
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn what_changes_is_shown_per_axis_in_counts_and_micrometres() {
-        let preview: ModelPreview =
+        let preview: ModelChangePreview =
             serde_json::from_str(include_str!("../../../tests/golden/model_load.json")).unwrap();
         crate::golden("model_load.txt", &table(&preview));
     }

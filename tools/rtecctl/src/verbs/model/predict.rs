@@ -2,7 +2,7 @@
 
 use crate::prelude::*;
 use crate::verbs::input_notices;
-use rtec_files::write::AtomicFile;
+use rtec_files::atomic_write::AtomicFile;
 use rtec_measure::prediction::{self, PredictionFailure};
 use rtec_model::machine::Machine;
 

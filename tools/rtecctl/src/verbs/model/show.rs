@@ -1,12 +1,12 @@
 //! `rtecctl model show` and `compare`: contents and differences of models.
 
 use crate::prelude::*;
-use crate::rounding::alike;
+use crate::uncertainty_rounding::alike;
 use crate::verbs::input_notices;
 use rtec_files::date;
 use rtec_measure::plausible;
-use rtec_model::chain::{self, COMPONENTS, Chain, PolynomialTerm};
 use rtec_model::effect::Effect;
+use rtec_model::kinematic_chain::{self, COMPONENTS, KinematicChain, PolynomialTerm};
 use rtec_model::machine::{FitNote, Machine};
 use std::collections::BTreeMap;
 
@@ -41,7 +41,7 @@ pub(crate) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         Ok(machine) => machine,
         Err(error) => {
             // The file may be a chain itself, which models name as `chain`.
-            let Ok(chain) = Chain::read(&args.machine) else { return Err(error.into()) };
+            let Ok(chain) = KinematicChain::read(&args.machine) else { return Err(error.into()) };
             if args.json {
                 return say_pretty(&json!({"chain": chain.to_json()}));
             }
@@ -115,7 +115,7 @@ fn parameter(v: f64, unit: &str, interval: Option<[f64; 2]>) -> String {
 
 /// A chain: its joints in order from the bed, with their components.
 /// Components that are not zero are written term by term.
-fn chain_text(chain: &Chain) -> String {
+fn chain_text(chain: &KinematicChain) -> String {
     let [x, y, z] = chain.tool_mm.map(short);
     let mut text = format!("chain to a tool point at {x}, {y}, {z} mm of the last frame\n");
     for joint in &chain.joints {
@@ -127,7 +127,7 @@ fn chain_text(chain: &Chain) -> String {
         }
         text.push('\n');
         for c in &joint.components {
-            let (kind, unit) = (COMPONENTS[c.kind], chain::unit(c.kind));
+            let (kind, unit) = (COMPONENTS[c.kind], kinematic_chain::unit(c.kind));
             let terms = c.terms.iter().map(term).collect::<Vec<_>>().join(" ");
             let delta = c.delta.as_ref().map_or(String::new(), |d| format!("   ΔT = {}", d.in_full()));
             let _ = writeln!(text, "    {kind} = {terms} {unit}{delta}");
@@ -175,9 +175,11 @@ pub(crate) fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     rows.extend(only_second.map(|id| json!({"effect": id, "change": "only in the second"})));
     let mut predictions = Vec::new();
     if let Some(path) = &args.record {
-        let record = plausible::only_good(rtec_measure::record::read(path)?, &mut input_notices::say);
-        let of =
-            |m: &Machine| rtec_measure::derivatives::predict(m, &record).map(|(prediction, _)| prediction);
+        let record =
+            plausible::only_good(rtec_measure::run_record_files::read(path)?, &mut input_notices::say);
+        let of = |m: &Machine| {
+            rtec_measure::motion_from_positions::predict(m, &record).map(|(prediction, _)| prediction)
+        };
         let (pa, pb) = (of(&a)?, of(&b)?);
         for (column, ((name, x), (_, y))) in record.responses().zip(pa.columns.iter().zip(&pb.columns)) {
             let rms =

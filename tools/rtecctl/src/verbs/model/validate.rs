@@ -5,7 +5,7 @@ use super::fit::{draw, draw_beside};
 use crate::prelude::*;
 use crate::verbs::{input_notices, read_records};
 use rtec_control::config::{Config, ConfiguredAxis};
-use rtec_correct::rehearse::{self, AxisChange};
+use rtec_correct::rehearse::{self, AxisCorrectionChange};
 use rtec_files::date;
 use rtec_fit::validate;
 use rtec_measure::plausible;
@@ -92,7 +92,10 @@ fn judged_line(v: &Value) -> String {
 pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     let new = Machine::read(&args.machine)?;
     let present = Machine::read_or_ideal(args.against.as_deref(), "no model")?;
-    let shift = plausible::only_good(rtec_measure::record::read_log(&args.record)?, &mut input_notices::said);
+    let shift = plausible::only_good(
+        rtec_measure::run_record_files::read_log(&args.record)?,
+        &mut input_notices::said,
+    );
     let config = args.config.as_deref().map(Config::load).transpose()?;
     let options = config.as_ref().map(options).unwrap_or_default();
     for effect in new.effects() {
@@ -123,8 +126,14 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
     if args.json {
         return say_pretty(&found);
     }
-    for AxisChange {
-        axis, largest_um, change_um, change_at_s: at, change_rms_um, fastest_um_per_s, ..
+    for AxisCorrectionChange {
+        axis,
+        largest_um,
+        change_um,
+        change_at_s: at,
+        change_rms_um,
+        fastest_um_per_s,
+        ..
     } in &found.axes
     {
         let ([before, after], per) = (largest_um, if timed { "s" } else { "row" });
@@ -134,7 +143,7 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
              {change_rms_um:.2} µm; fastest {fastest_um_per_s:.3} µm/{per}"
         );
     }
-    for AxisChange { axis, held, .. } in found.axes.iter().filter(|a| a.held > 0.0) {
+    for AxisCorrectionChange { axis, held, .. } in found.axes.iter().filter(|a| a.held > 0.0) {
         println!(
             "{axis}: would not follow the new model for {:.1} % of the shift: how warm the machine is inside is not known yet",
             100.0 * held
@@ -144,8 +153,8 @@ pub(crate) fn rehearse(args: &RehearseArgs) -> anyhow::Result<()> {
 }
 
 /// Settings of the law for a configured machine.
-fn options(config: &Config) -> rehearse::Options {
-    rehearse::Options {
+fn options(config: &Config) -> rehearse::RehearsalOptions {
+    rehearse::RehearsalOptions {
         axes: config.axes.iter().map(ConfiguredAxis::axis_setup).collect(),
         ramp_um_s: config.model.ramp_um_s,
         lead_s: config.model.lead_ms * 1e-3,
@@ -153,7 +162,7 @@ fn options(config: &Config) -> rehearse::Options {
 }
 
 /// The present and the new correction of an axis over time.
-fn chart(axis: &AxisChange, timed: bool) -> Chart {
+fn chart(axis: &AxisCorrectionChange, timed: bool) -> Chart {
     let line = |name: &str, k: usize| {
         let um = |counts: i64| counts as f64 * axis.count_um;
         let points =

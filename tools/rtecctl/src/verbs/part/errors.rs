@@ -3,8 +3,8 @@
 use super::write_all;
 use crate::prelude::*;
 use crate::verbs::input_notices;
-use rtec_part::error_determination::{self, PartErrorRequest};
 use rtec_part::geometric_fit;
+use rtec_part::part_error_request::{self, PartErrorRequest};
 use rtec_part::part_errors::PartErrorReport;
 
 /// Determine a part's form errors from probed points
@@ -22,7 +22,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let with_size = args.request.with_size;
-    let report = error_determination::determine(&args.request, &mut input_notices::said)?;
+    let report = part_error_request::determine(&args.request, &mut input_notices::said)?;
     if with_size && !report.is_size_known() {
         let size = report.size_error_um.unwrap_or(0.0);
         let within = report.size_within_um().unwrap_or(f64::INFINITY);

@@ -3,9 +3,9 @@
 use super::write_all;
 use crate::prelude::*;
 use rtec_part::contour::{Contour, FeatureKind};
-use rtec_part::drawing::{self, DxfOptions};
-use rtec_part::svg::Svg;
-use rtec_part::unit::Unit;
+use rtec_part::contour_from_dxf::{self, DxfOptions};
+use rtec_part::length_unit::LengthUnit;
+use rtec_part::turning_plane_svg::SvgDrawing;
 
 /// The drawing and how to read it
 #[derive(Debug, clap::Args)]
@@ -17,12 +17,12 @@ pub(crate) struct DrawingArgs {
 }
 
 /// Reads a drawing, and reports what is unusual in it.
-pub(crate) fn read(drawing: &Path, how: &DxfOptions) -> anyhow::Result<(Contour, Unit)> {
-    let read = drawing::read(drawing, how)?;
-    if let (Some(asked), Some(header)) = (how.unit, drawing::header_unit(drawing)?)
+pub(crate) fn read(drawing: &Path, how: &DxfOptions) -> anyhow::Result<(Contour, LengthUnit)> {
+    let read = contour_from_dxf::read(drawing, how)?;
+    if let (Some(asked), Some(header)) = (how.unit, contour_from_dxf::header_unit(drawing)?)
         && asked != header
     {
-        let (Unit(asked), Unit(header), file) = (asked, header, drawing.display());
+        let (LengthUnit(asked), LengthUnit(header), file) = (asked, header, drawing.display());
         let says = format!("its header ($INSUNITS) says 1 unit = {header} mm, --units says {asked} mm");
         eprintln!("warning: {file}: {says}: --units is taken");
     }
@@ -46,7 +46,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn write_drawn(folder: &Path, contour: &Contour) -> anyhow::Result<()> {
-    let mut svg = Svg::default();
+    let mut svg = SvgDrawing::default();
     contour.draw(&mut svg, true);
     let drawn = svg.finish("Features", &[("outline", "the part"), ("axis", "the part's axis")]);
     write_all(folder, &[("features.svg", drawn)])
@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     answer(args.json, &document, || text(&contour, unit))
 }
 
-fn text(contour: &Contour, unit: Unit) -> String {
+fn text(contour: &Contour, unit: LengthUnit) -> String {
     let mut t = format!("{} features, 1 drawing unit = {} mm\n", contour.features.len(), unit.0);
     for f in &contour.features {
         let what = match f.kind {

@@ -2,12 +2,12 @@
 //! It runs with or without the corrector's table.
 
 use super::points::positive;
-use super::simulated_machine::SimMachineArgs;
+use super::simulated_machine_args::SimMachineArgs;
 use super::{failed, within, write_all};
 use crate::prelude::*;
 use rtec_model::machine::Machine;
+use rtec_part::arc_finish_cut_table::ArcFinishCutTable;
 use rtec_part::error_cor_file::read_arc;
-use rtec_part::finish_table::ArcFinishTable;
 use rtec_part::geometric_fit::Zx;
 use rtec_sim::lathe::{axes, design};
 use rtec_sim::workpiece::Workpiece;
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     setup.centre = part.centre;
     let table = match (&args.errors, design(&setup.design)) {
         (Some(file), Some(design)) => {
-            Some(ArcFinishTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_arc(file)?))
+            Some(ArcFinishCutTable::new(setup.cut(radius_mm), axes(&setup.bench, design), read_arc(file)?))
         }
         _ => None,
     };

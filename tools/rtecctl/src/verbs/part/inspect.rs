@@ -4,8 +4,8 @@ use super::points::positive;
 use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_model::record::span;
-use rtec_part::comparison_page::{logged, side_by_side};
 use rtec_part::part_errors::{NominalShape, PartErrorReport, ProbedPoints};
+use rtec_part::session_comparison_html::{logged, side_by_side};
 
 /// Compare the part before and after the finish cut
 #[derive(Debug, clap::Args)]

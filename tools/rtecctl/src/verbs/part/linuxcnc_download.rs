@@ -42,14 +42,14 @@ impl DownloadArgs {
             return Err(usage("--program-folder", found, "the controller's program folder"));
         }
         let file = folder.join(name);
-        rtec_files::write::write_atomically(&file, text.as_bytes())
+        rtec_files::atomic_write::write_atomically(&file, text.as_bytes())
             .with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
         let Some(address) = &self.download else { return Ok(()) };
         let there = self.folder_there.as_ref().unwrap_or(folder).join(name);
         let (connect, enable) = self.passwords.split_once(',').unwrap_or((&self.passwords, "EMCTOO"));
         let unreachable = |e| CommandFailure::Unreachable(format!("LinuxCNC at {address}: {e}"));
-        let mut client = Client::connect(address).map_err(unreachable)?;
+        let mut client = LinuxcncrshClient::connect(address).map_err(unreachable)?;
         let mut ask = |command: &str, answer: &str| client.ask(command, answer).map_err(unreachable);
         let path = there.display().to_string();
         for (command, answer) in [
@@ -73,11 +73,11 @@ impl DownloadArgs {
     }
 }
 
-struct Client {
+struct LinuxcncrshClient {
     lines: BufReader<TcpStream>,
 }
 
-impl Client {
+impl LinuxcncrshClient {
     fn connect(address: &str) -> std::io::Result<Self> {
         let address = if address.contains(':') { address.to_owned() } else { format!("{address}:5007") };
         let mut last = std::io::Error::new(std::io::ErrorKind::NotFound, "no such host");

@@ -1,11 +1,11 @@
 //! `rtecctl part load` and `unload`: the part table in the daemon.
 //! The daemon removes its errors while the tool cuts.
 
-use super::table::CutArgs;
+use super::table::FinishCutArgs;
 use super::within;
-use crate::daemon::{DaemonArgs, absolute};
+use crate::daemon_connection::{DaemonArgs, absolute};
 use rtec_control::protocol::{ClientRequest, PartTable};
-use rtec_files::text::open_regular;
+use rtec_files::text_file::open_regular;
 use rtec_part::error_cor_file::FeatureErrors;
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ pub(crate) struct LoadArgs {
     #[arg(long, value_name = "ERROR.COR")]
     errors: PathBuf,
     #[command(flatten)]
-    cut: CutArgs,
+    cut: FinishCutArgs,
     /// Ask for each correction this long before the tool is there, in ms
     #[arg(long, default_value_t = 50.0)]
     lead_ms: f64,

@@ -7,17 +7,17 @@ mod finish;
 mod inspect;
 mod linuxcnc_download;
 mod load;
-mod plan_page;
 mod points;
 mod post_process;
 mod probe;
+mod probing_plan_page;
 mod program;
 mod run;
-mod simulated_machine;
+mod simulated_machine_args;
 mod table;
 
 use crate::prelude::*;
-use rtec_sim::turning::TurningError;
+use rtec_sim::turning_experiment::TurningExperimentError;
 use std::ops::RangeInclusive;
 
 super::verbs_below! {
@@ -32,7 +32,7 @@ super::verbs_below! {
     Table Box<table::Args> => table::run;
     Load Box<load::LoadArgs> => load::load;
     /// Take the part table out: corrections go back in a ramp
-    Unload crate::daemon::DaemonArgs => load::unload;
+    Unload crate::daemon_connection::DaemonArgs => load::unload;
     Finish Box<finish::Args> => finish::run;
     Inspect Box<inspect::Args> => inspect::run;
     PostProcess Box<post_process::Args> => post_process::run;
@@ -54,7 +54,7 @@ fn write_all(folder: &Path, files: &[(&str, impl AsRef<[u8]>)]) -> anyhow::Resul
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for (name, content) in files {
         let file = folder.join(name);
-        let written = rtec_files::write::write_atomically(&file, content.as_ref());
+        let written = rtec_files::atomic_write::write_atomically(&file, content.as_ref());
         written.with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
@@ -73,11 +73,11 @@ fn usage(argument: &str, found: impl Into<String>, expected: impl Into<String>) 
 
 /// An experiment's failure with its exit code.
 /// Bad points are bad input, a latched fault is a fault, and a trip that differs from the plan is a no.
-fn failed(error: TurningError) -> anyhow::Error {
+fn failed(error: TurningExperimentError) -> anyhow::Error {
     match error {
-        TurningError::Points(input) => input.into(),
-        TurningError::Fault(_) => CommandFailure::Fault(error.to_string()).into(),
-        TurningError::Trip(_) => CommandFailure::No(error.to_string()).into(),
+        TurningExperimentError::Points(input) => input.into(),
+        TurningExperimentError::Fault(_) => CommandFailure::Fault(error.to_string()).into(),
+        TurningExperimentError::Trip(_) => CommandFailure::No(error.to_string()).into(),
         other => other.into(),
     }
 }

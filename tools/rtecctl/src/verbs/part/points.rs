@@ -1,12 +1,12 @@
 //! `rtecctl part points`: probing points and the probe's path.
 
 use super::features::{DrawingArgs, read};
-use super::plan_page::{PlanEditor, PlanPageServer};
+use super::probing_plan_page::{ProbingPlanEditor, ProbingPlanPageServer};
 use super::{usage, within, write_all};
 use crate::prelude::*;
 use rtec_part::geometric_fit::Zx;
+use rtec_part::length_unit::LengthUnit;
 use rtec_part::probe_path::{Collision, ProbeGeometry, ProbingMotion, ProbingPlan, StylusStem, number_at};
-use rtec_part::unit::Unit;
 use std::str::FromStr;
 
 /// Choose probing points and write the probe's path
@@ -140,8 +140,8 @@ impl FromStr for FeaturePointSelection {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (contour, drawn) = read(&args.drawing.drawing, &args.drawing.how)?;
     // A path file does not state its unit, and the steps that read it know mm and inch only.
-    let unit = if drawn == Unit::INCH { drawn } else { Unit::MM };
-    if unit == Unit::INCH {
+    let unit = if drawn == LengthUnit::INCH { drawn } else { LengthUnit::MM };
+    if unit == LengthUnit::INCH {
         eprintln!(
             "rtecctl: pathfin.cdl and probpath.cdl are in inches, as the drawing: the steps that read them want --path-units inch"
         );
@@ -200,10 +200,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         plan.add_bypasses(&contour, clear_mm);
     }
     if args.web {
-        let page = PlanPageServer::listen(args.port)?;
+        let page = ProbingPlanPageServer::listen(args.port)?;
         eprintln!("open {} and say Done there when you are", page.url());
         let clear_mm = args.bypass.unwrap_or(2.0);
-        let session = PlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
+        let session = ProbingPlanEditor { contour, plan, unit, folder: args.out.clone(), clear_mm };
         return Ok(page.serve(session)?);
     }
     if plan.points.is_empty() {

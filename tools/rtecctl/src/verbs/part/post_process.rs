@@ -3,9 +3,9 @@
 
 use super::{usage, within, write_all};
 use crate::prelude::*;
-use rtec_files::text::short;
-use rtec_part::batch::{
-    BatchEvaluation, BatchFinding, PlaceStatistics, SignificanceLimits, WildReading, evaluate_columns,
+use rtec_files::text_file::short;
+use rtec_part::batch_evaluation::{
+    BatchEvaluation, OutlierReading, PlaceFinding, PlaceStatistics, SignificanceLimits, evaluate_columns,
 };
 use rtec_part::error_cor_file::{error_cor, read_arc};
 
@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     {
         if let (false, Some(with)) = (left_out.is_empty(), with_every_reading) {
             let reading =
-                |w: &WildReading| format!("part {}, {} µm (line {})", w.part, short(w.error_um), w.line);
+                |w: &OutlierReading| format!("part {}, {} µm (line {})", w.part, short(w.error_um), w.line);
             let readings = list(left_out.iter().map(reading));
             let at = angle_rad.map_or_else(String::new, |a| format!(" at {a:.4} rad"));
             eprintln!(
@@ -96,11 +96,11 @@ fn text(batch: &BatchEvaluation) -> String {
     for p in &batch.places {
         let angle = p.angle_rad.map_or("-".to_owned(), |a| format!("{a:.4}"));
         let mark = match p.finding {
-            BatchFinding::Nothing => "",
-            BatchFinding::Systematic => "  systematic",
-            BatchFinding::NotObservable => "  systematic, not observable on the machine",
-            BatchFinding::Trend => "  trend",
-            BatchFinding::Step => "  step",
+            PlaceFinding::Nothing => "",
+            PlaceFinding::Systematic => "  systematic",
+            PlaceFinding::NotObservable => "  systematic, not observable on the machine",
+            PlaceFinding::Trend => "  trend",
+            PlaceFinding::Step => "  step",
         };
         let _ = writeln!(
             t,

@@ -2,19 +2,21 @@
 //! The engine captures the positions.
 
 use super::points::positive;
-use super::simulated_machine::SimMachineArgs;
+use super::simulated_machine_args::SimMachineArgs;
 use super::{failed, usage, write_all};
-use crate::daemon::{self, unreachable};
+use crate::daemon_connection::{self, unreachable};
 use crate::prelude::*;
-use rtec_control::client::{Client, ClientError};
-use rtec_control::protocol::{self, ClientRequest, Response};
-use rtec_files::cli_options::one_of;
-use rtec_measure::record::{to_csv, to_sidecar};
+use rtec_control::daemon_client::{ClientError, DaemonConnection};
+use rtec_control::protocol::{self, ClientRequest, DaemonResponse};
+use rtec_files::cli_option_parsers::one_of;
+use rtec_measure::run_record_files::{to_csv, to_sidecar};
 use rtec_model::record::Record;
 use rtec_part::geometric_fit::Zx;
+use rtec_part::length_unit::LengthUnit;
 use rtec_part::probe_path::{approaches, read_expected, read_pathfin};
-use rtec_part::trip_check::{CapturedTrips, Trip, TripFault, assign, probed_csv, run_record};
-use rtec_part::unit::Unit;
+use rtec_part::probe_trip_check::{
+    CapturedTrips, GaugingPointTrip, ProbeTripFault, assign, probed_csv, run_record,
+};
 use rtec_sim::workpiece::Workpiece;
 use std::io::ErrorKind;
 use std::time::{Duration, Instant};
@@ -32,7 +34,7 @@ pub(crate) struct Args {
     #[arg(long, conflicts_with = "workpiece")]
     daemon: bool,
     #[command(flatten)]
-    live: LiveArgs,
+    live: DaemonProbingArgs,
     /// The probe's path
     #[arg(long)]
     path: PathBuf,
@@ -40,8 +42,8 @@ pub(crate) struct Args {
     #[arg(long)]
     expected: PathBuf,
     /// Unit of both files
-    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
-    path_units: Unit,
+    #[arg(long, value_parser = one_of(&LengthUnit::ALL, &[]), default_value = "mm")]
+    path_units: LengthUnit,
     #[command(flatten)]
     bench: SimMachineArgs,
     /// Folder for probed.csv and the run record probing.run.toml
@@ -54,7 +56,7 @@ pub(crate) struct Args {
 
 /// A session through the daemon
 #[derive(Debug, clap::Args)]
-struct LiveArgs {
+struct DaemonProbingArgs {
     /// The daemon's control socket [default: the installed one's]
     #[arg(long, value_name = "PATH", requires = "daemon")]
     socket: Option<PathBuf>,
@@ -101,10 +103,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     show(args.json, &session.trips, session.seconds)
 }
 
-fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
+fn show(json: bool, trips: &[GaugingPointTrip], seconds: f64) -> anyhow::Result<()> {
     answer(json, &serde_json::json!({"trips": trips, "seconds": seconds}), || {
         let mut t = "point       Z mm       X mm  within µm\n".to_owned();
-        for Trip { point, tip_centre: p, uncertainty_um, .. } in trips {
+        for GaugingPointTrip { point, tip_centre: p, uncertainty_um, .. } in trips {
             let _ = writeln!(t, "{point:>5} {:>10.4} {:>10.4} {uncertainty_um:>10.3}", p.z, p.x);
         }
         t + &format!("{} points in {seconds:.1} s\n", trips.len())
@@ -113,7 +115,7 @@ fn show(json: bool, trips: &[Trip], seconds: f64) -> anyhow::Result<()> {
 
 /// Results of a session by the daemon.
 struct ProbingResult {
-    trips: Vec<Trip>,
+    trips: Vec<GaugingPointTrip>,
     sensors: Vec<String>,
     /// Temperatures at each trip, one value per sensor, °C.
     degc: Vec<Vec<f64>>,
@@ -125,15 +127,15 @@ struct ProbingResult {
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// Compares every trip with the plan; probing ends whatever happens.
-fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbingResult> {
+fn watch(args: &DaemonProbingArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<ProbingResult> {
     let patience = Duration::from_secs_f64(positive("--patience-s", args.patience_s)?.min(86_400.0));
     let Some(&[z_mm, x_mm]) = args.origin_mm.as_deref() else {
         return Err(usage("--origin-mm", "nothing", "the machine's position at the part's origin, Z,X"));
     };
     let origin = Zx::new(z_mm, x_mm);
     let daemon = DaemonArgs::at(args.socket.clone());
-    let ask = |request: &ClientRequest| daemon::ask(&mut daemon.connect()?, request);
-    let status = daemon::status(&mut daemon.connect()?)?;
+    let ask = |request: &ClientRequest| daemon_connection::ask(&mut daemon.connect()?, request);
+    let status = daemon_connection::status(&mut daemon.connect()?)?;
     for (option, name) in [("--z-axis", &args.z_axis), ("--x-axis", &args.x_axis)] {
         if status.axes.iter().all(|a| a.name != *name) {
             let names = list(status.axes.iter().map(|a| &a.name));
@@ -145,7 +147,7 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
     }
     // The watch starts first, so that no trip can come in between.
     let mut events = daemon.connect()?;
-    daemon::ask(&mut events, &ClientRequest::Watch {})?;
+    daemon_connection::ask(&mut events, &ClientRequest::Watch {})?;
     if args.start {
         ask(&ClientRequest::Hold { on: true })?;
     }
@@ -176,25 +178,25 @@ fn watch(args: &LiveArgs, expected: &[Zx], window_mm: f64) -> anyhow::Result<Pro
 type Temperatures = Vec<Vec<Option<f64>>>;
 
 fn follow(
-    events: &mut Client,
-    args: &LiveArgs,
+    events: &mut DaemonConnection,
+    args: &DaemonProbingArgs,
     expected: &[Zx],
     origin: Zx,
     window_mm: f64,
     patience: Duration,
-) -> anyhow::Result<(Vec<Trip>, Temperatures)> {
+) -> anyhow::Result<(Vec<GaugingPointTrip>, Temperatures)> {
     let mut captured = CapturedTrips::default();
     let mut degc = Vec::new();
     // The two axes of a trip arrive when each meets its next edge; they share the trip's time.
     let mut half: Option<(usize, protocol::ProbeTripReport)> = None;
-    let no = |fault: TripFault| anyhow::Error::from(CommandFailure::No(fault.to_string()));
+    let no = |fault: ProbeTripFault| anyhow::Error::from(CommandFailure::No(fault.to_string()));
     // The session's own clock begins at its first trip.
     let mut zero_ns = None;
     loop {
         let complete = captured.trips.len() == expected.len();
         events.wait_at_most(if complete { SETTLED } else { patience })?;
         let happened = match events.answer() {
-            Ok(Response::Event(happened)) => happened,
+            Ok(DaemonResponse::Event(happened)) => happened,
             Ok(_) => continue,
             Err(ClientError::Io(e)) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
                 // If all trips are there, the session is judged as a whole. Otherwise the next trip was
@@ -229,7 +231,7 @@ fn follow(
         degc.push(trip.degc);
         // A wrong trip ends the session at once; trips still missing do not.
         match assign(&captured, expected, 1.0, origin, window_mm) {
-            Err(TripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
+            Err(ProbeTripFault::Missed { point, .. }) if point == captured.trips.len() + 1 => {}
             judged => drop(judged.map_err(no)?),
         }
         eprintln!("point {} of {}", captured.trips.len(), expected.len());

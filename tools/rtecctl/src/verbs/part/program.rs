@@ -4,12 +4,12 @@ use super::linuxcnc_download::DownloadArgs;
 use super::points::positive;
 use super::{usage, write_all};
 use crate::prelude::*;
-use rtec_files::cli_options::one_of;
-use rtec_part::probe_path::{PathRole, read_pathfin};
+use rtec_files::cli_option_parsers::one_of;
+use rtec_part::length_unit::LengthUnit;
+use rtec_part::probe_path::{PathPointRole, read_pathfin};
 use rtec_part::probing_program::{
-    BUILT_IN, DialectWithTemplate, PARAMETERS, Parameters, ProbingProgramInputs, date_time,
+    BUILT_IN, DialectWithTemplate, PARAMETERS, ProbingProgramInputs, VariableValues, date_time,
 };
-use rtec_part::unit::Unit;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Write the NC probing program
@@ -19,11 +19,11 @@ pub(crate) struct Args {
     #[arg(long, required_unless_present = "parameters")]
     path: Option<PathBuf>,
     /// Unit of the path file
-    #[arg(long, value_parser = one_of(&Unit::ALL, &[]), default_value = "mm")]
-    path_units: Unit,
+    #[arg(long, value_parser = one_of(&LengthUnit::ALL, &[]), default_value = "mm")]
+    path_units: LengthUnit,
     /// Unit of the program; by default that of the path
-    #[arg(long, value_parser = one_of(&Unit::ALL, &[]))]
-    units: Option<Unit>,
+    #[arg(long, value_parser = one_of(&LengthUnit::ALL, &[]))]
+    units: Option<LengthUnit>,
     /// Controller: report, linuxcnc or fanuc
     #[arg(long, default_value = "report")]
     dialect: String,
@@ -43,8 +43,8 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 2500.0)]
     feed_mm_min: f64,
     /// Comments in the program
-    #[arg(long, value_enum, default_value_t = Comments::Full)]
-    comments: Comments,
+    #[arg(long, value_enum, default_value_t = CommentLevel::Full)]
+    comments: CommentLevel,
     /// Date and time as the program shows them; by default now, or `SOURCE_DATE_EPOCH`
     #[arg(long)]
     date: Option<String>,
@@ -62,7 +62,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Comments {
+enum CommentLevel {
     /// Every move explained
     Full,
     /// Only the header's notes: a smaller file
@@ -91,9 +91,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     if let Some(template) = &args.template {
-        controller.template = rtec_files::text::read(template)?;
+        controller.template = rtec_files::text_file::read(template)?;
     }
-    let mut parameters = Parameters::in_unit(unit);
+    let mut parameters = VariableValues::in_unit(unit);
     let feed = positive("--feed-mm-min", args.feed_mm_min)? / unit.0;
     let mut set = vec![("feed".to_owned(), format!("{}", (feed * 1e4).round() / 1e4))];
     for pair in &args.set {
@@ -113,13 +113,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let made = args.date.clone().map_or_else(|| Ok(date_time(now_s()?)), anyhow::Ok)?;
     let (controller, parameters, records) = (&controller, &parameters, &records);
-    let (comments, made) = (args.comments == Comments::Full, made.as_str());
+    let (comments, made) = (args.comments == CommentLevel::Full, made.as_str());
     let job = ProbingProgramInputs { controller, parameters, records, unit, comments, made };
     let text = job.text(args.template.as_deref().unwrap_or(Path::new("template.prb")))?;
     let name = parameters.file_name();
     write_all(&args.out, &[(&name, &text)])?;
     args.download.bring(&name, &text, &controller.dialect.name)?;
-    let points = records.iter().filter(|r| matches!(r.role, PathRole::Touch(_))).count();
+    let points = records.iter().filter(|r| matches!(r.role, PathPointRole::Touch(_))).count();
     let lines = text.lines().count();
     let document = serde_json::json!({"file": args.out.join(&name), "dialect": controller.dialect.name,
         "points": points, "lines": lines, "bytes": text.len()});

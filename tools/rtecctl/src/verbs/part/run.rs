@@ -2,13 +2,13 @@
 
 use super::features::{read, write_drawn};
 use super::points::positive;
-use super::simulated_machine::SimMachineArgs;
+use super::simulated_machine_args::SimMachineArgs;
 use super::{failed, usage, write_all};
 use crate::prelude::*;
 use rtec_model::machine::Machine;
 use rtec_part::contour::nose_of;
-use rtec_part::drawing::DxfOptions;
-use rtec_sim::turning::TurningOutcome;
+use rtec_part::contour_from_dxf::DxfOptions;
+use rtec_sim::turning_experiment::TurningExperimentResult;
 
 /// Go through all steps on the simulated machine: features, semi-finish, probe, errors, table, finish, inspect
 #[derive(Debug, clap::Args)]
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn text(o: &TurningOutcome) -> String {
+fn text(o: &TurningExperimentResult) -> String {
     let mut t = format!("design {}, {:.0} µm a correction, seed {}\n\n", o.design, o.increment_um, o.seed);
     let _ = writeln!(t, "                          largest   bump     SD  SD after  true form  (µm)");
     let program = format!("finish, {} G01 lines", o.program_lines);

@@ -3,10 +3,10 @@
 use super::points::positive;
 use super::{usage, within, write_all};
 use crate::prelude::*;
+use rtec_part::arc_finish_cut_table::{ArcFinishCutTable, AxisCountConversion, FinishCutArc, csv};
 use rtec_part::error_cor_file::FeatureErrors;
-use rtec_part::finish_table::{ArcFinishTable, AxisCountConversion, FinishArc, csv};
 use rtec_part::geometric_fit::Zx;
-use rtec_part::straight_table::StraightFinishTable;
+use rtec_part::straight_finish_cut_table::StraightFinishCutTable;
 
 /// Turn part errors into the table of corrections for the finish cut
 #[derive(Debug, clap::Args)]
@@ -15,9 +15,9 @@ pub(crate) struct Args {
     #[arg(long, value_name = "ERROR.COR")]
     errors: PathBuf,
     #[command(flatten)]
-    cut: CutArgs,
+    cut: FinishCutArgs,
     #[command(flatten)]
-    counts: CountArgs,
+    counts: ScaleCountArgs,
     /// Entries interpolated between each two probed points
     #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u16).range(0..=1000))]
     between: u16,
@@ -44,7 +44,7 @@ pub(crate) struct Args {
 /// The arc of the finish cut
 #[allow(clippy::struct_field_names, reason = "units belong in names")]
 #[derive(Debug, clap::Args)]
-pub(crate) struct CutArgs {
+pub(crate) struct FinishCutArgs {
     /// Centre of the arc on the part's axis, in mm of part coordinates; a straight feature's errors bring their places
     #[arg(long, allow_negative_numbers = true)]
     centre_z_mm: Option<f64>,
@@ -68,8 +68,8 @@ pub(crate) struct CutArgs {
     tool_x_mm: f64,
 }
 
-impl CutArgs {
-    pub(crate) fn cut(&self) -> anyhow::Result<FinishArc> {
+impl FinishCutArgs {
+    pub(crate) fn cut(&self) -> anyhow::Result<FinishCutArc> {
         let given = |name: &str, value: Option<f64>| {
             let expected = "a number in mm: the errors are those of an arc, by angle";
             value.ok_or_else(|| usage(name, "nothing", expected))
@@ -84,7 +84,7 @@ impl CutArgs {
             return Err(usage("--nose-mm", nose_mm.to_string(), expected));
         }
         let nose_mm = if self.hollow { -nose_mm } else { nose_mm };
-        Ok(FinishArc { centre, radius_mm, nose_mm, origin })
+        Ok(FinishCutArc { centre, radius_mm, nose_mm, origin })
     }
 
     /// Refuses options of an arc together with the errors of a straight feature.
@@ -117,7 +117,7 @@ fn place(name: &str, value: f64) -> anyhow::Result<f64> {
 
 /// The corrector's counts
 #[derive(Debug, clap::Args)]
-pub(crate) struct CountArgs {
+pub(crate) struct ScaleCountArgs {
     /// What one count is worth, in µm
     #[arg(long, default_value_t = 1.0)]
     count_um: f64,
@@ -136,7 +136,7 @@ fn increment(text: &str) -> Result<i64, String> {
     text.parse().ok().filter(|n| [1, 2, 4].contains(n)).ok_or_else(|| "expected 1, 2 or 4".to_owned())
 }
 
-impl CountArgs {
+impl ScaleCountArgs {
     pub(crate) fn axes(&self) -> anyhow::Result<[AxisCountConversion; 2]> {
         let count_um = self.count_um;
         within("--count-um", count_um, 1e-4..=1000.0, "what a scale's count is worth: 0.0001 to 1000 µm")?;
@@ -158,13 +158,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (rows, text, moves) = match FeatureErrors::read(&args.errors)? {
         FeatureErrors::Line(errors) => {
             args.cut.is_of_no_arc()?;
-            let table = StraightFinishTable { errors, axes, nose_mm, origin };
+            let table = StraightFinishCutTable { errors, axes, nose_mm, origin };
             let rows = table.rows(usize::from(args.between));
             let text = table.csv(&rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|_| table.straight_moves()))
         }
         FeatureErrors::Arc(errors) => {
-            let table = ArcFinishTable::new(args.cut.cut()?, axes, errors);
+            let table = ArcFinishCutTable::new(args.cut.cut()?, axes, errors);
             let rows = table.rows(usize::from(args.between));
             let text = csv(&table, &rows, lead_mm, args.backwards);
             (rows, text, off_mm.map(|off_mm| table.straight_moves(off_mm, 4)))

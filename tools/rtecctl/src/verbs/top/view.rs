@@ -5,8 +5,8 @@ use ratatui_core::style::{Color, Modifier, Style};
 use ratatui_core::terminal::Frame;
 use ratatui_core::text::{Line, Span, Text};
 use rtec_control::protocol::{
-    AxisExplanation, AxisReport, Contribution, DaemonSnapshot, DaemonStatus, NumberedEvent, SensorReading,
-    TimeDistribution, word,
+    AxisCorrectionComponents, AxisReport, CorrectionComponent, DaemonSnapshot, DaemonStatus, NumberedEvent,
+    SensorStateReport, TimeDistribution, word,
 };
 use rtec_model::record::span;
 use std::collections::VecDeque;
@@ -21,12 +21,12 @@ const NEEDS: (u16, u16) = (60, 16);
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
 #[derive(Default)]
-pub(super) struct View {
+pub(super) struct TopScreenState {
     pub help: bool,
     colour: bool,
     every: Duration,
     status: Option<DaemonStatus>,
-    explained: Vec<AxisExplanation>,
+    explained: Vec<AxisCorrectionComponents>,
     events: Vec<NumberedEvent>,
     /// Total of each axis, µm, oldest first.
     trend: Vec<VecDeque<f64>>,
@@ -38,7 +38,7 @@ pub(super) struct View {
 /// Age above which the state is marked as old.
 const FRESH: Duration = Duration::from_secs(2);
 
-impl View {
+impl TopScreenState {
     pub(super) fn new(colour: bool, every: Duration) -> Self {
         Self { colour, every, ..Self::default() }
     }
@@ -209,7 +209,7 @@ impl View {
             lines.push(Line::styled(format!("{:<28} {:>+9.2}", axis.axis, axis.total_um), Modifier::BOLD));
             let mut parts: Vec<_> = axis.parts.iter().filter(|p| p.um != 0.0).collect();
             parts.sort_by(|a, b| b.um.abs().total_cmp(&a.um.abs()));
-            let line = |p: &Contribution| format!("  {:<26} {:>+9.2}", shortened(&p.name, 26), p.um);
+            let line = |p: &CorrectionComponent| format!("  {:<26} {:>+9.2}", shortened(&p.name, 26), p.um);
             lines.extend(parts.into_iter().map(|p| Line::raw(line(p))));
             if let Some(why) = &axis.holds {
                 lines.push(Line::styled(format!("  holds: {why}"), self.doubtful()));
@@ -218,8 +218,8 @@ impl View {
         lines
     }
 
-    fn sensors(&self, sensors: &[SensorReading]) -> Vec<Line<'static>> {
-        let line = |r: &SensorReading| {
+    fn sensors(&self, sensors: &[SensorStateReport]) -> Vec<Line<'static>> {
+        let line = |r: &SensorStateReport| {
             let value = r.degc.map_or("-".to_owned(), |v| format!("{v:.2}"));
             let age = r.age_s.map_or("never".to_owned(), |a| format!("{a:.0} s"));
             let style = if r.state == "good" { Style::new() } else { self.doubtful() };
@@ -352,7 +352,7 @@ mod tests {
     use serde_json::Value;
 
     /// The screen as text, and its cells' colours.
-    fn screen(view: &View, width: u16, height: u16) -> (String, Vec<Color>) {
+    fn screen(view: &TopScreenState, width: u16, height: u16) -> (String, Vec<Color>) {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
         terminal.draw(|frame| view.draw(frame)).unwrap();
         let buffer = terminal.backend().buffer();
@@ -362,12 +362,12 @@ mod tests {
     }
 
     /// The status of the golden files, with other data to match.
-    fn view(colour: bool) -> View {
+    fn view(colour: bool) -> TopScreenState {
         let json = |text| serde_json::from_str::<Value>(text).unwrap();
         let mut seen = json(include_str!("../../../tests/golden/top.json"));
         seen["status"] = json(include_str!("../../../tests/golden/status.json"));
         seen["status"]["uptime_s"] = 4000.into();
-        let mut view = View::new(colour, Duration::from_millis(500));
+        let mut view = TopScreenState::new(colour, Duration::from_millis(500));
         for n in 0..40 {
             seen["explained"][0]["total_um"] = (n - 20).into();
             view.take(serde_json::from_value(seen.clone()).unwrap());
@@ -392,7 +392,9 @@ mod tests {
             screen(&view, width, height);
         }
         assert!(
-            screen(&View::new(true, Duration::from_millis(500)), 80, 24).0.contains("waiting for the daemon")
+            screen(&TopScreenState::new(true, Duration::from_millis(500)), 80, 24)
+                .0
+                .contains("waiting for the daemon")
         );
     }
 

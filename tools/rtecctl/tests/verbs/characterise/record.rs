@@ -12,7 +12,7 @@ fn one_nan_costs_its_row_and_not_the_run() {
     let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["--duration", "1.5"]].concat()));
     assert_eq!(code, Some(0), "{err}");
     assert!(err.contains("'gz nan' is no line NAME VALUE") && err.contains("rows are missing"), "{err}");
-    let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
+    let record = rtec_measure::run_record_files::read(&dir.path().join("r.run.toml")).unwrap();
     assert!(record.rows() > 20 && !dir.path().join("r.run.csv.part").exists(), "{}", record.rows());
 }
 
@@ -29,7 +29,7 @@ fn a_time_with_its_unit_is_as_one_in_seconds() {
         let times = ["--duration", duration, "--period", period];
         let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &times].concat()));
         assert!(code == Some(0) && err.contains(" of 2 s, "), "{code:?} {err}");
-        let rows = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap().rows();
+        let rows = rtec_measure::run_record_files::read(&dir.path().join("r.run.toml")).unwrap().rows();
         assert!((2..=21).contains(&rows), "{rows} rows in {duration} every {period}");
     }
 }
@@ -114,7 +114,8 @@ fn a_run_that_is_interrupted_is_kept() {
     let err = String::from_utf8_lossy(&out.stderr).into_owned();
     assert!(out.status.success() && err.contains("of 600 s: ") && err.contains("rows are kept"), "{err}");
     assert!(
-        rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap().rows() >= 11 && !part.exists()
+        rtec_measure::run_record_files::read(&dir.path().join("r.run.toml")).unwrap().rows() >= 11
+            && !part.exists()
     );
     assert!(!end(start("600"), "-KILL").status.success());
     let left = std::fs::read(&part).unwrap();
@@ -134,7 +135,7 @@ fn a_gauge_that_goes_silent_gives_no_more_rows() {
     let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &to].concat()));
     assert_eq!(code, Some(0), "{err}");
     assert!(err.contains("gz no new reading") && err.contains("rows are missing"), "{err}");
-    let record = rtec_measure::record::read(&dir.path().join("r.run.toml")).unwrap();
+    let record = rtec_measure::run_record_files::read(&dir.path().join("r.run.toml")).unwrap();
     let mut readings = record.responses().next().unwrap().data.clone();
     let rows = readings.len();
     readings.dedup();
@@ -159,7 +160,7 @@ fn a_shift_without_a_response_is_recorded_and_two_alike_are_refused_first() {
     ];
     let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["T1=temperature"]].concat()));
     assert_eq!(code, Some(0), "{err}");
-    assert!(rtec_measure::record::read_log(&dir.path().join("s.run.toml")).unwrap().rows() > 5);
+    assert!(rtec_measure::run_record_files::read_log(&dir.path().join("s.run.toml")).unwrap().rows() > 5);
     let (code, _, err) = said(&rtecctl(dir.path(), &[&words[..], &["a=error.x,b=error.x"]].concat()));
     assert!(code == Some(2) && err.contains("two columns of role error.x"), "{code:?} {err}");
 }

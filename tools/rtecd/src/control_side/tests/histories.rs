@@ -31,14 +31,14 @@ use super::set_up;
 use crate::start;
 use judge::{Asked, Judge, Planted, World};
 use machine::{AtWrite, Killed, Machine, Wires};
-use rtec_control::role::Role as Caller;
+use rtec_control::client_role::ClientRole as Caller;
 use rtec_driver::card::AxisLines;
 use rtec_model::machine::Machine as Model;
 use rtec_rt::engine::Engine;
 use rtec_rt::journal::{HoldAndFaultsRecord, Journal};
 use rtec_rt::link::link;
-use rtec_rt::link_messages::{Fault, Faults};
-use rtec_rt::thread::SteppedLoop;
+use rtec_rt::link_messages::{Fault, FaultSet};
+use rtec_rt::pinned_rt_thread::SteppedLoop;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::fs;
@@ -283,7 +283,7 @@ impl Life {
                 self.world.judge.borrow_mut().asked = Asked::default();
             }
             if self.planted == Some(Planted::EnablesItself) && self.dice.one_in(20) {
-                let _ = control.send(Request::Enable);
+                let _ = control.send(RequestToRt::Enable);
             }
             tally.held += u64::from(self.world.judge.borrow().held);
             self.sense(&mut session);

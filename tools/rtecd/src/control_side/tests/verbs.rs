@@ -18,7 +18,7 @@ impl Wires for Patient {
 /// A daemon on a machine with every line wired, whose inputs the test sets.
 struct Hand {
     session: ControlSide,
-    running: rtec_rt::thread::RunningThread<MockCard<Patient, Monotonic>>,
+    running: rtec_rt::pinned_rt_thread::RtThreadHandle<MockCard<Patient, Monotonic>>,
     inputs: std::sync::Arc<std::sync::atomic::AtomicU64>,
     _directory: tempfile::TempDir,
 }
@@ -38,7 +38,7 @@ fn homes_right_behind_the_first_edge() {
 /// All state that a verb can change; a refused verb changes none of it.
 #[derive(Debug, PartialEq)]
 struct State {
-    mode: Mode,
+    mode: CorrectorMode,
     enabled: bool,
     held: bool,
     model: bool,
@@ -53,7 +53,7 @@ impl Hand {
         config.control.state_file = Some(directory.path().join("state"));
         config.lines.mtc_ready = Some(30);
         for axis in &mut config.axes {
-            axis.engine.rest = rtec_rt::axis::RestPolicy::Insert { after_ns: 1 };
+            axis.engine.rest = rtec_rt::axis::InsertionAtRestPolicy::Insert { after_ns: 1 };
             axis.engine.lines.read_back = None;
         }
         let wires = SharedWires::default();
@@ -63,7 +63,7 @@ impl Hand {
         let machine = MachineConfig { lines: config.lines, may_arm: true };
         let engine = Engine::new(&mut card, &config.engine_axes(), machine, &[]).unwrap();
         let set_up = set_up(&engine, false);
-        let time = Rc::new(SystemClock(Clock::start()));
+        let time = Rc::new(SystemClock(SteadyEpochClock::start()));
         let session =
             ControlSide::with_clock(time, config, set_up, SensorThreads::without_threads(Vec::new()));
         let options = ThreadOptions { wanted: None, real: false, stale_after_ns: 60_000_000_000 };
@@ -71,13 +71,13 @@ impl Hand {
         Self { session, running, inputs, _directory: directory }
     }
 
-    fn ask(&mut self, request: &ClientRequest) -> Response {
+    fn ask(&mut self, request: &ClientRequest) -> DaemonResponse {
         ask(&mut self.session, request, &mut self.running.control)
     }
 
     fn done(&mut self, request: &ClientRequest) {
         let response = self.ask(request);
-        assert!(matches!(response, Response::Done { .. }), "{request:?}: {response:?}");
+        assert!(matches!(response, DaemonResponse::Done { .. }), "{request:?}: {response:?}");
     }
 
     fn input(&mut self, mask: u64, on: bool) {
@@ -95,7 +95,7 @@ impl Hand {
 
     fn state(&mut self) -> State {
         let status = self.running.control.status();
-        let Response::Explained { axes } = self.ask(&ClientRequest::Explain { axis: None }) else {
+        let DaemonResponse::Explained { axes } = self.ask(&ClientRequest::Explain { axis: None }) else {
             panic!("no explanation")
         };
         let operator = |n: usize| axes[n].parts.iter().find(|p| p.name == "operator").map_or(0.0, |p| p.um);
@@ -153,13 +153,13 @@ fn enabling_what_is_on_moves_nothing() {
     let before = hand.running.control.status().axes[1].requested;
     for accept_jump in [false, true] {
         let answer = hand.ask(&enable(accept_jump));
-        let already = Response::Done { jumps: Vec::new(), already: true, warnings: Vec::new() };
+        let already = DaemonResponse::Done { jumps: Vec::new(), already: true, warnings: Vec::new() };
         assert_eq!(answer, already);
         assert_eq!(hand.running.control.status().axes[1].requested, before);
     }
     hand.done(&ClientRequest::Disable {});
     let answer = hand.ask(&enable(false));
-    assert!(matches!(&answer, Response::Refused { why, .. } if why == "jump"), "{answer:?}");
+    assert!(matches!(&answer, DaemonResponse::Refused { why, .. } if why == "jump"), "{answer:?}");
     hand.running.stop();
 }
 
@@ -205,15 +205,17 @@ fn every_verb_is_done_or_refused_in_every_mode() {
         (home(None), |s| s.axes.iter().all(|a| a.2 && a.1 == 0)),
         (home(Some(true)), |s| s.axes.iter().all(|a| a.2 && a.3 && a.1 == 0 && a.0 == 0)),
         (home(Some(false)), |s| s.axes.iter().all(|a| a.2) && s.axes[0].1 == 10 && s.axes[0].0 == 10),
-        (enable, |s| s.enabled && s.mode == Mode::Run),
+        (enable, |s| s.enabled && s.mode == CorrectorMode::Run),
         (R::Disable {}, |s| !s.enabled),
         (R::Park {}, |s| !s.enabled),
-        (R::Shadow {}, |s| !s.enabled && s.mode == Mode::Shadow),
-        (hold(true), |s| s.held && matches!(s.mode, Mode::Hold | Mode::Fault)),
+        (R::Shadow {}, |s| !s.enabled && s.mode == CorrectorMode::Shadow),
+        (hold(true), |s| s.held && matches!(s.mode, CorrectorMode::Hold | CorrectorMode::Fault)),
         (hold(false), |s| !s.held),
-        (probe(true), |s| matches!(s.mode, Mode::Probe | Mode::Hold | Mode::Fault)),
-        (probe(false), |s| s.mode != Mode::Probe),
-        (R::Clear {}, |s| s.mode != Mode::Fault && s.axes.iter().all(|a| a.4 == 0)),
+        (probe(true), |s| {
+            matches!(s.mode, CorrectorMode::Probe | CorrectorMode::Hold | CorrectorMode::Fault)
+        }),
+        (probe(false), |s| s.mode != CorrectorMode::Probe),
+        (R::Clear {}, |s| s.mode != CorrectorMode::Fault && s.axes.iter().all(|a| a.4 == 0)),
         (R::ModelUnload {}, |s| !s.model),
         (R::ModelAgain {}, |s| s.model),
         (R::TableUnload {}, |_| true),
@@ -229,7 +231,7 @@ fn every_verb_is_done_or_refused_in_every_mode() {
             let before = hand.state();
             let response = hand.ask(verb);
             let after = hand.state();
-            if matches!(response, Response::Done { .. }) {
+            if matches!(response, DaemonResponse::Done { .. }) {
                 assert!(is(&after), "{mode}: {verb:?} is done, and {after:?}");
                 done += 1;
             } else {

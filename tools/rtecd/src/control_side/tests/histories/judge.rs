@@ -84,12 +84,12 @@ pub(super) struct Judge {
 }
 
 impl Judge {
-    pub(super) fn look(&mut self, (before, at_rest): (Mode, bool), engine: &Engine, m: &Machine) {
+    pub(super) fn look(&mut self, (before, at_rest): (CorrectorMode, bool), engine: &Engine, m: &Machine) {
         let begun = m.axes.iter().map(|a| a.begun).sum();
         if begun != self.begun {
             self.begun = begun;
             // An insertion under way is finished in any mode.
-            if at_rest && before != Mode::Run && engine.mode() != Mode::Run {
+            if at_rest && before != CorrectorMode::Run && engine.mode() != CorrectorMode::Run {
                 self.wrong(&format!("an insertion began in {before:?}"), m);
             }
             let patience_ns = STALE_MS * 1_000_000 + 12_000_000;

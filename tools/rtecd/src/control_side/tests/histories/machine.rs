@@ -1,7 +1,7 @@
 //! The machine at the other end of the card, with or without a daemon.
 //! Two axes move by themselves. They have scales, XOR gates and an MTC that counts every change in true order.
 
-use rtec_driver::card::{AxisLines, Card, CardError, Sample};
+use rtec_driver::card::{AxisLines, Card, CardError, CardInputSample};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -282,7 +282,7 @@ impl Machine {
 pub(super) struct Wires(pub Rc<RefCell<Machine>>);
 
 impl Card for Wires {
-    fn sample(&mut self, _wake_ns: u64) -> Result<Sample, CardError> {
+    fn sample(&mut self, _wake_ns: u64) -> Result<CardInputSample, CardError> {
         let m = &mut *self.0.borrow_mut();
         let gap = m.next_gap.take().unwrap_or_else(|| m.gap_ns()) + std::mem::take(&mut m.late_ns);
         let t_ns = m.t_ns + gap;
@@ -303,7 +303,7 @@ impl Card for Wires {
             place.looked = now;
         }
         m.looks_ns = [m.looks_ns[1], t_ns];
-        Ok(Sample::level(t_ns, inputs))
+        Ok(CardInputSample::level(t_ns, inputs))
     }
 
     fn write(&mut self, mask: u64, value: u64) -> Result<Option<u64>, CardError> {

@@ -164,17 +164,19 @@ impl Life {
         for _ in 0..20 {
             self.tell(&format!("{request:?}"));
             match session.answer(request, RequestContext::default(), control) {
-                RequestAnswer::Again(_) => self.world.run(2_000_000),
-                RequestAnswer::Now(response) => {
+                RequestOutcome::Again(_) => self.world.run(2_000_000),
+                RequestOutcome::Now(response) => {
                     let no = matches!(
                         response,
-                        Response::Refused { .. } | Response::Fault { .. } | Response::Bad { .. }
+                        DaemonResponse::Refused { .. }
+                            | DaemonResponse::Fault { .. }
+                            | DaemonResponse::Bad { .. }
                     );
                     tally.refused += u64::from(no);
                     tally.kept_totals += u64::from(!no && kept && in_effect);
                     return;
                 }
-                RequestAnswer::Later(_) => unreachable!("nothing is loaded by request here"),
+                RequestOutcome::Later(_) => unreachable!("nothing is loaded by request here"),
             }
         }
     }
@@ -182,7 +184,7 @@ impl Life {
     pub(super) fn people(&mut self, session: &mut ControlSide, control: &mut ControlEnd, tally: &mut Tally) {
         use ClientRequest as R;
         let status = control.status();
-        let wants_arming = matches!(status.mode, Mode::Disabled | Mode::Fault);
+        let wants_arming = matches!(status.mode, CorrectorMode::Disabled | CorrectorMode::Fault);
         if wants_arming && self.dice.one_in(3) {
             // The machine is stopped, cleared, homed and enabled again.
             self.world.machine.borrow_mut().stop = true;
@@ -262,7 +264,7 @@ impl Life {
             // A damaged record would be noticed, so a valid one is written.
             let (mut journal, _) = Journal::open(&m.state_file, &self.config.identity()).unwrap();
             journal.record_machine(
-                HoldAndFaultsRecord { held: None, hold_output: false, faults: Faults::NONE },
+                HoldAndFaultsRecord { held: None, hold_output: false, faults: FaultSet::NONE },
                 0,
             );
         }
