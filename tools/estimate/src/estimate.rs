@@ -259,8 +259,8 @@ fn settled<T>(
         let settled = (0..noise.sigma.len())
             .all(|j| (renewed.sigma[j] / noise.sigma[j] - 1.0).abs() < SETTLED.0)
             && renewed.phi.iter().zip(&noise.phi).all(|(a, b)| (a - b).abs() < SETTLED.1);
-        if settled && round + 1 < ROUNDS && !exchanged {
-            // Only once, when the noise is known, because exchanges take most time.
+        // Only once, because exchanges take most time; and in time, even if the noise is still changing.
+        if !exchanged && (settled || round + 2 == ROUNDS) && round + 1 < ROUNDS {
             exchanged = true;
             let other = search.exchanged(&set);
             if other.score > set.score + 0.05 {

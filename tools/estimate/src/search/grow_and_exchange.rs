@@ -34,15 +34,16 @@ impl HypothesisSearch<'_> {
             if seed.score < (top - HOPELESS).max(WORTHLESS) {
                 break;
             }
+            let wave = matches!(self.family(seed.family).scan, HypothesisSearchSpace::Wave { .. });
+            let pair = |seed| self.with(set, seed).and_then(|p| self.with_beside(&p));
+            // A wave alone may be refined to another peak than with its companion.
+            pairs.extend(wave.then(|| pair(seed)).flatten());
             let seed = self.refined(&set.factor, seed);
             let mut own = Self::richer(&seed);
-            let wave = matches!(self.family(seed.family).scan, HypothesisSearchSpace::Wave { .. });
+            pairs.extend(wave.then(|| pair(&seed)).flatten());
             if wave && !waves.contains(&seed.family) {
                 waves.push(seed.family);
                 own.extend(self.changing(&set.factor, &seed));
-            }
-            if wave {
-                pairs.extend(self.with(set, &seed).and_then(|p| self.with_beside(&p)));
             }
             own.push(seed);
             forms
@@ -246,10 +247,11 @@ impl HypothesisSearch<'_> {
             gone.extend(weak[..k].iter().map(|j| (both(j), false)));
         }
         for (without, was_shape) in gone {
-            let mut ones = self.children(&without, false);
+            // A shape may stand for fine waves over a long travel, which elsewhere are too slow to look at.
+            let mut ones = self.children(&without, was_shape);
             if was_shape {
                 // Of names that act together, each alone may be far behind another kind.
-                ones.extend(KINDS.iter().flat_map(|kind| self.grown_by(&without, 2, false, kind)));
+                ones.extend(KINDS.iter().flat_map(|kind| self.grown_by(&without, 2, true, kind)));
             }
             for one in ones {
                 let one = self.rechosen(one);

@@ -166,6 +166,7 @@ impl HypothesisSearch<'_> {
             }
             seeds.push(ScreenedHypothesis { family: number, cause, weight, score });
         }
+        seeds.extend(self.growing_wave_seeds(number, set, weighed, prior));
         // A wave without a name need not be a sine. What was seen less than twice does not repeat.
         if family.effect.is_none()
             && best.1 * along.span() >= 2.0
@@ -256,6 +257,50 @@ impl HypothesisSearch<'_> {
         let fine = |k: &usize| *k == 1 || *k as f64 * frequency <= along.range()[1];
         let columns = (1..=harmonics).filter(fine).flat_map(of).collect();
         Some(HypothesisContribution::Shape(Arc::new((family.shape.clone()?, columns))))
+    }
+
+    /// Seeds of a wave with its companion, at the peaks of the spectrum of what grows along the travel.
+    /// At its own frequency a wave that grows from the middle to both ends shows no power.
+    fn growing_wave_seeds(
+        &self,
+        number: usize,
+        set: &HypothesisSet,
+        weighed: &[f64],
+        prior: f64,
+    ) -> Vec<ScreenedHypothesis> {
+        let family = self.family(number);
+        let HypothesisSearchSpace::Wave { along, unit, .. } = &family.scan else { return Vec::new() };
+        let Some((companion, beside)) = family.effect.as_ref().and_then(|e| self.companion_of(e)) else {
+            return Vec::new();
+        };
+        let grows = along.at(weighed.len(), |place| (place - along.middle()) / along.span());
+        let growing: Vec<f64> = weighed.iter().zip(&grows).map(|(r, x)| r * x).collect();
+        let of = |f: f64| {
+            let cause = self.wave(family, f, 1)?;
+            let weight = wave_weight(family, f, *unit, along.range(), along.span());
+            let mut columns = self.columns(&cause);
+            let effect = beside.with(&[(0, cause.effect()?.scalar(0))])?;
+            columns.extend(self.columns(&HypothesisContribution::Effect {
+                effect,
+                free: 2,
+                reference: false,
+            }));
+            let prior = prior + self.prior(set, companion);
+            let score = prior + weight + self.gain(&set.factor, &columns).total;
+            Some(ScreenedHypothesis { family: number, cause, weight, score })
+        };
+        along.peaks(&growing, PEAKS).into_iter().filter_map(of).collect()
+    }
+
+    /// The effect that only accompanies waves of this law and axis, and the index of its hypotheses.
+    fn companion_of(&self, wave: &Effect) -> Option<(usize, &Effect)> {
+        let all = self.families.list.iter().enumerate();
+        all.filter_map(|(number, f)| Some((number, &f.scan, f.effect.as_ref()?))).find_map(
+            |(number, scan, e)| {
+                let HypothesisSearchSpace::Beside { law, .. } = scan else { return None };
+                (*law == wave.description().name && e.axes() == wave.axes()).then_some((number, e))
+            },
+        )
     }
 
     /// The wave of another frequency that looks the same at these positions.

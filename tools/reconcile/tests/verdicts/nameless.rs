@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used)] // a test's own helpers
 
+use crate::noise::noise;
 use crate::{answer, names, record};
 use rtec_measure::plausible::MistakeKind;
 use rtec_model::ballbar_circle::Circle;
@@ -399,4 +400,36 @@ fn a_map_of_a_few_rows_is_no_noise() {
         }
     }
     assert!(loud.is_empty(), "{loud:?}");
+}
+
+/// A worn screw's wave that grows to both ends of a long line with few, uneven targets.
+/// At its own period such a wave shows no power, and a shape with a level at each target fits as well.
+#[test]
+fn a_wave_that_grows_from_the_middle_is_named() {
+    let mut draw = noise(17);
+    let mut places: Vec<f64> = (0..31).map(|k| -590.0 + 39.0 * f64::from(k) + 6.0 * draw()).collect();
+    let (mut y, mut d, mut n, mut e) = (vec![], vec![], vec![], vec![]);
+    for pass in 0..6 {
+        for mm in &places {
+            let turn = (std::f64::consts::TAU * mm / 20.0 + 2.07).sin();
+            y.push(*mm);
+            d.push(if pass % 2 == 0 { 1.0 } else { -1.0 });
+            n.push(f64::from(pass / 2 + 1));
+            e.push(12.7 * mm / 1000.0 + (1.15 + 10.5 * mm / 1000.0) * turn + 0.1 * draw());
+        }
+        places.reverse();
+    }
+    let rows = y.len() as i32;
+    let columns = vec![
+        ("t", "time", (0..rows).map(|i| 4.0 * f64::from(i)).collect()),
+        ("n", "cycle", n),
+        ("y", "position.y", y),
+        ("d", "direction.y", d),
+        ("e", "error.y", e),
+    ];
+    let r = answer("", &[record("line", RunKind::Positioning, columns)], &[]);
+    let mut names = names(&r);
+    names.sort();
+    assert_eq!(names, ["scale.y", "screw_periodic.y", "screw_slope.y"], "{}", r.to_json());
+    assert!(r.unexplained.is_empty());
 }
