@@ -7,7 +7,7 @@ use crate::candidate_hypotheses::CandidateHypotheses;
 use crate::hypothesis_contribution::UnnamedShape;
 use crate::measurement_model::{EstimationProblem, UnitAssumption, with_corrected_periods};
 use crate::priors::{KNOWN_SHARE, MOST_PHI};
-use crate::rows_and_noise::{MeasuredRows, ResponseNoise};
+use crate::rows_and_noise::{MeasuredRows, ResponseNoise, ResponseSegment};
 use crate::search::{
     HypothesisSearch, HypothesisSet, HypothesisSetMember, converted_members, profile_log_likelihood,
 };
@@ -128,6 +128,8 @@ pub struct EstimationResult {
     pub noise: ResponseNoise,
     /// The whitened residual.
     pub residual: Vec<f64>,
+    /// Indices of the records whose rows are closer together than the noise's correlation length.
+    pub remembering: Vec<usize>,
     /// log p(y, S), up to a constant of the rows.
     pub score: f64,
     /// Names that were tried.
@@ -383,6 +385,7 @@ fn answer(search: &HypothesisSearch<'_>, set: &HypothesisSet, model: &[Effect]) 
         set_up,
         noise: search.base.noise.clone(),
         residual: set.factor.residual().to_vec(),
+        remembering: remembering(search.problem.rows, &search.base.noise, set.factor.residual()),
         score: with_own_noise(search, &set).0,
         tried,
         members: set.members,
@@ -414,17 +417,18 @@ impl EstimatedHypothesis {
     }
 }
 
-impl EstimationResult {
-    /// Whether rows are correlated for longer than the noise model allows.
-    /// The rows are then closer together than the noise's correlation length.
-    #[must_use]
-    pub fn remembers(&self) -> bool {
-        self.noise.phi.iter().any(|phi| *phi >= MOST_PHI) && {
-            let r = &self.residual;
-            let with: f64 = r.windows(2).map(|w| w[0] * w[1]).sum();
-            with > REMEMBERS * dot(r, r)
-        }
-    }
+/// Records whose rows are correlated for longer than the noise model allows.
+/// The rows are then closer together than the noise's correlation length.
+fn remembering(rows: &MeasuredRows<'_>, noise: &ResponseNoise, residual: &[f64]) -> Vec<usize> {
+    let long = |(s, phi): (&ResponseSegment, &f64)| {
+        let own = &residual[s.rows.clone()];
+        let with: f64 = own.windows(2).map(|w| w[0] * w[1]).sum();
+        (*phi >= MOST_PHI && with > REMEMBERS * dot(own, own)).then_some(s.record)
+    };
+    let mut records: Vec<usize> = rows.segments.iter().zip(&noise.phi).filter_map(long).collect();
+    records.sort_unstable();
+    records.dedup();
+    records
 }
 
 /// Residuals of a record after model and set-up, response by response.

@@ -365,14 +365,11 @@ const fn is_repeated(y: &[f64], count: usize) -> bool {
 }
 
 /// Smallest size of the noise, per segment: undithered rounding.
+/// Where no reading ever changes, the gauge's step is unknown, and the noise has its usual size.
 #[must_use]
 pub fn floors(rows: &MeasuredRows<'_>) -> Vec<f64> {
-    // If no reading ever changes, the size of the noise is unknown.
-    let changes = |j: usize| rows.segments.iter().any(|s| s.response == j && !stands_still(rows, s));
-    let floor = |s: &ResponseSegment| {
-        if changes(s.response) { coarse(rows, s).map_or(0.0, |c| c.0 / 12f64.sqrt()) } else { NOISE[0] }
-    };
-    rows.segments.iter().map(floor).collect()
+    let coarse = |s: &ResponseSegment| coarse(rows, s).map_or(0.0, |c| c.0 / 12f64.sqrt());
+    rows.segments.iter().map(|s| if stands_still(rows, s) { NOISE[0] } else { coarse(s) }).collect()
 }
 
 /// Whether all readings of a segment are equal.

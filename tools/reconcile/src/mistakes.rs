@@ -439,15 +439,16 @@ fn candidates(record: &Record, all: &[Record], model: &[Effect]) -> Vec<MistakeH
         };
         add(Sign, column, only(sign), changed(record, &own, &|x| -x), 0.0);
         let forces = group.iter().filter(|c| matches!(c.role, Role::Force(_))).count();
-        // If all readings are equal, every unit explains them equally well.
-        let changes = group.iter().any(|c| c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0));
-        if !changes || (forces > 0 && forces < group.len()) {
+        // If all readings of a response are equal, every unit explains them equally well.
+        let changes = |c: &&&Column| c.data.iter().any(|x| (x - c.data[0]).abs() > 0.0);
+        let telling = group.iter().filter(changes).count();
+        if telling == 0 || (forces > 0 && forces < group.len()) {
             continue;
         }
         let (units, called) = if forces > 0 { (FORCE_UNITS, "N") } else { (ERROR_UNITS, "µm") };
         for (by, text) in undone_units(units, called) {
             let text = only(&format!("{} times as large: {text}", times(by)));
-            let numbers = rows * group.len() as f64;
+            let numbers = rows * telling as f64;
             add(Unit, column, text, changed(record, &own, &|x| by * x), numbers * by.ln());
         }
     }

@@ -158,7 +158,7 @@ pub struct ReconciliationResult {
     pub level: f64,
     /// Autocorrelation of the noise from row to row.
     pub phi: f64,
-    /// The stride between analysed rows: 1 for all.
+    /// The stride between analysed rows, of the record with the largest: 1 for all.
     pub every: usize,
 }
 

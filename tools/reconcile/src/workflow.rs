@@ -490,25 +490,27 @@ impl AnalysedRecords {
         Self::of(&doubts.train, machine, level)
     }
 
-    /// Analyses every nth row, n being a power of two.
+    /// Analyses every nth row of each record, n being a power of two.
     /// It is the least n that still separates noise from effects. Rows much closer together than the noise's
-    /// correlation (a filtered force, sampled fast) repeat the same information.
+    /// correlation (a filtered force, sampled fast) repeat the same information. Records whose rows do not are
+    /// analysed whole.
     fn of(train: &[Record], machine: &Machine, level: f64) -> Self {
         let quiet: Vec<Record> = train.iter().map(temperature_denoising::temperatures).collect();
         let (first, bounded) = (at_least_every(&quiet), bounded(&quiet));
-        let mut beyond = 1;
+        let mut strides = vec![1; bounded.len()];
         let mut used: Cow<'_, [Record]> = bounded.clone();
         loop {
             let rows: usize = used.iter().map(Record::rows).sum();
             let answer = analyse(&used, machine, level);
-            let remembers = answer.estimate.remembers() && rows >= 2 * FEWEST_ROWS;
-            if !remembers {
-                let used = used.into_owned();
-                return Self { train: train.to_vec(), answer, used, every: first * beyond };
+            let mut closer = answer.estimate.remembering.clone();
+            closer.retain(|k| rows >= 2 * FEWEST_ROWS && used[*k].rows() >= 2 * FEW);
+            if closer.is_empty() {
+                let (used, most) = (used.into_owned(), strides.into_iter().max().unwrap_or(1));
+                return Self { train: train.to_vec(), answer, used, every: first * most };
             }
-            beyond *= 2;
-            let of = |r: &Record| r.select(&(0..r.rows()).step_by(beyond).collect::<Vec<_>>());
-            used = bounded.iter().map(of).collect();
+            closer.iter().for_each(|k| strides[*k] *= 2);
+            let of = |(r, by): (&Record, &usize)| r.select(&(0..r.rows()).step_by(*by).collect::<Vec<_>>());
+            used = bounded.iter().zip(&strides).map(of).collect();
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::noise::noise;
 use super::{answer, names, record};
 use rtec_measure::plausible::MistakeKind;
-use rtec_model::record::{Record, RunKind};
+use rtec_model::record::{Column, Record, Role, RunKind};
 
 /// Strokes over 20 targets.
 /// The error `um` depends on position and direction; the noise has a size and a memory.
@@ -124,4 +124,56 @@ fn a_unit_is_said_in_both_directions() {
         let said: Vec<_> = r.suspicions.iter().map(|s| (s.column.as_str(), s.what)).collect();
         assert_eq!(said, [(column, MistakeKind::Unit)], "{error} {place}: {:?}", r.suspicions);
     }
+}
+
+/// A quick run with noise that lasts repeats itself; a slow line beside it does not.
+#[test]
+fn only_rows_that_repeat_themselves_are_left_out() {
+    let line = strokes("line", 3, &|mm, _| 3.5 * mm / 1000.0, 0.3, 0.0);
+    let n = 1400;
+    let (mut draw, mut last) = (noise(5), 0.0);
+    let long = |_| {
+        last = 0.97 * last + 0.2 * draw();
+        last
+    };
+    let error: Vec<f64> = (0..n).map(long).collect();
+    let columns = vec![("t", "time", (0..n).map(|i| 0.01 * f64::from(i)).collect()), ("e", "error.z", error)];
+    let r = answer("", &[line.clone(), record("quick", RunKind::Drift, columns)], &[]);
+    assert!(r.every > 1, "{}", r.every);
+    let alone = answer("", &[line], &[]);
+    assert_eq!((names(&alone), alone.every), (vec!["scale.x".to_owned()], 1));
+    let evidence = |r: &rtec_reconcile::ReconciliationResult| {
+        r.effects.iter().find(|(f, _)| f.effect.name() == "scale.x").map_or(0.0, |(f, _)| f.evidence)
+    };
+    assert!(evidence(&r) > 0.9 * evidence(&alone), "{} {}", evidence(&r), evidence(&alone));
+}
+
+/// Of three gauges with steps of 1 µm one never moves: its growth is less than a step.
+#[test]
+fn a_gauge_that_stands_still_tells_no_more_than_its_step() {
+    let n = 240;
+    let warm: Vec<f64> = (0..n).map(|i| 20.0 + 0.8 * (f64::from(i) / 40.0).sin()).collect();
+    let mut draw = noise(11);
+    let mut read = |um_per_k: f64, at: f64| -> Vec<f64> {
+        warm.iter().map(|degc| (at + um_per_k * (degc - 20.0) + 0.05 * draw()).round()).collect()
+    };
+    let columns = vec![
+        ("t", "time", (0..n).map(|i| 60.0 * f64::from(i)).collect()),
+        ("ex", "error.x", read(2.0, 0.4)),
+        ("ey", "error.y", read(0.3, -3.0)),
+        ("T", "temperature", warm.clone()),
+    ];
+    assert!(columns[2].2.iter().all(|um| um.to_bits() == (-3.0_f64).to_bits()));
+    let mut line = strokes("line", 7, &|_, _| 0.0, 0.2, 0.0);
+    for c in &mut line.columns {
+        c.role = Role::parse(&c.role.to_string().replace(".x", ".y")).unwrap();
+    }
+    line.columns.push(Column::new("T", Role::Temperature, vec![20.0; line.rows()]));
+    let growth = |axis: &str, um: f64| {
+        format!("[[effect]]\nname = \"thermal_growth.{axis}\"\num_per_K = {um}\nsensor = \"T\"\n")
+    };
+    let model = growth("x", 2.0) + &growth("y", 0.3);
+    let r = answer(&model, &[record("drift", RunKind::Drift, columns), line], &[]);
+    assert!(names(&r).is_empty() && r.unexplained.is_empty() && r.suspicions.is_empty(), "{}", r.to_json());
+    assert!(r.refined.is_empty(), "{}", r.to_json());
 }
