@@ -174,7 +174,7 @@ enum NextAction {
 
 /// In which order a real edge and an inversion reached the XOR gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum EdgeInversionOrder {
+enum OrderAtGate {
     InversionFirst,
     EdgeFirst,
     Unknown,
@@ -872,18 +872,18 @@ impl AxisEngine {
     /// The inversion is not confirmed yet. Edge and inversion are entered in the order in which they happened.
     fn pass_on_beside_inversion(&mut self, signal: Signal, edge_ns: u64, report: &mut impl FnMut(EventKind)) {
         let order = match self.unsettled {
-            None => EdgeInversionOrder::InversionFirst,
+            None => OrderAtGate::InversionFirst,
             // The same signal changed twice, so the MTC is where it was in either order.
-            Some(u) if u.signal == signal => EdgeInversionOrder::InversionFirst,
+            Some(u) if u.signal == signal => OrderAtGate::InversionFirst,
             Some(u) => match (u.done_ns, edge_ns) {
-                (Some(done), e) if e > done => EdgeInversionOrder::InversionFirst,
-                (_, e) if e <= u.from_ns && u.done_ns.is_some() => EdgeInversionOrder::EdgeFirst,
-                _ => EdgeInversionOrder::Unknown,
+                (Some(done), e) if e > done => OrderAtGate::InversionFirst,
+                (_, e) if e <= u.from_ns && u.done_ns.is_some() => OrderAtGate::EdgeFirst,
+                _ => OrderAtGate::Unknown,
             },
         };
         let w = &mut self.wire;
         match (order, self.unsettled) {
-            (EdgeInversionOrder::EdgeFirst, Some(u)) => {
+            (OrderAtGate::EdgeFirst, Some(u)) => {
                 let undone = w.mtc.flipped(u.signal);
                 w.mtc_count -= i64::from(undone.step_of(u.signal));
                 w.mtc_count += i64::from(undone.step_of(signal));
@@ -892,9 +892,9 @@ impl AxisEngine {
             }
             _ => w.pass_on(signal, w.mtc.step_of(signal)),
         }
-        if order == EdgeInversionOrder::Unknown {
+        if order == OrderAtGate::Unknown {
             self.fault(Fault::OrderUnknown, report);
-        } else if order == EdgeInversionOrder::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
+        } else if order == OrderAtGate::EdgeFirst && (w.inverters == 0 || w.inverters == 3) {
             // The edge came before the second inversion after all. Only now is the effect of the pair known.
             w.completed = w.mtc_count - self.scale.count();
         }

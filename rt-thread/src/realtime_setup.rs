@@ -606,7 +606,7 @@ pub fn apply(system: &SystemRoot, wanted: RtSettings) -> (DmaLatencyHold, SetupR
 /// Keeps the calling thread and those it starts off a CPU until it is dropped.
 #[derive(Debug)]
 #[must_use = "the thread may run everywhere again as soon as this is dropped"]
-pub struct CpuAffinityGuard {
+pub struct OffCpuGuard {
     before: nix::sched::CpuSet,
 }
 
@@ -614,15 +614,15 @@ pub struct CpuAffinityGuard {
 /// Then nothing competes with the real-time thread. Threads that it starts meanwhile are moved too. Returns `None` when
 /// it has no other CPU; then it stays.
 #[must_use]
-pub fn move_off_cpu(cpu: usize) -> Option<CpuAffinityGuard> {
+pub fn move_off_cpu(cpu: usize) -> Option<OffCpuGuard> {
     let me = nix::unistd::Pid::from_raw(0);
     let before = nix::sched::sched_getaffinity(me).ok()?;
     let mut others = before;
     let _ = others.unset(cpu); // fails only for a CPU that cannot be in the set
-    nix::sched::sched_setaffinity(me, &others).ok().map(|()| CpuAffinityGuard { before })
+    nix::sched::sched_setaffinity(me, &others).ok().map(|()| OffCpuGuard { before })
 }
 
-impl Drop for CpuAffinityGuard {
+impl Drop for OffCpuGuard {
     fn drop(&mut self) {
         // It was allowed a moment ago. Where it no longer is, the thread stays where it is.
         let _ = nix::sched::sched_setaffinity(nix::unistd::Pid::from_raw(0), &self.before);

@@ -565,9 +565,9 @@ const KEYS: [&str; 14] = [
 
 /// Positions in the sidecar, for findings that show only in the CSV.
 #[derive(Debug, Clone)]
-struct PositionInSidecar(InputError);
+struct SidecarErrorPlace(InputError);
 
-impl PositionInSidecar {
+impl SidecarErrorPlace {
     fn with(self, found: String, expected: &str) -> InputError {
         InputError { found, expected: expected.to_owned(), ..self.0 }
     }
@@ -578,17 +578,17 @@ struct DeclaredColumn {
     name: String,
     role: Role,
     unit: String,
-    place: PositionInSidecar,
+    place: SidecarErrorPlace,
 }
 
 #[derive(Debug)]
 struct Sidecar {
     file: String,
-    file_error: PositionInSidecar,
+    file_error: SidecarErrorPlace,
     kind: RunKind,
     count_um: Option<f64>,
     /// The circle of a ballbar run, and its place in the sidecar.
-    circle: Option<(Circle, PositionInSidecar)>,
+    circle: Option<(Circle, SidecarErrorPlace)>,
     turns: Option<ReversalPoint>,
     date: Option<String>,
     note: Option<String>,
@@ -685,17 +685,17 @@ impl Sidecar {
             if !role.may_repeat() && columns.iter().any(|c| c.role == role) {
                 return Err(role_value.error(format!("role `{role}` a second time"), "each role once"));
             }
-            let place = PositionInSidecar(entry.key_error("", ""));
+            let place = SidecarErrorPlace(entry.key_error("", ""));
             columns.push(DeclaredColumn { name: entry.key().to_owned(), role, unit: unit.to_owned(), place });
         }
-        let file_error = PositionInSidecar(file.error("", ""));
+        let file_error = SidecarErrorPlace(file.error("", ""));
         let file = file.str("the CSV's name")?.to_owned();
         Ok(Self { file, file_error, kind: parsed_kind, count_um, circle, turns, date, note, zero, columns })
     }
 }
 
 /// The bar's length and the plane of a ballbar run: both or neither.
-fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, PositionInSidecar)>, InputError> {
+fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, SidecarErrorPlace)>, InputError> {
     const LENGTH: &str = "the bar's nominal length beside `plane`, as radius_mm = 150.0";
     const PLANE: &str =
         "two axes, the angle running from the first towards the second, as plane = [\"x\", \"y\"]";
@@ -723,7 +723,7 @@ fn read_circle(root: &Table<'_>) -> Result<Option<(Circle, PositionInSidecar)>, 
         <[f64; 2]>::try_from(numbers).map_err(|_| v.mismatch(centre))
     };
     let centre_mm = root.get("centre_mm").map(two).transpose()?;
-    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, PositionInSidecar(plane.error("", "")))))
+    Ok(Some((Circle { radius_mm, plane: plane_axes, centre_mm }, SidecarErrorPlace(plane.error("", "")))))
 }
 
 /// Reads where a positioning run turned back: at the end targets or beyond.

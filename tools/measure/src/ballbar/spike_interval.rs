@@ -16,7 +16,7 @@ const LENGTHS: i32 = 24;
 const HALVINGS: i32 = 14;
 
 /// Best height of a spike of one length, beside the other terms.
-struct FittedSpikeHeight {
+struct BestHeightAtLength {
     gain: f64,
     um: f64,
     /// Rise of the sum of squares per µm², from the best height.
@@ -40,7 +40,7 @@ impl DiagnosisFit<'_> {
             let shape = apart(self.basis(&effect.with(&[(1, length_mm)])?, None).first()?);
             let (curvature, with) = (shape.norm_squared(), shape.dot(&measured));
             let gain = with * with / curvature;
-            (curvature > 0.0).then(|| FittedSpikeHeight { gain, um: with / curvature, curvature })
+            (curvature > 0.0).then(|| BestHeightAtLength { gain, um: with / curvature, curvature })
         };
         let best_mm = effect.scalar(1);
         let best = at(best_mm)?.gain;

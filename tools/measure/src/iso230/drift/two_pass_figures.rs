@@ -81,7 +81,7 @@ impl FirstLastSums {
 
 /// Sums of a sensor and its products with the displacement.
 #[derive(Debug, Clone, Default)]
-struct SensorSums {
+struct SecondPassSensorSums {
     mean: f64,
     /// Number of its readings.
     rows: usize,
@@ -99,7 +99,7 @@ struct SensorSums {
     e: [f64; 2],
 }
 
-impl SensorSums {
+impl SecondPassSensorSums {
     fn of((sum, rows): (f64, usize)) -> Self {
         Self { mean: sum / rows as f64, rows, ..Self::default() }
     }
@@ -153,7 +153,7 @@ pub(super) struct SecondPassSums {
     /// The rows of the last hour.
     window: VecDeque<(f64, f64)>,
     max_rate_per_h: Option<f64>,
-    sensors: Vec<SensorSums>,
+    sensors: Vec<SecondPassSensorSums>,
 }
 
 impl SecondPassSums {
@@ -163,7 +163,7 @@ impl SecondPassSums {
             few: (of.rows / 100).max(1),
             mean_t: of.t / n,
             mean_e: of.e / n,
-            sensors: of.degc.iter().copied().map(SensorSums::of).collect(),
+            sensors: of.degc.iter().copied().map(SecondPassSensorSums::of).collect(),
             of,
             ..Self::default()
         }
