@@ -5,7 +5,7 @@
 //! first.
 
 /// The command of the newest run.
-pub const COMMAND: &str = "rtec-blind --bare --from 128000000";
+pub const COMMAND: &str = "rtec-blind --bare --from 129000000";
 /// Number of its cases.
 pub const CASES: usize = 482;
 
@@ -23,19 +23,19 @@ pub struct Figure {
 }
 
 /// One effect hidden at twice the noise or more: named rightly.
-pub const ONE_CLEAR: Figure = at_least("right, effect/noise >= 2", 98.0, (137, 138));
+pub const ONE_CLEAR: Figure = at_least("right, effect/noise >= 2", 98.0, (135, 136));
 /// One effect hidden at 0.7 to 10 times the noise: named rightly.
-pub const ONE: Figure = at_least("right, 0.7 to 10", 97.0, (228, 232));
+pub const ONE: Figure = at_least("right, 0.7 to 10", 97.0, (230, 232));
 /// One or two effects hidden: a wrong name.
 pub const WRONG: Figure = at_most("wrong name", 0.5, (0, 312));
 /// Nothing hidden: something found.
 pub const NOTHING: Figure = at_most("cries wolf on nothing", 1.0, (0, 110));
 /// A shape outside the dictionary: called unknown.
-pub const UNKNOWN: Figure = at_least("shape of no dictionary called unknown", 90.0, (56, 60));
+pub const UNKNOWN: Figure = at_least("shape of no dictionary called unknown", 90.0, (55, 60));
 /// A shape outside the dictionary: given a name.
 pub const UNKNOWN_NAMED: Figure = at_most("shape of no dictionary given a name", 5.0, (0, 60));
 /// Two effects hidden, each at three times the noise or more: both named rightly.
-pub const BOTH: Figure = at_least("both of two, effect/noise >= 3", 97.0, (77, 80));
+pub const BOTH: Figure = at_least("both of two, effect/noise >= 3", 97.0, (80, 80));
 
 const fn at_least(what: &'static str, asked: f64, newest: (usize, usize)) -> Figure {
     Figure { what, asked, at_least: true, newest }
@@ -132,8 +132,8 @@ const DRILLING: &str = "rtecctl simulate drilling";
 const WARM: &str = "rtecctl simulate drilling-warm";
 const TWO_STEPS: &str = "cargo test -p rtec-part --test fit two_steps";
 const SELFTEST: &str = "tools/guide/integrator/latency.md";
-const SHOP: &str = "tests/judges/shop.py --from 10651 --count 40";
-const CLEAN: &str = "rtec-blind --bare --class null --from 122000000 --count 1000";
+const SHOP: &str = "tests/judges/shop.py --from 10741 --count 40";
+const CLEAN: &str = "rtec-blind --bare --class null --from 124000000 --count 1000";
 const ELSEWHERE: &str = "tests/judges/elsewhere.py all --count 20 --at-least";
 const FITS: &str = "cargo test -p rtec-fit --test fits random_machines";
 const MUTANTS: &str = "tests/mutants.py";
@@ -200,11 +200,11 @@ pub const QUOTED: &[Quoted] = &[
     quoted(FITS, "200 machines", &["0 of 66", "0 of 63"], &[FIGURES]),
     quoted("`model fit`; `reconcile`", "the real spindle", &["1170 of 2341"], &[FIGURES]),
     quoted(MUTANTS, "23 files", &["2205 of 2215", "16 of 18"], &[FIGURES]),
-    quoted(CLEAN, "1000 clean cases", &["0 of 1000"], &[FIGURES]),
+    quoted(CLEAN, "1000 clean cases", &["1 of 1000"], &[FIGURES]),
     quoted(
         SHOP,
         "40 cases a class",
-        &["39 of 40", "38 of 40", "36 of 40", "27 of 40", "37 of 40", "94 ± 3 %", "90 ± 2 %"],
+        &["37 of 40", "38 of 40", "35 of 40", "24 of 40", "96 ± 2 %", "89 ± 2 %"],
         &[FIGURES],
     ),
     quoted(

@@ -128,7 +128,8 @@ pub struct EstimationResult {
     pub noise: ResponseNoise,
     /// The whitened residual.
     pub residual: Vec<f64>,
-    /// Indices of the records whose rows are closer together than the noise's correlation length.
+    /// Indices of the records whose rows repeat themselves.
+    /// They are closer together than the noise's correlation length.
     pub remembering: Vec<usize>,
     /// log p(y, S), up to a constant of the rows.
     pub score: f64,

@@ -259,7 +259,8 @@ impl HypothesisSearch<'_> {
         Some(HypothesisContribution::Shape(Arc::new((family.shape.clone()?, columns))))
     }
 
-    /// Seeds of a wave with its companion, at the peaks of the spectrum of what grows along the travel.
+    /// Seeds of a wave with its companion.
+    /// They are at the peaks of the spectrum of what grows along the travel.
     /// At its own frequency a wave that grows from the middle to both ends shows no power.
     fn growing_wave_seeds(
         &self,
@@ -292,7 +293,8 @@ impl HypothesisSearch<'_> {
         along.peaks(&growing, PEAKS).into_iter().filter_map(of).collect()
     }
 
-    /// The effect that only accompanies waves of this law and axis, and the index of its hypotheses.
+    /// The effect that only accompanies waves of this law and axis.
+    /// Its hypotheses' index comes first.
     fn companion_of(&self, wave: &Effect) -> Option<(usize, &Effect)> {
         let all = self.families.list.iter().enumerate();
         all.filter_map(|(number, f)| Some((number, &f.scan, f.effect.as_ref()?))).find_map(

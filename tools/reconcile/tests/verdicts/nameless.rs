@@ -402,7 +402,7 @@ fn a_map_of_a_few_rows_is_no_noise() {
     assert!(loud.is_empty(), "{loud:?}");
 }
 
-/// A worn screw's wave that grows to both ends of a long line with few, uneven targets.
+/// A wave that grows to both ends of a long line with few, uneven targets.
 /// At its own period such a wave shows no power, and a shape with a level at each target fits as well.
 #[test]
 fn a_wave_that_grows_from_the_middle_is_named() {

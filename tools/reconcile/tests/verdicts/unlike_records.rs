@@ -126,7 +126,8 @@ fn a_unit_is_said_in_both_directions() {
     }
 }
 
-/// A quick run with noise that lasts repeats itself; a slow line beside it does not.
+/// A quick run with noise that lasts repeats itself.
+/// A slow line beside it does not.
 #[test]
 fn only_rows_that_repeat_themselves_are_left_out() {
     let line = strokes("line", 3, &|mm, _| 3.5 * mm / 1000.0, 0.3, 0.0);
@@ -148,7 +149,8 @@ fn only_rows_that_repeat_themselves_are_left_out() {
     assert!(evidence(&r) > 0.9 * evidence(&alone), "{} {}", evidence(&r), evidence(&alone));
 }
 
-/// Of three gauges with steps of 1 µm one never moves: its growth is less than a step.
+/// Of gauges with steps of 1 µm one never moves.
+/// Its growth is less than a step.
 #[test]
 fn a_gauge_that_stands_still_tells_no_more_than_its_step() {
     let n = 240;
