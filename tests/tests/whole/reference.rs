@@ -232,7 +232,8 @@ fn the_table_of_alarms_is_what_the_code_can_say() {
     let words = source("tools/control/src/protocol/explanations.rs");
     let refusals =
         words.split("fn explain_refusal").nth(1).unwrap().split("fn explain_fault").next().unwrap();
-    let session = ["rt_requests", "loads", "report"].map(|f| format!("tools/rtecd/src/control_side/{f}.rs"));
+    let session = ["rt_requests", "model_and_table_loads", "status_reports"]
+        .map(|f| format!("tools/rtecd/src/control_side/{f}.rs"));
     let mut said = all(&session.each_ref().map(String::as_str));
     said.extend(literals(refusals));
     // Texts that are no refusal and no alarm: parts of others, logs, and malformed requests.

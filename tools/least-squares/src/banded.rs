@@ -72,7 +72,7 @@ impl BandedFactor {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "matrices"))]
 mod tests {
     use super::*;
     use nalgebra::{DMatrix, DVector};

@@ -4,6 +4,7 @@
 //! row below the data: [X; I] = Q R with orthonormal Q. A free column has no such row. Gram–Schmidt is applied twice where the first pass leaves little; that is as stable
 //! as Householder's reflections (Giraud, Langou, Rozložník 2005). The Gram matrix of the data is never formed.
 
+#[cfg(feature = "matrices")]
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 use std::rc::Rc;
@@ -113,6 +114,7 @@ mod wide {
 /// Products of columns among each other, row by row.
 /// They are those after projection on orthonormal columns.
 /// By products of matrices: for many columns they take a fraction of the time of single products.
+#[cfg(feature = "matrices")]
 pub fn products_beside(orthonormal: &DMatrix<f64>, columns: &[Vec<f64>]) -> Vec<f64> {
     let own =
         DMatrix::from_row_iterator(columns.len(), orthonormal.nrows(), columns.iter().flatten().copied());
@@ -190,6 +192,7 @@ impl QrFactor {
     }
 
     /// The orthonormal columns as a matrix.
+    #[cfg(feature = "matrices")]
     pub fn matrix(&self) -> DMatrix<f64> {
         let columns = self.upper.iter().flat_map(|q| q.iter().copied());
         DMatrix::from_iterator(self.residual.len(), self.len(), columns)
@@ -303,6 +306,7 @@ impl QrFactor {
     /// No second fit is needed: with Q the orthonormal columns in these rows and r the residual there, it is
     /// |(I − QQᵀ)⁻¹ r|² (Cook, Weisberg 1982). `None` if without these rows less than the share `least` of a
     /// column is its own.
+    #[cfg(feature = "matrices")]
     pub fn left_out(&self, rows: &Range<usize>, least: f64) -> Option<f64> {
         let (k, residual) = (self.len(), &self.residual[rows.clone()]);
         let q: Vec<&[f64]> = self.upper.iter().map(|q| &q[rows.clone()]).collect();
@@ -429,7 +433,7 @@ impl QrFactor {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "matrices"))]
 mod tests {
     use super::*;
 

@@ -11,11 +11,15 @@
 
 pub mod banded;
 pub mod factor;
+#[cfg(feature = "matrices")]
 pub mod rank_deficient_least_squares;
 pub mod solution;
 
 pub use banded::BandedFactor;
-pub use factor::{QrFactor, add, dot, prior_terms, products_beside};
+#[cfg(feature = "matrices")]
+pub use factor::products_beside;
+pub use factor::{QrFactor, add, dot, prior_terms};
+#[cfg(feature = "matrices")]
 pub use rank_deficient_least_squares::{
     DeterminedDirections, orthonormal, principal, projected_eigen, projected_out,
 };

@@ -1,6 +1,7 @@
 //! The values of columns that explain a response best, and their uncertainty.
 
 use crate::factor::{QrFactor, dot};
+#[cfg(feature = "matrices")]
 use nalgebra::DMatrix;
 
 /// Share of a column below which it is rounding.
@@ -26,6 +27,7 @@ impl Solution {
     }
 
     /// Covariance of the values if each row has the variance one.
+    #[cfg(feature = "matrices")]
     pub fn covariance(&self) -> DMatrix<f64> {
         let p = self.values.len();
         DMatrix::from_fn(p, p, |i, j| dot(&self.inverse[i], &self.inverse[j]))
@@ -81,7 +83,7 @@ pub fn compress_rows(columns: &[Vec<f64>], y: &[f64]) -> (Vec<Vec<f64>>, Vec<f64
     (factor.triangle().iter().map(padded).collect(), factor.along().to_vec())
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "matrices"))]
 mod tests {
     use super::*;
 
