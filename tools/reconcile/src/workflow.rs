@@ -508,7 +508,9 @@ impl AnalysedRecords {
                 let (used, most) = (used.into_owned(), strides.into_iter().max().unwrap_or(1));
                 return Self { train: train.to_vec(), answer, used, every: first * most };
             }
-            closer.iter().for_each(|k| strides[*k] *= 2);
+            for k in closer {
+                strides[k] *= 2;
+            }
             let of = |(r, by): (&Record, &usize)| r.select(&(0..r.rows()).step_by(*by).collect::<Vec<_>>());
             used = bounded.iter().zip(&strides).map(of).collect();
         }
